@@ -1,0 +1,1 @@
+"""loopcal: calibration of mechanisms with every sensor uncertain."""
