@@ -4,6 +4,8 @@
 VENV     ?= .venv
 JOBS     ?= 2
 VERSIONS ?= 3.11 3.12 3.13
+# Independent programs that some tests compare with; those tests skip where they are absent.
+PARTNERS ?= casadi example-robot-data-loaders pin playwright pytransform3d rtb-data
 
 # Lazily the first interpreter that is new enough; `make PYTHON=/path/to/python3 ...` overrides.
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
@@ -20,7 +22,7 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
-.PHONY: help install demo test lint types suite partners test-pythons benchmark clean
+.PHONY: help install demo test lint types suite partners chromium test-pythons benchmark clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -57,3 +59,39 @@ types: $(STAMP) ## mypy
 suite: $(STAMP) ## pytest alone
 	@mkdir -p $(TMPDIR)
 	$(BIN)/python -m pytest -n $(JOBS)
+
+test-pythons: ## the suite on every interpreter of VERSIONS found, each in its own environment
+	@status=0; for v in $(VERSIONS); do python=; \
+		for p in python$$v "$$(pyenv root 2>/dev/null)"/versions/$$v.*/bin/python3; do \
+			"$$p" -c "import sys; sys.exit('%d.%d' % sys.version_info[:2] != '$$v')" 2>/dev/null \
+				&& { python=$$p; break; }; done; \
+		if [ -z "$$python" ]; then echo "Python $$v: no interpreter found, not tested"; continue; fi; \
+		echo "Python $$v: $$python"; \
+		$(MAKE) --no-print-directory suite VENV=.venv-$$v PYTHON="$$python" || status=1; \
+	done; exit $$status
+
+partners: chromium $(STAMP) ## install what heavy tests compare with, as far as it can be had
+	@for p in $(PARTNERS); do \
+		if $(BIN)/python -c "import importlib.metadata as m; m.version('$$p')" 2>/dev/null; then \
+			echo "$$p: already installed"; \
+		elif $(BIN)/python -m pip install --quiet "$$p"; then echo "$$p: installed"; \
+		else echo "$$p: could not be installed; tests that need it skip"; fi; done
+
+# Playwright drives the system's Chromium; it never fetches a browser of its own.
+chromium:
+	@if command -v chromium >/dev/null || command -v google-chrome >/dev/null; then \
+		echo "chromium: already installed"; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then unset TMPDIR; \
+		export DEBIAN_FRONTEND=noninteractive; \
+		{ apt-get -qq update && apt-get -qq install --yes --no-install-recommends chromium; } \
+			</dev/null >/dev/null \
+			&& echo "chromium: installed" \
+			|| echo "chromium: could not be installed; tests that need it skip"; \
+	else echo "chromium: absent, and only root with apt-get installs it here; tests that need it skip"; fi
+
+benchmark: $(STAMP) ## times and memory beside other programs
+	$(BIN)/python benchmarks/run.py
+
+clean: ## remove everything that make has made
+	rm -rf .venv .venv-* .cache .hypothesis build dist results
+	find src tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +

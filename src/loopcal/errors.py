@@ -2,11 +2,11 @@
 
 An error says what is wrong, why that stops us, and what to do about it:
 
->>> raise InputError("sd of 'theta_1' is -0.1 mrad; an sd cannot be negative",
+>>> raise InputError("sd is -0.1 mrad; an sd cannot be negative",
 ...                  place="arm.toml: noise.theta_1", remedy="give 0 for an exact sensor")
 Traceback (most recent call last):
     ...
-loopcal.errors.InputError: arm.toml: noise.theta_1: sd of 'theta_1' is -0.1 mrad; an sd cannot be negative
+loopcal.errors.InputError: arm.toml: noise.theta_1: sd is -0.1 mrad; an sd cannot be negative
   What to do: give 0 for an exact sensor
 """
 

@@ -1,0 +1,263 @@
+"""The layers hold: read from the source with `ast` alone, nothing of the package is imported."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "src" / "loopcal"
+
+# From the ground up. Names on one line do not import each other; imports point downwards only.
+LAYERS = (
+    ("errors",),
+    ("expressions", "units"),
+    ("mechanisms", "measurements"),
+    ("estimation", "simulation"),
+    ("statistics", "planning", "files"),
+    ("figures",),
+    ("report",),
+    ("workflow",),
+    ("cli", "app"),
+)
+HEIGHT = {name: height for height, names in enumerate(LAYERS) for name in names}
+# The public face may import anything; `python -m loopcal` starts the command.
+ABOVE_ALL = {"__init__", "__main__"}
+
+MOST_LINES = 400
+SCREEN = 50
+VAGUE_NAMES = {"utils", "util", "helpers", "helper", "misc", "common", "tools"}
+PLOTTING = {"plotly", "matplotlib", "bokeh", "altair", "seaborn"}
+
+MAY_TOUCH_DISK = {"files", "cli"}
+DISK_MODULES = {
+    *("tempfile", "shutil", "glob", "fileinput", "sqlite3", "shelve", "runpy", "mmap"),
+    *("scipy.io", "python_calamine", "h5py"),
+}
+DISK_FUNCTIONS = {"open", "Path.home", "Path.cwd"}
+DISK_METHODS = {
+    *("open", "read_text", "read_bytes", "write_text", "write_bytes", "tofile", "fromfile"),
+    *("exists", "is_file", "is_dir", "iterdir", "rglob", "expanduser"),
+    *("mkdir", "makedirs", "rmdir", "unlink", "touch", "chmod", "symlink_to", "listdir", "scandir"),
+    *("loadtxt", "genfromtxt", "savetxt", "savez", "memmap", "loadmat", "savemat"),
+    *("read_csv", "read_excel", "read_parquet", "scan_csv", "scan_parquet"),
+    *("write_csv", "write_excel", "write_parquet", "sink_csv", "sink_parquet"),
+    *("to_csv", "to_excel", "to_parquet", "spec_from_file_location"),
+}
+
+
+@dataclass(frozen=True)
+class Module:
+    """One source file: its dotted name inside the package, and its text."""
+
+    name: str  # "expressions.tape"; "expressions.__init__" for a package
+    text: str
+
+    @cached_property
+    def tree(self) -> ast.Module:
+        return ast.parse(self.text)
+
+    @property
+    def layer(self) -> str:
+        return self.name.split(".")[0]
+
+    def imports(self) -> Iterator[tuple[int, str]]:
+        """Line and absolute dotted name of everything imported, wherever in the file it stands."""
+        for node in ast.walk(self.tree):
+            if isinstance(node, ast.Import):
+                yield from ((node.lineno, alias.name) for alias in node.names)
+            elif isinstance(node, ast.ImportFrom):
+                # Dots climb from the file: the first names its own folder.
+                parents = ["loopcal", *self.name.split(".")][: -node.level] if node.level else []
+                base = [*parents, *([node.module] if node.module else [])]
+                yield from ((node.lineno, ".".join([*base, alias.name])) for alias in node.names)
+            elif isinstance(node, ast.Call) and dotted(node.func).endswith("import_module"):
+                for argument in node.args[:1]:
+                    if isinstance(argument, ast.Constant):
+                        yield node.lineno, str(argument.value)
+
+    def functions(self) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+        for node in ast.walk(self.tree):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                yield node
+
+
+def dotted(node: ast.expr) -> str:
+    """`a.b.c` as it is written; what is no name before the last dot is left out."""
+    if isinstance(node, ast.Attribute):
+        return f"{dotted(node.value)}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else ""
+
+
+def source_modules() -> list[Module]:
+    return [
+        Module(".".join(path.relative_to(PACKAGE).with_suffix("").parts), path.read_text("utf-8"))
+        for path in sorted(PACKAGE.rglob("*.py"))
+    ]
+
+
+def upward_imports(module: Module) -> list[str]:
+    """Imports of loopcal that do not point downwards."""
+    if module.layer == "__init__":
+        return []
+    found = []
+    for line, target in module.imports():
+        root, _, rest = target.partition(".")
+        if root != "loopcal":
+            continue
+        layer = rest.split(".")[0]
+        if layer == module.layer or (module.layer == "__main__" and layer == "cli"):
+            continue
+        if HEIGHT.get(layer, len(LAYERS)) >= HEIGHT.get(module.layer, -1):
+            found.append(f"{module.name}:{line} imports {target}")
+    return found
+
+
+def disk_access(module: Module) -> list[str]:
+    """Imports and calls that reach the disk."""
+    if module.layer in MAY_TOUCH_DISK:
+        return []
+    found = [
+        f"{module.name}:{line} imports {name}"
+        for line, name in module.imports()
+        if any(name == disk or name.startswith(f"{disk}.") for disk in DISK_MODULES)
+    ]
+    for node in ast.walk(module.tree):
+        if isinstance(node, ast.Call):
+            name = dotted(node.func)
+            method = "." in name and name.rsplit(".", 1)[1] in DISK_METHODS
+            if name in DISK_FUNCTIONS or method:
+                found.append(f"{module.name}:{node.lineno} calls {name}()")
+    return found
+
+
+def length_on_screen(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines of a function without its docstring."""
+    lines = (function.end_lineno or function.lineno) - function.lineno + 1
+    docstring = function.body[0] if ast.get_docstring(function) is not None else None
+    if docstring is not None:
+        lines -= (docstring.end_lineno or docstring.lineno) - docstring.lineno + 1
+    return lines
+
+
+MODULES = source_modules()
+
+
+def test_there_is_a_package_to_look_at() -> None:
+    assert {"__init__", "errors", "units"} <= {module.name for module in MODULES}
+
+
+def test_every_folder_and_module_is_a_layer() -> None:
+    assert {module.layer for module in MODULES} <= set(HEIGHT) | ABOVE_ALL
+
+
+def test_imports_point_downwards_only() -> None:
+    assert [line for module in MODULES for line in upward_imports(module)] == []
+
+
+def test_only_files_touches_the_disk() -> None:
+    assert [line for module in MODULES for line in disk_access(module)] == []
+
+
+def test_only_figures_knows_a_plotting_library() -> None:
+    found = [
+        f"{module.name}:{line} imports {name}"
+        for module in MODULES
+        for line, name in module.imports()
+        if name.split(".")[0] in PLOTTING and module.layer != "figures"
+    ]
+    assert found == []
+
+
+def test_the_deprecated_odr_of_scipy_is_never_used() -> None:
+    names = {name for module in MODULES for _, name in module.imports()}
+    assert not {name for name in names if name.startswith("scipy.odr")}
+
+
+def test_no_module_is_long() -> None:
+    lengths = {module.name: len(module.text.splitlines()) for module in MODULES}
+    assert {name: n for name, n in lengths.items() if n > MOST_LINES} == {}
+
+
+def test_nine_functions_of_ten_fit_one_screen() -> None:
+    lengths = {
+        f"{module.name}.{function.name}": length_on_screen(function)
+        for module in MODULES
+        for function in module.functions()
+    }
+    long = {name: length for name, length in lengths.items() if length > SCREEN}
+    assert len(long) <= len(lengths) / 10, long
+
+
+def test_every_module_says_what_it_holds() -> None:
+    assert [module.name for module in MODULES if not ast.get_docstring(module.tree)] == []
+
+
+def test_no_module_has_a_vague_name() -> None:
+    assert [m.name for m in MODULES if VAGUE_NAMES & set(m.name.split("."))] == []
+
+
+def test_nothing_is_left_for_later() -> None:
+    marks = ("TODO", "FIXME", "XXX", "NotImplementedError")
+    assert [m.name for m in MODULES if any(mark in m.text for mark in marks)] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("estimation.kernel", "from loopcal.files import read_dataset"),
+        ("estimation.kernel", "def f():\n    from loopcal.workflow import calibrate"),
+        ("estimation.kernel", "import loopcal.simulation.simulate"),
+        ("estimation.kernel", "from ..files import read_dataset"),
+        ("estimation.__init__", "from ..files import read_dataset"),
+        ("estimation.kernel", "from .. import files"),
+        ("estimation.kernel", "from loopcal import calibrate"),
+        ("estimation.kernel", "import importlib\nimportlib.import_module('loopcal.cli')"),
+        ("measurements.noise", "from loopcal.mechanisms import Mechanism"),
+        ("units", "from loopcal.expressions import tape"),
+        ("errors", "import loopcal"),
+        ("__main__", "from loopcal.workflow import calibrate"),
+    ],
+)
+def test_an_import_upwards_or_sideways_is_found(name: str, text: str) -> None:
+    assert upward_imports(Module(name, text))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("estimation.kernel", "from loopcal.expressions.tape import Tape"),
+        ("estimation.kernel", "from .reduction import reduce"),
+        ("estimation.__init__", "from .kernel import reduce"),
+        ("estimation.kernel", "from ..errors import InputError"),
+        ("estimation.kernel", "import numpy as np"),
+        ("files.result_file", "from loopcal.estimation.result import Result"),
+        ("cli.calibrate", "from loopcal import workflow"),
+        ("__main__", "from loopcal.cli import main"),
+        ("__init__", "from loopcal.workflow import calibrate"),
+    ],
+)
+def test_an_import_downwards_is_not(name: str, text: str) -> None:
+    assert upward_imports(Module(name, text)) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "def f(name):\n    with open(name) as file:\n        return file.read()",
+        "path.write_text('x')",
+        "(folder / 'x').read_bytes()",
+        "import tempfile",
+        "from scipy import io",
+        "from scipy.io import loadmat",
+        "np.loadtxt('x')",
+        "os.makedirs('x')",
+    ],
+)
+def test_reaching_for_the_disk_is_found(text: str) -> None:
+    assert disk_access(Module("estimation.kernel", text))
+    assert disk_access(Module("files.atomic", text)) == []
