@@ -1,0 +1,132 @@
+"""The documentation is true: its code runs, its commands print what it shows, its links lead on."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.documentation import WrongDocumentation, run_file
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
+LINK = re.compile(r"\]\((?!https?:|mailto:|#)([^)#\s]+)[^)]*\)")
+
+
+@pytest.fixture
+def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder to run documentation in, with the examples beside it; the current one meanwhile."""
+    if (ROOT / "examples").is_dir():
+        ignored = shutil.ignore_patterns("__pycache__", "results")
+        shutil.copytree(ROOT / "examples", tmp_path / "examples", ignore=ignored)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    before = set(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        # Another page may write another file of the same name.
+        if (getattr(sys.modules[name], "__file__", None) or "").startswith(str(tmp_path)):
+            del sys.modules[name]
+
+
+def page_name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_the_code_runs_and_prints_what_is_shown(page: Path, clone: Path) -> None:
+    run_file(page, clone)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_the_links_lead_to_files(page: Path) -> None:
+    targets = LINK.findall(page.read_text("utf-8"))
+    assert [target for target in targets if not (page.parent / target).exists()] == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "```python\na = 1\n```\ntext\n```python\nassert a == 1\n```\n",
+        "```python\n>>> b = 3\n>>> b + 1\n4\n```\n```python\nassert b == 3\n```",
+        "```csv file=data/a.csv\nx,y\n```\n```python\nimport os\nos.stat('data/a.csv')\n```",
+        "```python file=loop.py\ndef f():\n    return 1\n```\n```python\nfrom loop import f\n```",
+        "```python no-run\n# not run: it needs the instrument\nmeasure()\n```",
+        "```text\n$ loopcal no-such-command\n```",
+        "1. A list\n   ```python\n   a = [\n       1,\n   ]\n   ```\n",
+        "````markdown\n```python\nassert False\n```\n````\n",
+        "```console\n$ make demo\nnot looked at\n```",
+    ],
+)
+def test_true_documentation_passes(text: str, clone: Path) -> None:
+    (clone / "page.md").write_text(text, "utf-8")
+    run_file(clone / "page.md", clone)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "```python\n>>> 1 + 1\n3\n```\n",
+        "```python no-run\nmeasure()\n```",
+        "```python\na = 1\n",
+        "```console\n$ loopcal no-such-command\n```",
+        "```console\n$ loopcal-no-such-program\n```",
+    ],
+)
+def test_false_documentation_does_not(text: str, clone: Path) -> None:
+    (clone / "page.md").write_text(text, "utf-8")
+    with pytest.raises(WrongDocumentation):
+        run_file(clone / "page.md", clone)
+
+
+def test_a_fault_in_a_page_is_reported_at_its_line(clone: Path) -> None:
+    (clone / "page.md").write_text("# Title\n\n```python\na = 1\nb = a / 0\n```\n", "utf-8")
+    with pytest.raises(ZeroDivisionError) as caught:
+        run_file(clone / "page.md", clone)
+    assert caught.traceback[-1].lineno + 1 == 5
+
+
+@pytest.fixture
+def fake_loopcal(clone: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A `loopcal` that prints three lines, so that the comparison itself is tested."""
+    program = clone / "bin" / "loopcal"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\nprintf 'one\\ntwo  \\nthree\\n'\necho note >&2\nexit ${1:-0}\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program.with_name("python")))
+
+
+@pytest.mark.usefixtures("fake_loopcal")
+@pytest.mark.parametrize(
+    "text",
+    [
+        "```console\n$ loopcal\none\ntwo\nthree\n```\n",
+        "```console\n$ loopcal\none\n...\nthree\n$ loopcal | wc -l\n3\n```\n",
+        "```console\n$ loopcal \\\n    0\none\n...\n```\n",
+        "```console\n$ loopcal\n```\n",
+        "```console exit=3\n$ loopcal 3\none\ntwo\nthree\nnote\n```\n",
+    ],
+)
+def test_a_shown_session_that_is_true_passes(text: str, clone: Path) -> None:
+    (clone / "page.md").write_text(text, "utf-8")
+    run_file(clone / "page.md", clone)
+
+
+@pytest.mark.usefixtures("fake_loopcal")
+@pytest.mark.parametrize(
+    "text",
+    [
+        "```console\n$ loopcal\none\ntwo\nfour\n```\n",
+        "```console\n$ loopcal\none\nthree\n```\n",
+        "```console\n$ loopcal 3\n```\n",
+        "```console exit=3\n$ loopcal 0\n```\n",
+    ],
+)
+def test_a_shown_session_that_is_false_does_not(text: str, clone: Path) -> None:
+    (clone / "page.md").write_text(text, "utf-8")
+    with pytest.raises(WrongDocumentation):
+        run_file(clone / "page.md", clone)

@@ -1,0 +1,67 @@
+"""An error says what is wrong, where, and what to do; its kind decides the exit code."""
+
+from __future__ import annotations
+
+import pytest
+
+from loopcal.errors import (
+    DomainError,
+    InputError,
+    LoopcalError,
+    NoTrustworthyResult,
+    UsageError,
+    nearest,
+)
+
+KINDS = (LoopcalError, UsageError, InputError, DomainError, NoTrustworthyResult)
+
+
+@pytest.mark.parametrize(
+    ("kind", "code"),
+    [
+        (LoopcalError, 1),
+        (UsageError, 2),
+        (InputError, 3),
+        (DomainError, 3),
+        (NoTrustworthyResult, 4),
+    ],
+)
+def test_the_kind_decides_the_exit_code(kind: type[LoopcalError], code: int) -> None:
+    assert kind("text").exit_code == code
+    assert issubclass(kind, LoopcalError)
+
+
+def test_the_text_is_place_message_and_remedy_on_its_own_line() -> None:
+    error = InputError("sd is -1 mm", place="arm.toml: noise.x", remedy="give 0 or more")
+    assert str(error) == "arm.toml: noise.x: sd is -1 mm\n  What to do: give 0 or more"
+
+
+def test_what_is_not_known_is_not_printed() -> None:
+    assert str(InputError("sd is -1 mm")) == "sd is -1 mm"
+    assert str(InputError("sd is -1 mm", place="arm.toml")) == "arm.toml: sd is -1 mm"
+    assert str(InputError("no file", remedy="name one")) == "no file\n  What to do: name one"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_place_found_later_stands_before_the_one_known(kind: type[LoopcalError]) -> None:
+    error = kind("text", place="row 3", remedy="mend it")
+    placed = error.at("poses.csv")
+    assert type(placed) is kind
+    assert str(placed) == "poses.csv: row 3: text\n  What to do: mend it"
+    assert error.place == "row 3", "the first error stays as it was"
+
+
+def test_a_place_found_later_is_the_place_where_there_was_none() -> None:
+    assert str(InputError("text").at("poses.csv")) == "poses.csv: text"
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("collumns", "columns"), ("fil", "file"), ("quantites", "quantities")]
+)
+def test_a_misspelled_name_is_told_the_nearest(typed: str, meant: str) -> None:
+    assert nearest(typed, ["columns", "file", "quantities"]) == f"did you mean {meant!r}?"
+
+
+def test_a_name_like_no_other_is_told_all_there_are() -> None:
+    assert nearest("zzz", iter(["columns", "file"])) == "known are 'columns', 'file'"
+    assert nearest("zzz", []) == "none is known here"

@@ -1,0 +1,90 @@
+"""What is public is public on purpose: listed, documented, shown in an example."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import loopcal
+from tests.documentation import blocks
+
+ROOT = Path(__file__).resolve().parents[1]
+REFERENCE = ROOT / "docs" / "reference" / "api.md"
+NAMES: list[str] = list(getattr(loopcal, "__all__", []))
+DOCUMENTED = [name for name in NAMES if not name.startswith("__")]
+
+
+def public(name: str) -> Any:
+    return getattr(loopcal, name)
+
+
+def documentation_code() -> str:
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    return "\n".join(b.text for page in pages for b in blocks(page) if b.language == "python")
+
+
+def returns_bare_tuple(function: Any) -> bool:
+    """A tuple of fixed parts, whose meaning hangs on positions; `tuple[str, ...]` is a sequence."""
+    annotation = str(inspect.signature(function).return_annotation)
+    return bool(re.match(r"(typing\.)?[Tt]uple\b", annotation)) and "..." not in annotation
+
+
+def test_the_list_is_sorted_and_has_no_name_twice() -> None:
+    assert sorted(set(NAMES)) == NAMES
+
+
+def test_nothing_public_is_missing_from_the_list() -> None:
+    # Our own names bound in the package, apart from its submodules, are meant to be used.
+    own = {
+        name
+        for name, value in vars(loopcal).items()
+        if not name.startswith("_")
+        and (getattr(value, "__module__", "") or "").startswith("loopcal")
+    }
+    assert own <= set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_exists_and_is_listed_by_dir(name: str) -> None:
+    assert public(name) is not None
+    assert name in dir(loopcal)
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no_such_name"):
+        public("no_such_name")
+
+
+@pytest.mark.parametrize("name", DOCUMENTED)
+def test_its_docstring_says_something(name: str) -> None:
+    text = inspect.getdoc(public(name)) or ""
+    # A dataclass without a docstring gets its signature for one.
+    assert not text.startswith(f"{name}("), f"{name} has no docstring of its own"
+    assert len(text.split()) >= 5
+
+
+@pytest.mark.parametrize("name", DOCUMENTED)
+def test_it_is_in_the_reference(name: str) -> None:
+    assert re.search(rf"\b{name}\b", REFERENCE.read_text("utf-8"))
+
+
+@pytest.mark.parametrize("name", DOCUMENTED)
+def test_an_example_that_runs_shows_it(name: str) -> None:
+    shown = ">>>" in (inspect.getdoc(public(name)) or "")
+    assert shown or re.search(rf"\b{name}\b", documentation_code())
+
+
+@pytest.mark.parametrize("name", DOCUMENTED)
+def test_it_returns_no_bare_tuple(name: str) -> None:
+    members = [public(name)] if inspect.isfunction(public(name)) else []
+    if inspect.isclass(public(name)):
+        members += [
+            member
+            for key, member in inspect.getmembers(public(name), inspect.isroutine)
+            if not key.startswith("_") and inspect.isfunction(inspect.unwrap(member))
+        ]
+    assert [member.__qualname__ for member in members if returns_bare_tuple(member)] == []
