@@ -17,6 +17,7 @@ STAMP := $(VENV)/.installed
 export PIP_CACHE_DIR := $(CURDIR)/.cache/pip
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export TMPDIR := $(CURDIR)/.cache/tmp
+export HYPOTHESIS_STORAGE_DIRECTORY := $(CURDIR)/.cache/hypothesis
 # Threads of the BLAS cost more than they give on blocks as small as ours.
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
