@@ -95,4 +95,4 @@ benchmark: $(STAMP) ## times and memory beside other programs
 
 clean: ## remove everything that make has made
 	rm -rf .venv .venv-* .cache .hypothesis build dist results
-	find src tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
