@@ -1,0 +1,147 @@
+"""Datasets from files: which columns are which quantities, in which unit, from which poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from loopcal.errors import InputError
+from loopcal.files.columns import ColumnLike, all_numeric, refuse_doubles, specified, wanted
+from loopcal.files.delimited import read_delimited
+from loopcal.files.matlab import read_matlab
+from loopcal.files.parquet import read_parquet
+from loopcal.files.raw import read_text
+from loopcal.files.spreadsheet import read_spreadsheet
+from loopcal.files.table import Table
+from loopcal.measurements.dataset import Array, Dataset, checked_every
+from loopcal.measurements.poses import counted, positions_of
+from loopcal.measurements.source import Source
+from loopcal.units import to_si, unit
+
+
+@dataclass(frozen=True)
+class _How:
+    """What a caller may state of how a file is written."""
+
+    sheet: str | int | None
+    header: bool | None
+    delimiter: str | None
+    decimal: str | None
+    encoding: str | None
+    variable: str | None
+
+
+_MEANT_FOR: dict[str, set[str]] = {
+    "text": {"header", "delimiter", "decimal", "encoding"},
+    "XLSX": {"sheet", "header", "decimal"},
+    "Parquet": set(),
+    "MATLAB": {"variable"},
+}
+_ENDINGS = {
+    **dict.fromkeys((".xlsx", ".xlsm"), "XLSX"),
+    **dict.fromkeys((".parquet", ".pq"), "Parquet"),
+    ".mat": "MATLAB",
+}
+
+
+def read_dataset(
+    path: str | Path | BinaryIO,
+    columns: Mapping[str, ColumnLike] | None = None,
+    *,
+    pose: str | int | None = None,
+    exclude: Iterable[object] = (),
+    every: int = 1,
+    sheet: str | int | None = None,
+    header: bool | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    encoding: str | None = None,
+    units: Mapping[str, str] | None = None,
+    variable: str | None = None,
+) -> Dataset:
+    """Readings from CSV, TSV or other text, XLSX, Parquet or MATLAB (by the ending of the name).
+
+    `columns` maps quantity -> column: its name, its number counted from 1, or a mapping with the
+    keys of `Column` (column, unit, sd_column, sd_unit, check). None takes every column of
+    numbers under its own name ("column_1" ... without a header). `units` maps quantity -> unit
+    where `columns` states none; without a unit values are taken as SI. `pose` is the column of
+    ids, else poses are counted "1" to "N". Thinning comes first and counts rows of the file: the
+    1st, (every + 1)th, ... is kept; then the ids to `exclude` go. What is left out is not looked
+    at otherwise. "-" is standard input, and an open binary stream is read as text.
+
+    How a text is written is recognised: `header` or none, `delimiter`, `decimal` mark,
+    `encoding`; each may be stated. `sheet` (name, or number from 1) is for XLSX, `variable` for
+    MATLAB. Blank, NaN, NA, n/a, #N/A, null, none and - are missing readings (NaN).
+
+    Raises InputError, naming file, row and column, for all that cannot be read as stated.
+    """
+    how = _How(sheet, header, delimiter, decimal, encoding, variable)
+    asked = None if columns is None else specified(columns, units or {})
+    table = _table(path, how, None if asked is None else wanted(asked, pose))
+    if asked is None:
+        asked = all_numeric(table, pose, units or {})
+    refuse_doubles(table, asked)
+
+    number = len(table.rows)
+    ids = counted(number) if pose is None else table.ids(table.position(pose))
+    excluded = positions_of(exclude, ids, table.name)
+    step = checked_every(every)
+    keep = np.setdiff1d(np.arange(0, number, step, dtype=np.int64), excluded)
+
+    def values(column: str | int, given: str | None) -> Array:
+        return to_si(table.numbers(table.position(column), keep), given or "1")
+
+    with_sd = {q: (c.sd_column, c.sd_unit or c.unit) for q, c in asked.items() if c.sd_column}
+    stated = {q: c.unit for q, c in asked.items() if c.unit}
+    return Dataset(
+        {q: values(c.column, c.unit) for q, c in asked.items()},
+        {q: unit(u).si for q, u in stated.items()},
+        tuple(ids[i] for i in keep),
+        {q: values(column, given) for q, (column, given) in with_sd.items()},
+        Source(
+            file=table.file,
+            part=table.part,
+            sha256=table.sha256,
+            rows_read=number,
+            excluded=tuple(dict.fromkeys(ids[i] for i in excluded)),
+            every=step,
+            rows=table.rows[keep],
+            columns={q: table.label(table.position(c.column)) for q, c in asked.items()},
+            sd_columns={q: table.label(table.position(c)) for q, (c, _) in with_sd.items()},
+            stated=stated,
+            trusted=frozenset(q for q, c in asked.items() if not c.check),
+        ),
+    )
+
+
+def _table(path: str | Path | BinaryIO, how: _How, asked: frozenset[str | int] | None) -> Table:
+    ending = Path(path).suffix.lower() if isinstance(path, str | Path) else ""
+    if ending in (".xls", ".xlsb", ".ods"):
+        raise InputError(
+            "only XLSX workbooks are read", place=str(path), remedy="save it as XLSX or CSV"
+        )
+    kind = _ENDINGS.get(ending, "text")
+    for option in fields(how):
+        if getattr(how, option.name) is not None and option.name not in _MEANT_FOR[kind]:
+            raise InputError(
+                f"{option.name} is stated, which means nothing for {kind} files",
+                place=str(path),
+                remedy=f"leave {option.name} out, or give the file the ending of its kind",
+            )
+    if isinstance(path, str | Path):
+        if kind == "XLSX":
+            return read_spreadsheet(path, sheet=how.sheet, header=how.header, decimal=how.decimal)
+        if kind == "Parquet":
+            return read_parquet(path, wanted=asked)
+        if kind == "MATLAB":
+            return read_matlab(path, variable=how.variable, wanted=asked)
+    return read_delimited(
+        read_text(path, how.encoding),
+        delimiter=how.delimiter,
+        decimal=how.decimal,
+        header=how.header,
+    )

@@ -1,0 +1,214 @@
+"""Bytes of an input file: opened, hashed, and bounded before anything is made of them.
+
+A text file is read in blocks of 1 MiB. A line that does not end within one block, or a NUL
+byte, stops the reading at once, so that a wrong file costs neither minutes nor memory.
+"""
+
+from __future__ import annotations
+
+import codecs
+import hashlib
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from loopcal.errors import InputError, nearest
+from loopcal.measurements.source import file_name
+
+BLOCK = 1 << 20
+_KINDS = {
+    b"PK\x03\x04": "a ZIP archive (an XLSX workbook is one)",
+    b"PAR1\x15": "a Parquet file",
+    b"\x1f\x8b": "a gzip archive",
+    b"\x89HDF": "an HDF5 file",
+    b"\xd0\xcf\x11\xe0": "an old Excel workbook (.xls)",
+    b"MATLAB 5.0 MAT": "a MATLAB file (.mat)",
+    b"MATLAB 7.3 MAT": "a MATLAB 7.3 file (.mat)",
+    b"%PDF": "a PDF document",
+    b"\x89PNG": "a PNG picture",
+}
+_BOMS = {
+    codecs.BOM_UTF8: "utf-8-sig",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
+
+
+@dataclass(frozen=True)
+class Text:
+    """Text of a file as UTF-8 bytes without byte order mark, lines ended by a line feed."""
+
+    file: str
+    """Name of the file, "-" for standard input."""
+    data: bytes
+    sha256: str
+    """Of the bytes as they lie on the disk."""
+
+    @property
+    def name(self) -> str:
+        """How messages call the file."""
+        return file_name(self.file)
+
+
+def existing_file(path: str | Path) -> Path:
+    """The path of a file that is there and not empty.
+
+    Raises InputError for a missing file (naming the nearest beside it), a folder, no permission.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise InputError("this is a folder", place=str(path), remedy="name a file inside it")
+        with path.open("rb") as file:
+            if not file.read(1):
+                raise empty(str(path))
+    except OSError as error:
+        raise unreadable(path, error) from None
+    return path
+
+
+def unreadable(path: Path, error: OSError) -> InputError:
+    """The reason why a file cannot be opened, in the user's words."""
+    if isinstance(error, FileNotFoundError):
+        try:
+            beside = [entry.name for entry in path.parent.iterdir()] if path.parent.is_dir() else []
+        except OSError:
+            beside = []
+        close = nearest(path.name, beside) if beside else ""
+        remedy = close if close.startswith("did") else "give the path of an existing file"
+        return InputError("there is no such file", place=str(path), remedy=remedy)
+    if isinstance(error, PermissionError):
+        return InputError(
+            "you may not read this file", place=str(path), remedy="ask for the right to read it"
+        )
+    return InputError(
+        f"the file cannot be read ({error.strerror or error})",
+        place=str(path),
+        remedy="name a readable file",
+    )
+
+
+def empty(name: str) -> InputError:
+    """The error for a file without any data."""
+    return InputError("the file is empty", place=name, remedy="name a file with one row per pose")
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of the bytes of a file, as hexadecimal text."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def read_text(source: str | Path | BinaryIO, encoding: str | None = None) -> Text:
+    """The text of a file, of standard input ("-") or of an open binary stream.
+
+    Without an `encoding` a byte order mark decides, then UTF-16 without one, UTF-8, cp1252.
+    Raises InputError for whatever is not text, or has a line longer than 1 MB.
+    """
+    if isinstance(source, str | Path) and str(source) != "-":
+        path = existing_file(source)
+        try:
+            with path.open("rb") as stream:
+                return _read(stream, path.name, encoding)
+        except OSError as error:
+            raise unreadable(path, error) from None
+    return _read(sys.stdin.buffer if isinstance(source, str | Path) else source, "-", encoding)
+
+
+def _read(stream: BinaryIO, file: str, stated: str | None) -> Text:
+    name = file_name(file)
+    digest = hashlib.sha256()
+    blocks: list[bytes] = []
+    encoding, unended, row = stated, 0, 1
+    while block := stream.read(BLOCK):
+        if not blocks:
+            _refuse_other_kinds(block, name)
+            encoding = stated or _recognised(block)
+        if not (encoding or "").lower().startswith(("utf-16", "utf_16", "utf16")):
+            _refuse_binary(block, name, row)
+        first = min(end for end in (block.find(b"\n"), block.find(b"\r"), len(block)) if end >= 0)
+        if unended + first > BLOCK:
+            raise InputError(
+                "this line is longer than 1 MB",
+                place=f"{name}, row {row}",
+                remedy="end each pose by a line break; is this a table of numbers?",
+            )
+        last = max(block.rfind(b"\n"), block.rfind(b"\r"))
+        unended = unended + len(block) if last < 0 else len(block) - 1 - last
+        row += block.count(b"\n")
+        digest.update(block)
+        blocks.append(block)
+    data = _as_utf8(b"".join(blocks), encoding, name)
+    del blocks
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return Text(file, data, digest.hexdigest())
+
+
+def _refuse_other_kinds(head: bytes, name: str) -> None:
+    for start, kind in _KINDS.items():
+        if head.startswith(start):
+            raise InputError(
+                f"this is no text but {kind}",
+                place=name,
+                remedy="give the file the ending of its kind, or save it as CSV",
+            )
+
+
+def _refuse_binary(block: bytes, name: str, row: int) -> None:
+    found = _CONTROL.search(block)
+    if found:
+        what = "a NUL byte" if found[0] == b"\0" else f"the control character 0x{found[0].hex()}"
+        raise InputError(
+            f"this is no text: it holds {what}",
+            place=f"{name}, row {row + block.count(bytes([10]), 0, found.start())}",
+            remedy="save the table as CSV; if this is UTF-16 text, state encoding = 'utf-16'",
+        )
+
+
+def _recognised(head: bytes) -> str | None:
+    for mark, encoding in _BOMS.items():
+        if head.startswith(mark):
+            return encoding
+    # Digits and delimiters are ASCII, so in UTF-16 nearly every second byte of them is zero.
+    sample = head[:4096]
+    even, odd = sample[0::2].count(0), sample[1::2].count(0)
+    if max(even, odd) > 0.4 * len(sample[1::2]) and min(even, odd) == 0:
+        return "utf-16-be" if even else "utf-16-le"
+    return None
+
+
+def _as_utf8(data: bytes, encoding: str | None, name: str) -> bytes:
+    if encoding is None and data.isascii():
+        return data
+    try:
+        if encoding is not None:
+            text = data.decode(encoding)
+        else:
+            try:
+                text = data.decode("utf-8")
+            except UnicodeDecodeError:
+                text = data.decode("cp1252")
+    except LookupError:
+        raise InputError(
+            f"the encoding {encoding!r} is not known",
+            place=name,
+            remedy="state utf-8, utf-16, cp1252, ... or leave it out",
+        ) from None
+    except UnicodeError as error:
+        where = f" at byte {error.start}" if isinstance(error, UnicodeDecodeError) else ""
+        raise InputError(
+            f"the text is not {encoding or 'UTF-8 or cp1252'}{where}",
+            place=name,
+            remedy="state another encoding, or save the table as UTF-8",
+        ) from None
+    if "\0" in text:
+        raise InputError(
+            "this is no text: it holds a NUL character",
+            place=f"{name}, row {text.count(chr(10), 0, text.index(chr(0))) + 1}",
+            remedy="save the table as CSV",
+        )
+    return text.removeprefix("\ufeff").encode("utf-8")

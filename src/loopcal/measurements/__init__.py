@@ -1,0 +1,1 @@
+"""What was measured: readings, their uncertainty, and whether they look right."""

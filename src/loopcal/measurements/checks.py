@@ -1,0 +1,237 @@
+"""Sanity of readings before any fit: units that cannot be right, columns that say nothing.
+
+What would mislead stops (InputError); what is only odd comes back as a `DataWarning`. The rules
+look at one column each and at nothing but its numbers, so a machine can break them and be right:
+a winch turns through many turns, a tracker sees a ship. Such quantities are `trusted`.
+
+A column stops when a tenth or more of its readings lie where readings of that unit hardly go:
+beyond two turns (4 pi) for rad, beyond 100 m for metres; or, for rad, when half of them lie
+beyond 7, more than a wrist of +-1 turn can reach. Fewer such readings are single wild values,
+and warn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from loopcal.errors import InputError
+from loopcal.measurements.dataset import Array, Dataset
+from loopcal.units import convertible, from_si, unit
+
+# SI unit -> (bound, share of the readings beyond it that stops), the widest bound first.
+_BOUNDS = {"rad": ((4 * math.pi, 0.1), (7.0, 0.5)), "m": ((100.0, 0.1),)}
+_LIKELY = {"rad": ("deg", "degrees"), "m": ("mm", "millimetres")}
+
+
+@dataclass(frozen=True)
+class DataWarning:
+    """Something odd about the readings that does not stop the work."""
+
+    quantity: str | None
+    """The quantity it is about; None when it is about whole poses."""
+    message: str
+    """What is odd, where, and what to do if it is not meant."""
+
+    def __str__(self) -> str:
+        return self.message
+
+
+def check_dataset(
+    dataset: Dataset, quantities: Mapping[str, str], *, trusted: Collection[str] = ()
+) -> tuple[DataWarning, ...]:
+    """What is odd about the readings of `quantities` (quantity -> unit the mechanism expects).
+
+    Quantities that the dataset does not have are passed over, as are other columns of it.
+    Those `trusted`, here or by `check = false` where they were read, are looked at for their
+    unit's dimension only. Raises InputError, with file, row and column, for a unit of another
+    dimension, a quantity without a single reading, degrees taken as rad, millimetres as m.
+    """
+    check_units(dataset, quantities)
+    sure = {*trusted, *dataset.source.trusted}
+    suspects = {
+        q: unit(u).si for q, u in quantities.items() if q in dataset.readings and q not in sure
+    }
+    for quantity, si in suspects.items():
+        _stop_if_all_missing(dataset, quantity)
+        _stop_if_far(dataset, quantity, si)
+    return (
+        *_repeated_poses(dataset),
+        *_empty_poses(dataset, [q for q in quantities if q in dataset.readings]),
+        *_wild_values(dataset, suspects),
+        *_suspiciously_small(dataset, suspects),
+        *_constant(dataset, suspects),
+        *_duplicated(dataset, suspects),
+        *_partly_exact(dataset, suspects),
+    )
+
+
+def check_units(dataset: Dataset, quantities: Mapping[str, str]) -> None:
+    """Raise InputError where a stated unit has another dimension than the mechanism's."""
+    for quantity, expected in quantities.items():
+        stated = dataset.source.stated.get(quantity, dataset.units.get(quantity))
+        if stated is not None and not convertible(stated, expected):
+            raise InputError(
+                f"{quantity!r} is given in {stated} ({unit(stated).dimension}), but the mechanism "
+                f"expects {unit(expected).dimension} ({expected})",
+                place=_column(dataset, quantity),
+                remedy=f"state a unit of {unit(expected).dimension}, or map another column",
+            )
+
+
+def _stop_if_all_missing(dataset: Dataset, quantity: str) -> None:
+    if np.isnan(dataset.readings[quantity]).all():
+        raise InputError(
+            f"{quantity!r} has no reading in any of {len(dataset)} poses",
+            place=_column(dataset, quantity),
+            remedy="map the column that holds it, or leave it out if it was not measured",
+        )
+
+
+def _stop_if_far(dataset: Dataset, quantity: str, si: str) -> None:
+    if _stated(dataset, quantity, si) != si:
+        return
+    values = dataset.readings[quantity]
+    size = np.abs(values[~np.isnan(values)])
+    for bound, share in _BOUNDS.get(si, ()):
+        beyond = size > bound
+        if beyond.mean() < share:
+            continue
+        index = int(np.nanargmax(np.abs(values)))
+        likely, looks = _LIKELY[si]
+        taken = "declared" if quantity in dataset.source.stated else "taken as"
+        raise InputError(
+            f"{quantity!r} reads {values[index]:.6g} and is {taken} {si}: {beyond.sum()} of "
+            f"{size.size} readings lie beyond {bound:.3g} {si}; they look like {looks}",
+            place=_value(dataset, index, quantity),
+            remedy=f'state unit = "{likely}"; if {si} is right, say check = false for {quantity!r}',
+        )
+
+
+def _repeated_poses(dataset: Dataset) -> Iterator[DataWarning]:
+    seen: set[str] = set()
+    repeated: dict[str, None] = {}
+    for pose in dataset.poses:
+        if pose in seen:
+            repeated[pose] = None
+        seen.add(pose)
+    if repeated:
+        yield DataWarning(
+            None,
+            f"{len(repeated)} pose ids occur more than once ({_few(list(repeated))}): "
+            "leaving one of them out leaves out all of its rows",
+        )
+
+
+def _empty_poses(dataset: Dataset, quantities: list[str]) -> Iterator[DataWarning]:
+    if not quantities:
+        return
+    empty = np.logical_and.reduce([np.isnan(dataset.readings[q]) for q in quantities])
+    names = [dataset.poses[i] for i in np.flatnonzero(empty)]
+    if names:
+        yield DataWarning(None, f"{len(names)} poses have no reading at all ({_few(names)})")
+
+
+def _wild_values(dataset: Dataset, suspects: Mapping[str, str]) -> Iterator[DataWarning]:
+    for quantity, si in suspects.items():
+        values = np.abs(dataset.readings[quantity])
+        index = int(np.nanargmax(values))
+        if si in _BOUNDS and values[index] > _BOUNDS[si][0][0]:
+            yield DataWarning(
+                quantity,
+                f"{_value(dataset, index, quantity)}: {quantity!r} reads "
+                f"{dataset.readings[quantity][index]:.6g} {si}, beyond {_BOUNDS[si][0][0]:.3g}; "
+                "leave the pose out if it is a mistake",
+            )
+
+
+def _suspiciously_small(dataset: Dataset, suspects: Mapping[str, str]) -> Iterator[DataWarning]:
+    """Declared deg (or mm), but every such column lies within what rad (or m) would give.
+
+    All columns of one unit are looked at together: a machine logs them alike, and one joint
+    that hardly moves among others that do is no reason to doubt.
+    """
+    for declared, meant, bound, spread in (("deg", "rad", 2 * math.pi, 0.5), ("mm", "m", 10, 0.05)):
+        group = [q for q, si in suspects.items() if _stated(dataset, q, si) == declared]
+        columns = {q: _in_stated(dataset, q, unit(declared).si) for q in group}
+        if not columns or max(np.nanmax(np.abs(v)) for v in columns.values()) > bound:
+            continue
+        for quantity, values in columns.items():
+            if np.nanmax(values) - np.nanmin(values) >= spread:
+                yield DataWarning(
+                    quantity,
+                    f"{_column(dataset, quantity)}: {quantity!r} is declared {declared}, and no "
+                    f"reading in {declared} exceeds {np.nanmax(np.abs(values)):.6g}; "
+                    f"are these {meant}?",
+                )
+
+
+def _constant(dataset: Dataset, suspects: Mapping[str, str]) -> Iterator[DataWarning]:
+    for quantity in suspects:
+        values = dataset.readings[quantity]
+        here = values[~np.isnan(values)]
+        if here.size > 1 and here.min() == here.max():
+            yield DataWarning(
+                quantity,
+                f"{_column(dataset, quantity)}: {quantity!r} reads {here[0]:.6g} in all of "
+                f"{here.size} poses: nothing is learnt from its motion",
+            )
+
+
+def _duplicated(dataset: Dataset, suspects: Mapping[str, str]) -> Iterator[DataWarning]:
+    first: dict[bytes, str] = {}
+    for quantity in suspects:
+        values = dataset.readings[quantity]
+        if np.nanmin(values) == np.nanmax(values):
+            continue  # constant columns are equal easily, and said already
+        other = first.setdefault((values + 0.0).tobytes(), quantity)
+        if other != quantity:
+            yield DataWarning(
+                quantity,
+                f"{_column(dataset, quantity)}: {quantity!r} reads the same as {other!r} in "
+                "every pose; is one column copied or mapped twice?",
+            )
+
+
+def _partly_exact(dataset: Dataset, suspects: Mapping[str, str]) -> Iterator[DataWarning]:
+    for quantity in suspects:
+        sd = dataset.sds.get(quantity)
+        if sd is None:
+            continue
+        exact = np.flatnonzero(sd == 0)
+        if 0 < exact.size < len(dataset):
+            yield DataWarning(
+                quantity,
+                f"{dataset.place(int(exact[0]), quantity, sd=True)}: the sd of {quantity!r} is 0 "
+                f"in {exact.size} of {len(dataset)} poses, which calls those readings exact; "
+                "if it was rounded to 0, give the smallest sd instead",
+            )
+
+
+def _stated(dataset: Dataset, quantity: str, si: str) -> str:
+    """The unit that the readings came in, by its plain name."""
+    return unit(dataset.source.stated.get(quantity, si)).name
+
+
+def _in_stated(dataset: Dataset, quantity: str, si: str) -> Array:
+    return from_si(dataset.readings[quantity], _stated(dataset, quantity, si))
+
+
+def _value(dataset: Dataset, index: int, quantity: str) -> str:
+    place = dataset.place(index, quantity)
+    named = dataset.source.rows is None
+    return place if named else f"{place} (pose {dataset.poses[index]!r})"
+
+
+def _column(dataset: Dataset, quantity: str) -> str:
+    column = dataset.source.columns.get(quantity)
+    words = [dataset.source.name] if dataset.source.name else []
+    words.append(f"column {column!r}" if column else f"quantity {quantity!r}")
+    return ", ".join(words)
+
+
+def _few(names: list[str]) -> str:
+    return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")

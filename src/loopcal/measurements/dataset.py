@@ -1,0 +1,255 @@
+"""The readings of every pose: what was read, in SI, with ids and with the file they came from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loopcal.errors import InputError, nearest
+from loopcal.measurements.poses import counted, pose_id, positions_of
+from loopcal.measurements.source import Source
+from loopcal.measurements.tables import as_numbers, column, column_names
+from loopcal.units import to_si, unit
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Dataset:
+    """Readings of N poses, SI; arrays are float64, contiguous and read-only.
+
+    Raises InputError when lengths differ, a reading is infinite, an sd is negative or missing
+    beside a reading, or no pose is left. Make one with `from_arrays` or `read_dataset`.
+    """
+
+    readings: Mapping[str, Array]
+    """Quantity -> (N,) [SI]; NaN: not measured in that pose."""
+    units: Mapping[str, str]
+    """Quantity -> SI unit, for those whose unit was stated; the others are taken as SI."""
+    poses: tuple[str, ...]
+    """Id of each pose, as text; "1" to "N" where none were given."""
+    sds: Mapping[str, Array] = field(default_factory=dict)
+    """Quantity -> (N,) sd [SI] of each reading, for those that came with their own."""
+    source: Source = field(default_factory=Source)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "readings", {q: _kept(v) for q, v in self.readings.items()})
+        object.__setattr__(self, "sds", {q: _kept(v) for q, v in self.sds.items()})
+        if self.source.rows is not None:
+            self.source.rows.flags.writeable = False
+        _check_shapes(self)
+        _check_values(self)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        table: Any,
+        *,
+        units: Mapping[str, str] | None = None,
+        poses: str | Sequence[object] | None = None,
+        sds: Mapping[str, str | ArrayLike] | None = None,
+    ) -> Dataset:
+        """A dataset from a dict of (N,) arrays or any DataFrame (pandas, polars, pyarrow).
+
+        `units` says quantity -> unit of the values given; they become SI. Nothing is guessed:
+        a quantity without a unit is taken as SI already (m, rad). `sds` holds (N,) sds in the
+        unit of their quantity. `poses` are ids. A text in place of `poses` or of an sd names a
+        column of the table, which then is no quantity. NaN, None, NA: not measured.
+        Raises InputError for anything that is no column of finite numbers.
+
+        >>> Dataset.from_arrays({"x": [1.0, 2.0]}, units={"x": "mm"}).readings["x"]
+        array([0.001, 0.002])
+        """
+        units, sds = dict(units or {}), dict(sds or {})
+        sd_columns = {q: name for q, name in sds.items() if isinstance(name, str)}
+        aside = {*sd_columns.values(), *([poses] if isinstance(poses, str) else [])}
+        names = [name for name in column_names(table) if name not in aside]
+        for name in (*units, *sds):
+            if name not in names:
+                raise InputError(
+                    f"a unit or sd is given for {name!r}, which is no quantity of the table",
+                    remedy=nearest(name, names),
+                )
+
+        def si(name: str, values: Any, what: str) -> Array:
+            return to_si(as_numbers(values, what), units.get(name, "1"))
+
+        readings = {q: si(q, column(table, q), f"column {q!r}") for q in names}
+        spread = {
+            q: si(q, column(table, s) if isinstance(s, str) else s, f"the sd of {q!r}")
+            for q, s in sds.items()
+        }
+        number = len(next(iter(readings.values()), ()))
+        listed = column(table, poses) if isinstance(poses, str) else poses
+        ids = counted(number) if listed is None else tuple(map(pose_id, listed))
+        return cls(
+            readings,
+            {q: unit(u).si for q, u in units.items()},
+            ids,
+            spread,
+            Source(rows_read=number, stated=units, sd_columns=sd_columns),
+        )
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Names of what was read, in the order of the table."""
+        return tuple(self.readings)
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def __getitem__(self, quantity: str) -> Array:
+        """Readings (N,) [SI] of one quantity; InputError naming the nearest if there is none."""
+        if quantity not in self.readings:
+            raise InputError(
+                f"there are no readings of {quantity!r}", remedy=nearest(quantity, self.readings)
+            )
+        return self.readings[quantity]
+
+    def place(self, index: int, quantity: str | None = None, *, sd: bool = False) -> str:
+        """How messages call the value at position `index`: file, row and column where known."""
+        return self.source.place(index, self.poses[index], quantity, sd=sd)
+
+    def take(self, which: ArrayLike | slice) -> Dataset:
+        """The poses at these positions (from 0), in this order; a boolean mask (N,) or a slice."""
+        index = np.arange(len(self), dtype=np.int64)[
+            which if isinstance(which, slice) else np.asarray(which)
+        ]
+        return replace(
+            self,
+            readings={q: v[index] for q, v in self.readings.items()},
+            poses=tuple(self.poses[i] for i in index),
+            sds={q: v[index] for q, v in self.sds.items()},
+            source=self.source.take(index),
+        )
+
+    def select(self, poses: Iterable[object]) -> Dataset:
+        """The poses with these ids, in the order of the data.
+
+        Raises InputError naming the nearest id when one is unknown.
+        """
+        return self.take(positions_of(poses, self.poses, self.source.name))
+
+    def exclude(self, poses: Iterable[object]) -> Dataset:
+        """All poses but those with these ids; the source lists them.
+
+        Raises InputError naming the nearest id when one is unknown, or when no pose is left.
+        """
+        gone = positions_of(poses, self.poses, self.source.name)
+        names = tuple(dict.fromkeys(self.poses[i] for i in gone))
+        source = replace(self.source, excluded=(*self.source.excluded, *names))
+        kept = np.delete(np.arange(len(self)), gone)
+        return replace(self, source=source).take(kept)
+
+    def thin(self, every: int) -> Dataset:
+        """The 1st, (every + 1)th, ... pose; InputError unless `every` is 1 or more."""
+        step = checked_every(every)
+        source = replace(self.source, every=self.source.every * step)
+        return replace(self, source=source).take(slice(None, None, step))
+
+    def with_readings(
+        self, readings: Mapping[str, ArrayLike], *, units: Mapping[str, str] | None = None
+    ) -> Dataset:
+        """The same poses with readings (N,) replaced or added, SI unless `units` says otherwise."""
+        given = dict(units or {})
+        new = {q: to_si(as_numbers(v, f"{q!r}"), given.get(q, "1")) for q, v in readings.items()}
+        columns = {q: c for q, c in self.source.columns.items() if q not in new}
+        stated = {q: u for q, u in self.source.stated.items() if q not in new}
+        return replace(
+            self,
+            readings={**self.readings, **new},
+            units={**self.units, **{q: unit(u).si for q, u in given.items()}},
+            source=replace(self.source, columns=columns, stated={**stated, **given}),
+        )
+
+    def __repr__(self) -> str:
+        origin = f" from {self.source.name}" if self.source.name else ""
+        return f"<Dataset: {len(self)} poses of {', '.join(self.quantities)}{origin}>"
+
+    def __str__(self) -> str:
+        rows = [_HEAD, *self._summary()]
+        widths = [max(len(row[i]) for row in rows) for i in range(len(_HEAD))]
+        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
+        return "\n".join([repr(self)[1:-1], *(line.rstrip() for line in lines)])
+
+    def _repr_html_(self) -> str:
+        cells = "".join(
+            "<tr>" + "".join(f"<td>{escape(c)}</td>" for c in row) + "</tr>"
+            for row in self._summary()
+        )
+        head = "".join(f"<th>{name}</th>" for name in _HEAD)
+        title = escape(repr(self)[1:-1])
+        return f"<table><caption>{title}</caption><tr>{head}</tr>{cells}</table>"
+
+    def _summary(self) -> list[tuple[str, ...]]:
+        rows: list[tuple[str, ...]] = []
+        for quantity, values in self.readings.items():
+            here = values[~np.isnan(values)]
+            ends = (f"{here.min():.6g}", f"{here.max():.6g}") if here.size else ("", "")
+            rows.append((quantity, self.units.get(quantity, "SI"), str(here.size), *ends))
+        return rows
+
+
+_HEAD = ("quantity", "unit", "readings", "smallest", "largest")
+
+
+def checked_every(every: int) -> int:
+    """The step of thinning as an int; InputError unless it is a whole number from 1 on."""
+    if isinstance(every, bool) or every != int(every) or every < 1:
+        raise InputError(
+            f"every = {every!r} cannot thin the poses", remedy="give a whole number, 1 or more"
+        )
+    return int(every)
+
+
+def _kept(values: Array) -> Array:
+    """The same values as nobody can change them any more."""
+    if values.flags.writeable or values.dtype != np.float64 or not values.flags.c_contiguous:
+        values = np.array(values, dtype=np.float64, order="C")
+        values.flags.writeable = False
+    return values
+
+
+def _check_shapes(data: Dataset) -> None:
+    number = len(data)
+    columns = [(f"{q!r}", v) for q, v in data.readings.items()]
+    for what, values in columns + [(f"the sd of {q!r}", v) for q, v in data.sds.items()]:
+        if values.shape != (number,):
+            raise InputError(
+                f"{what} has {values.size} values for {number} poses",
+                place=data.source.name,
+                remedy="give one value per pose, NaN where nothing was measured",
+            )
+    if not number:
+        raise InputError("no pose is left", place=data.source.name, remedy="give one pose at least")
+    for quantity in data.sds:
+        if quantity not in data.readings:
+            raise InputError(
+                f"an sd is given for {quantity!r}, which has no readings",
+                place=data.source.name,
+                remedy=nearest(quantity, data.readings),
+            )
+
+
+def _check_values(data: Dataset) -> None:
+    for quantity, values in data.readings.items():
+        for i in np.flatnonzero(np.isinf(values))[:1]:
+            raise InputError(
+                f"the reading of {quantity!r} is {values[i]}; a reading is a finite number",
+                place=data.place(int(i), quantity),
+                remedy="leave it blank (NaN) if nothing was measured",
+            )
+    for quantity, sd in data.sds.items():
+        missing = np.isnan(sd) & ~np.isnan(data.readings[quantity])
+        for i in np.flatnonzero(missing | (sd < 0))[:1]:
+            wrong = "missing beside its reading" if missing[i] else f"{sd[i]:.6g}, below zero"
+            raise InputError(
+                f"the sd of {quantity!r} is {wrong}",
+                place=data.place(int(i), quantity, sd=True),
+                remedy="give a number > 0, 0 for an exact reading, or inf for one not measured",
+            )

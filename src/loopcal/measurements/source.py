@@ -1,0 +1,63 @@
+"""Where readings came from, so that whoever meets a strange value can name its file and row."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """File, rows and columns behind a dataset; all empty where arrays were given in memory."""
+
+    file: str | None = None
+    """Name of the file ("-" for standard input)."""
+    part: str | None = None
+    """Sheet or variable, of a file that may hold several."""
+    sha256: str | None = None
+    """Of the bytes of the file."""
+    rows_read: int = 0
+    """Poses that were there before any was left out."""
+    excluded: tuple[str, ...] = ()
+    """Ids of poses left out on request."""
+    every: int = 1
+    """Thinning: the 1st, (every + 1)th, ... row was kept."""
+    rows: NDArray[np.int64] | None = None
+    """(N,) row of each pose in the file, counted from 1 as an editor or a spreadsheet does."""
+    columns: Mapping[str, str] = field(default_factory=dict)
+    """Quantity -> name (or number) of its column in the file."""
+    sd_columns: Mapping[str, str] = field(default_factory=dict)
+    """Quantity -> name (or number) of the column of its sd."""
+    stated: Mapping[str, str] = field(default_factory=dict)
+    """Quantity -> unit as stated where the data came in; absent: taken as SI."""
+    trusted: frozenset[str] = frozenset()
+    """Quantities whose values the user vouches for (`check = false`)."""
+
+    @property
+    def name(self) -> str | None:
+        """How messages call the file; None where there is none."""
+        return None if self.file is None else file_name(self.file, self.part)
+
+    def take(self, index: NDArray[np.int64]) -> Source:
+        """The source of those poses alone."""
+        return self if self.rows is None else replace(self, rows=self.rows[index])
+
+    def place(self, index: int, pose: str, quantity: str | None = None, *, sd: bool = False) -> str:
+        """How messages call one value: "left.csv, row 14, column 'S'", or its pose and quantity."""
+        words = [self.name] if self.name else []
+        words.append(f"pose {pose!r}" if self.rows is None else f"row {self.rows[index]}")
+        column = (self.sd_columns if sd else self.columns).get(quantity or "")
+        if column is not None:
+            words.append(f"column {column!r}")
+        elif quantity is not None:
+            words.append(f"sd of {quantity!r}" if sd else f"quantity {quantity!r}")
+        return ", ".join(words)
+
+
+def file_name(file: str, part: str | None = None) -> str:
+    """How messages call a file and the part of it that was read."""
+    name = "standard input" if file == "-" else file
+    return f"{name}, {part}" if part else name
