@@ -90,7 +90,9 @@ def read_dataset(
     ids = counted(number) if pose is None else table.ids(table.position(pose))
     excluded = positions_of(exclude, ids, table.name)
     step = checked_every(every)
-    keep = np.setdiff1d(np.arange(0, number, step, dtype=np.int64), excluded)
+    used = np.arange(number) % step == 0
+    used[excluded] = False
+    keep = np.flatnonzero(used)
 
     def values(column: str | int, given: str | None) -> Array:
         return to_si(table.numbers(table.position(column), keep), given or "1")

@@ -8,7 +8,6 @@ time to load it: for text of 1 MB or more that needs no care (no quotes, all row
 from __future__ import annotations
 
 import csv
-import re
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -31,7 +30,7 @@ from loopcal.files.table import Table
 
 LARGE = 1_000_000  # bytes from which on loading polars pays
 _SAMPLE = 1 << 16
-_PASSED_OVER = re.compile(rb"^[ \t,;]*(?:$|[#%])", re.MULTILINE)
+_SUSPECT_STARTS = b"\n \t,;#%"  # a line that begins with none of these holds data
 
 
 def read_delimited(
@@ -148,9 +147,11 @@ def _fast(text: Text, dialect: Dialect) -> Table | None:
 def _plain(body: bytes, dialect: Dialect) -> tuple[bytes, NDArray[np.int64]]:
     """The rows of data alone, and their numbers in the file."""
     first = dialect.header_row + 1
-    body = body.removesuffix(b"\n")
-    if dialect.delimiter != WHITESPACE and not _PASSED_OVER.search(body):
-        number = body.count(b"\n") + 1
+    suspect = body[:1] in _SUSPECT_STARTS or any(
+        bytes((10, start)) in body for start in _SUSPECT_STARTS
+    )
+    if dialect.delimiter != WHITESPACE and not suspect:
+        number = body.count(b"\n") + (not body.endswith(b"\n"))
         return body, np.arange(first, first + number, dtype=np.int64)
     lines = body.decode("utf-8").split("\n")
     kept = [i for i, line in enumerate(lines) if is_data(line)]

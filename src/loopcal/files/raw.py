@@ -62,15 +62,17 @@ def existing_file(path: str | Path) -> Path:
     try:
         if path.is_dir():
             raise InputError("this is a folder", place=str(path), remedy="name a file inside it")
-        with path.open("rb") as file:
-            if not file.read(1):
+        size = path.stat().st_size
+        if path.is_file():  # a pipe can be opened only once
+            path.open("rb").close()
+            if not size:
                 raise empty(str(path))
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise unreadable(path, error) from None
     return path
 
 
-def unreadable(path: Path, error: OSError) -> InputError:
+def unreadable(path: Path, error: OSError | ValueError) -> InputError:
     """The reason why a file cannot be opened, in the user's words."""
     if isinstance(error, FileNotFoundError):
         try:
@@ -85,7 +87,7 @@ def unreadable(path: Path, error: OSError) -> InputError:
             "you may not read this file", place=str(path), remedy="ask for the right to read it"
         )
     return InputError(
-        f"the file cannot be read ({error.strerror or error})",
+        f"the file cannot be read ({getattr(error, 'strerror', None) or error})",
         place=str(path),
         remedy="name a readable file",
     )
@@ -128,7 +130,7 @@ def _read(stream: BinaryIO, file: str, stated: str | None) -> Text:
             _refuse_other_kinds(block, name)
             encoding = stated or _recognised(block)
         if not (encoding or "").lower().startswith(("utf-16", "utf_16", "utf16")):
-            _refuse_binary(block, name, row)
+            _refuse_binary(block, name, row, first=not blocks)
         first = min(end for end in (block.find(b"\n"), block.find(b"\r"), len(block)) if end >= 0)
         if unended + first > BLOCK:
             raise InputError(
@@ -158,8 +160,8 @@ def _refuse_other_kinds(head: bytes, name: str) -> None:
             )
 
 
-def _refuse_binary(block: bytes, name: str, row: int) -> None:
-    found = _CONTROL.search(block)
+def _refuse_binary(block: bytes, name: str, row: int, *, first: bool) -> None:
+    found = _CONTROL.search(block) if first or b"\0" in block else None
     if found:
         what = "a NUL byte" if found[0] == b"\0" else f"the control character 0x{found[0].hex()}"
         raise InputError(

@@ -121,7 +121,7 @@ def _repeated_poses(dataset: Dataset) -> Iterator[DataWarning]:
     if repeated:
         yield DataWarning(
             None,
-            f"{len(repeated)} pose ids occur more than once ({_few(list(repeated))}): "
+            f"pose ids that occur more than once: {_few(list(repeated))}; "
             "leaving one of them out leaves out all of its rows",
         )
 
@@ -132,7 +132,7 @@ def _empty_poses(dataset: Dataset, quantities: list[str]) -> Iterator[DataWarnin
     empty = np.logical_and.reduce([np.isnan(dataset.readings[q]) for q in quantities])
     names = [dataset.poses[i] for i in np.flatnonzero(empty)]
     if names:
-        yield DataWarning(None, f"{len(names)} poses have no reading at all ({_few(names)})")
+        yield DataWarning(None, f"poses without any reading: {_few(names)}")
 
 
 def _wild_values(dataset: Dataset, suspects: Mapping[str, str]) -> Iterator[DataWarning]:
@@ -234,4 +234,4 @@ def _column(dataset: Dataset, quantity: str) -> str:
 
 
 def _few(names: list[str]) -> str:
-    return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

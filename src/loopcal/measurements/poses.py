@@ -38,6 +38,8 @@ def positions_of(
     if isinstance(asked, str | numbers.Real) or not isinstance(asked, Iterable):
         asked = (asked,)
     wanted = {pose_id(value) for value in asked}
+    if not wanted:
+        return np.empty(0, dtype=np.int64)
     found = np.array([i for i, name in enumerate(poses) if name in wanted], dtype=np.int64)
     unknown = wanted.difference(poses)
     if unknown:
