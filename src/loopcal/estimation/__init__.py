@@ -1,0 +1,1 @@
+"""From readings to parameters: problem, kernel, reduction, solver, result."""

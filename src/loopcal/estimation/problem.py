@@ -1,0 +1,189 @@
+"""One calibration as arrays: readings, uncertainties, nominal values, poses cut into blocks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise, ReadingUncertainty, resolve_noise
+from loopcal.mechanisms.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+BLOCK = 4096
+"""Poses per block: large enough that NumPy's overhead vanishes, small enough for the cache."""
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Poses in which the same quantities are unmeasured."""
+
+    unmeasured: tuple[int, ...]
+    poses: slice | NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything a fit needs, in SI units and the orders of the tape.
+
+    readings: (k, N), a start value where unmeasured; known: (c, N); uncertainty: of every
+    reading; start: (n_all,) all parameters; free: positions of the n estimated ones; nominal,
+    prior_sd: (n,) of these; poses: the ids.
+    """
+
+    mechanism: Mechanism
+    readings: Array
+    known: Array
+    uncertainty: ReadingUncertainty
+    start: Array
+    free: NDArray[np.intp]
+    nominal: Array
+    prior_sd: Array
+    poses: tuple[str, ...]
+    patterns: tuple[Pattern, ...] = field(default=())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the estimated parameters."""
+        everything = self.mechanism.parameters.names
+        return tuple(everything[i] for i in self.free)
+
+    @property
+    def equations(self) -> int:
+        """Loop equations over all poses, less the unmeasured quantities they determine."""
+        m = len(self.mechanism.tape.loops)
+        count = 0
+        for pattern in self.patterns:
+            poses = len(self.poses) if isinstance(pattern.poses, slice) else len(pattern.poses)
+            count += poses * (m - len(pattern.unmeasured))
+        return count
+
+    def blocks(self) -> Iterator[tuple[tuple[int, ...], slice | NDArray[np.intp]]]:
+        """The poses in blocks of at most BLOCK, each with its unmeasured quantities."""
+        for pattern in self.patterns:
+            if isinstance(pattern.poses, slice):
+                for begin in range(0, len(self.poses), BLOCK):
+                    yield pattern.unmeasured, slice(begin, min(begin + BLOCK, len(self.poses)))
+            else:
+                for begin in range(0, len(pattern.poses), BLOCK):
+                    yield pattern.unmeasured, pattern.poses[begin : begin + BLOCK]
+
+
+def build_problem(
+    mechanism: Mechanism,
+    dataset: Dataset,
+    noise: Noise | None,
+    start: Mapping[str, float] | None = None,
+) -> Problem:
+    """The problem of calibrating a mechanism from a data set.
+
+    noise: None takes every reading as exact, as the basic method does; start: parameter values
+    [SI] to begin from, where not the nominal ones.
+
+    Raises InputError where readings or sds are missing, a unit does not fit, or there are fewer
+    equations than parameters.
+    """
+    quantities = mechanism.tape.quantities
+    _check_units(mechanism, dataset)
+    stated = dataset if noise is not None else replace(dataset, sds={})
+    uncertainty = resolve_noise(
+        noise or Noise(dict.fromkeys(quantities, 0.0)), stated, quantities, mechanism.quantity_group
+    )
+    missing = np.full(len(dataset), np.nan)
+    raw = np.array([dataset.readings.get(q, missing) for q in quantities])
+    known = _known_constants(mechanism, dataset)
+    parameters = mechanism.parameters
+    values = {p.name: p.nominal for p in parameters} | dict(start or {})
+    free = np.array([i for i, p in enumerate(parameters) if not p.fixed], dtype=np.intp)
+    if not free.size:
+        raise InputError(
+            "no parameter is left to estimate", remedy="set at least one parameter free"
+        )
+    patterns = _patterns(np.isinf(np.broadcast_to(uncertainty.sd, raw.shape)))
+    problem = Problem(
+        mechanism,
+        _filled(raw),
+        known,
+        uncertainty,
+        np.array([values[n] for n in parameters.names]),
+        free,
+        np.array([parameters.items[i].nominal for i in free]),
+        np.array([parameters.items[i].prior_sd for i in free]),
+        dataset.poses,
+        patterns,
+    )
+    _check_enough(problem)
+    return problem
+
+
+def _check_units(mechanism: Mechanism, dataset: Dataset) -> None:
+    for name, unit in {**mechanism.quantities, **mechanism.known}.items():
+        given = dataset.units.get(name)
+        if given is not None and given != unit:
+            raise InputError(
+                f"the readings of {name!r} are in {given}, the mechanism reads {name!r} in {unit}",
+                remedy=f"give column {name!r} a unit that can be turned into {unit}",
+            )
+
+
+def _known_constants(mechanism: Mechanism, dataset: Dataset) -> Array:
+    rows = []
+    for name in mechanism.tape.known:
+        values = dataset.readings.get(name)
+        if values is None or np.isnan(values).any():
+            which = "none" if values is None else f"pose {dataset.poses[int(np.argmax(np.isnan(values)))]!r} lacks it"
+            raise InputError(
+                f"the known constant {name!r} must be there in every pose ({which})",
+                remedy="name its column, or exclude the poses without it",
+            )
+        rows.append(values)
+    return np.array(rows).reshape(len(rows), len(dataset))
+
+
+def _patterns(unmeasured: NDArray[np.bool_]) -> tuple[Pattern, ...]:
+    if (unmeasured == unmeasured[:, :1]).all():
+        return (Pattern(tuple(np.flatnonzero(unmeasured[:, 0]).tolist()), slice(None)),)
+    codes, inverse = np.unique(unmeasured.T, axis=0, return_inverse=True)
+    return tuple(
+        Pattern(tuple(np.flatnonzero(code).tolist()), np.flatnonzero(inverse.ravel() == i))
+        for i, code in enumerate(codes)
+    )
+
+
+def _filled(raw: Array) -> Array:
+    """Readings with a start value where there is none: between the neighbours in pose order."""
+    filled = raw.copy()
+    order = np.arange(raw.shape[1])
+    for row in filled:
+        gaps = np.isnan(row)
+        if gaps.all():
+            row[:] = 0.0
+        elif gaps.any():
+            row[gaps] = np.interp(order[gaps], order[~gaps], row[~gaps])
+    return filled
+
+
+def _check_enough(problem: Problem) -> None:
+    loops = len(problem.mechanism.tape.loops)
+    for pattern in problem.patterns:
+        if len(pattern.unmeasured) > loops:
+            first = 0 if isinstance(pattern.poses, slice) else int(pattern.poses[0])
+            names = [problem.mechanism.tape.quantities[i] for i in pattern.unmeasured]
+            raise InputError(
+                f"pose {problem.poses[first]!r} has {len(names)} unmeasured quantities "
+                f"({', '.join(names)}) and only {loops} loop equations to find them",
+                remedy="measure more quantities in this pose, or exclude it",
+            )
+    informed = sum(math.isfinite(sd) for sd in problem.prior_sd)
+    needed = len(problem.free) - informed
+    if problem.equations < needed:
+        raise InputError(
+            f"{problem.equations} loop equations ({len(problem.poses)} poses) cannot determine "
+            f"{needed} parameters without prior knowledge",
+            remedy="measure more poses, fix parameters, or give them a finite prior sd",
+        )

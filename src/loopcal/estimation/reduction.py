@@ -1,0 +1,172 @@
+"""The parameter system: what all blocks add up to, and its solution by singular values.
+
+Blocks contribute either normal equations, summed, or the triangle of a QR decomposition,
+stacked and reduced again (TSQR; Demmel et al. 2012), which keeps twice the digits where the
+scaled condition number is large. Both end as the same spectrum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.kernel import Whitened
+
+Array = NDArray[np.float64]
+RANK_TOLERANCE = 1e-10
+"""Directions with a singular value this much below the largest are not determined."""
+WELL_CONDITIONED = 1e5
+"""Up to this scaled condition number normal equations lose nothing that iterating cannot mend."""
+
+
+class Accumulator:
+    """Adds up the whitened equations of blocks: |E - D dp|^2 over all poses.
+
+    triangular: keep a QR triangle instead of normal equations.
+    """
+
+    def __init__(self, parameters: int, triangular: bool) -> None:
+        self.triangular = triangular
+        size = parameters + 1
+        self.total = np.zeros((size, size))
+
+    def add(self, block: Whitened) -> None:
+        """Add a block's equations."""
+        rows = block.rows.reshape(len(block.rows), -1)
+        if self.triangular:
+            self.total = np.linalg.qr(np.vstack([self.total, rows.T]), mode="r")
+        else:
+            self.total += rows @ rows.T
+
+    def add_other(self, other: Accumulator) -> None:
+        """Add what another accumulator of the same kind has gathered."""
+        if self.triangular:
+            self.total = np.linalg.qr(np.vstack([self.total, other.total]), mode="r")
+        else:
+            self.total += other.total
+
+    @property
+    def chi_squared(self) -> float:
+        """|E|^2 over all poses."""
+        last = self.total[:, -1]
+        return float(last @ last) if self.triangular else float(last[-1])
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """The parameter system in its own directions.
+
+    The step dp = scale * (directions @ z) turns it into independent equations
+    singular_values * z = components; scale: (n,) [SI], singular_values, components: (n,).
+    kept: which directions data and prior determine. unexplained: |E|^2 that no step removes.
+    """
+
+    scale: Array
+    directions: Array
+    singular_values: Array
+    components: Array
+
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """Directions that data and prior determine."""
+        s = self.singular_values
+        kept: NDArray[np.bool_] = s > RANK_TOLERANCE * max(float(s.max(initial=0.0)), 1e-300)
+        return kept
+
+    @property
+    def rank(self) -> int:
+        """Number of directions that are determined."""
+        return int(self.kept.sum())
+
+    @property
+    def condition(self) -> float:
+        """Largest over smallest singular value of the column-scaled system, inf if singular."""
+        smallest = float(self.singular_values.min())
+        return float(self.singular_values.max()) / smallest if smallest > 0.0 else np.inf
+
+    @property
+    def decrement(self) -> float:
+        """How much of chi-squared the full step is predicted to remove."""
+        return float(np.square(self.components[self.kept]).sum())
+
+    def step(self, damping: float = 0.0) -> Array:
+        """The step dp [SI] damped as Levenberg and Marquardt do; undetermined directions rest."""
+        s, b = self.singular_values, self.components
+        z = np.where(self.kept, s * b / np.where(self.kept, s * s + damping, 1.0), 0.0)
+        result: Array = self.scale * (self.directions @ z)
+        return result
+
+    def predicted(self, damping: float = 0.0) -> float:
+        """How much of chi-squared that step is predicted to remove."""
+        s2 = np.square(self.singular_values)
+        share = np.where(self.kept, 1.0 - np.square(damping / np.maximum(s2 + damping, 1e-300)), 0)
+        return float((share * np.square(self.components)).sum())
+
+    def covariance(self) -> Array:
+        """(sum D^T D + prior)^-1 over the determined directions, (n, n) [SI]; symmetric."""
+        inverse = np.where(self.kept, 1.0 / np.where(self.kept, self.singular_values, 1.0), 0.0)
+        root = self.scale[:, None] * self.directions * inverse
+        result: Array = root @ root.T
+        return result
+
+
+def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
+    """The spectrum of data and prior: offset = nominal - current value, prior_sd may be inf."""
+    precision = 1.0 / prior_sd
+    if data.triangular:
+        rows = [data.total]
+        rows.append(np.column_stack([np.diag(precision), np.where(precision, offset, 0) * precision]))
+        R = np.linalg.qr(np.vstack(rows), mode="r")
+        n = len(prior_sd)
+        scale = _scale(np.sqrt(np.square(R[:, :n]).sum(axis=0)))
+        U, s, Vt = np.linalg.svd(R[:n, :n] * scale)
+        return Spectrum(scale, Vt.T, s, U.T @ R[:n, n])
+    n = len(prior_sd)
+    H = data.total[:n, :n] + np.diag(np.square(precision))
+    g = data.total[:n, n] + np.where(precision, offset, 0) * np.square(precision)
+    scale = _scale(np.sqrt(np.diag(H)))
+    values, vectors = np.linalg.eigh(H * scale * scale[:, None])
+    s = np.sqrt(np.maximum(values, 0.0))
+    b = vectors.T @ (scale * g)
+    return Spectrum(scale, vectors, s, np.where(s > 0, b / np.where(s > 0, s, 1.0), 0.0))
+
+
+def _scale(lengths: Array) -> Array:
+    return 1.0 / np.where(lengths > 0.0, lengths, 1.0)
+
+
+def undetermined(
+    spectrum: Spectrum, names: Sequence[str], shown: float = 0.05
+) -> tuple[dict[str, float], ...]:
+    """The directions that neither data nor prior determine, each as {parameter: share}.
+
+    Shares are in scaled units, the largest 1; those below `shown` are left out.
+    """
+    loose = np.flatnonzero(~spectrum.kept)
+    # Directions of one null space are arbitrary up to rotation: the reduced echelon form
+    # names the fewest parameters in each.
+    basis = _echelon(spectrum.directions[:, loose].T)
+    combinations = []
+    for direction in basis:
+        largest = np.abs(direction).max()
+        combination = {
+            name: float(share / largest)
+            for name, share in zip(names, direction, strict=True)
+            if abs(share) >= shown * largest
+        }
+        combinations.append(combination)
+    return tuple(combinations)
+
+
+def _echelon(rows: Array) -> Array:
+    rows = rows.copy()
+    for i in range(len(rows)):
+        column = int(np.argmax(np.abs(rows[i])))
+        rows[i] /= rows[i, column]
+        for j in range(len(rows)):
+            if j != i:
+                rows[j] -= rows[j, column] * rows[i]
+    return rows

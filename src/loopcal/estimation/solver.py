@@ -1,0 +1,253 @@
+"""The globalised solver: damped Gauss-Newton steps on the profile of chi-squared.
+
+The merit function is Phi(p), the least weighted square of the corrections that close all loops
+at p, plus the prior's (`loopcal.estimation.sweep`); its gradient is -2 (sum D^T E - prior), exact
+where the corrections are. A step is tried in full and damped (Levenberg 1944, Marquardt 1963)
+only if Phi does not fall as predicted, so that near the solution this is the seed's iteration
+(3.24) to (3.30). Far from the solution, closing the loops of every trial would be work for
+nothing: there a trial is linearised where the readings stand, and its loops are closed only when
+that estimate speaks against the step. The end point is always evaluated with closed loops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.problem import Problem
+from loopcal.estimation.reduction import WELL_CONDITIONED, Spectrum, spectrum
+from loopcal.estimation.scratch import one_blas_thread
+from loopcal.estimation.status import Status
+from loopcal.estimation.sweep import Sweep, Sweeper
+from loopcal.expressions.domain import explain_domain
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, float, float], None]
+"""Called with iteration, chi-squared and the predicted decrease."""
+
+RELATIVE_STEP = 1e-6
+"""Converged when the next step is this small beside the sds that the residuals suggest; close to
+the solution every iteration gains several digits, so what is left is far smaller still."""
+_FAR = 100.0
+"""Whitened residuals this large (mean square): the loops need not be closed yet."""
+_ONCE, _NEAR, _CLOSED = np.inf, 0.1, 1e-9
+"""Loops are closed until the last correction was at most so many sds: a single correction on the
+way, where that does not do, and at the end."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where a fit ended.
+
+    parameters: (n_all,) [SI]; sweep: the last one, loops closed; spectrum: of data and prior;
+    prior_square: (p - nominal)^2 over prior variance, summed; status.
+    """
+
+    parameters: Array
+    sweep: Sweep
+    spectrum: Spectrum
+    prior_square: float
+    status: Status
+
+    @property
+    def chi_squared(self) -> float:
+        """The merit: corrections and prior together."""
+        return self.sweep.data.chi_squared + self.prior_square
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A trial: parameters, sweep, merit and parameter system; closed: how well its loops are."""
+
+    parameters: Array
+    sweep: Sweep
+    merit: float
+    spectrum: Spectrum | None
+    closed: float | None
+
+
+def solve(
+    problem: Problem,
+    *,
+    exact: bool = False,
+    max_iterations: int = 100,
+    progress: Progress | None = None,
+) -> Solution:
+    """The parameters of maximum likelihood, from the problem's start.
+
+    exact: sensors are exact, minimise the loop values instead (the basic method; the prior
+    takes no part). Never returns a point with a larger merit than the start's.
+
+    Raises InputError (DomainError) where the loops cannot be evaluated or closed at the start.
+    """
+    with one_blas_thread():
+        return _Solver(problem, exact, progress).run(max_iterations)
+
+
+class _Solver:
+    def __init__(self, problem: Problem, exact: bool, progress: Progress | None) -> None:
+        self.problem = problem
+        self.sweeper = Sweeper(problem, exact=exact)
+        self.prior_sd = np.full(len(problem.free), np.inf) if exact else problem.prior_sd
+        self.progress = progress
+        self.triangular = False
+        self.floor = 0.0
+        self.iterations = 0
+
+    def run(self, max_iterations: int) -> Solution:
+        current = first = self._first()
+        damping = 0.0
+        while True:
+            assert current.spectrum is not None
+            if not self.triangular and current.spectrum.condition > WELL_CONDITIONED:
+                self.triangular = True
+                current = self._evaluate(current.parameters, current.sweep.corrections)
+                continue
+            if self._settled(current):
+                if current.closed == _CLOSED:
+                    return self._solution(current, "converged")
+                current = self._evaluate(current.parameters, current.sweep.proposal, _CLOSED)
+                if current.spectrum is None:
+                    return self._give_up(first, current, "cannot_close")
+                continue
+            if self.iterations >= max_iterations:
+                return self._give_up(first, current, "max_iterations")
+            self.iterations += 1
+            if self.progress:
+                self.progress(self.iterations, current.merit, current.spectrum.decrement)
+            trial, damping = self._advance(current, damping)
+            if trial is None:
+                return self._give_up(first, current, "stalled")
+            current = trial
+
+    def _first(self) -> _Point:
+        corrections = np.zeros_like(self.problem.readings)
+        closing = _NEAR if any(p.unmeasured for p in self.problem.patterns) else None
+        point = self._evaluate(self.problem.start, corrections, closing)
+        if not point.sweep.finite:
+            raise explain_domain(
+                self.problem.mechanism.tape,
+                self.problem.readings,
+                self.problem.known,
+                point.parameters,
+                self.problem.poses,
+            )
+        if point.sweep.singular.size:
+            raise self._cannot_close(point.sweep)
+        self.floor = self._rounding_floor(point)
+        return point
+
+    def _cannot_close(self, sweep: Sweep) -> InputError:
+        pose = self.problem.poses[int(sweep.singular[0])]
+        return InputError(
+            f"the loops of {sweep.singular.size} poses cannot close, the first is pose {pose!r}: "
+            "some equation there contains no uncertain quantity that could be corrected",
+            remedy="give at least one quantity of every loop equation an sd above zero",
+        )
+
+    def _evaluate(
+        self, parameters: Array, corrections: Array, closing: float | None = None
+    ) -> _Point:
+        sweep = self.sweeper.sweep(
+            parameters, corrections, triangular=self.triangular, closing=closing
+        )
+        offset = self.problem.nominal - parameters[self.problem.free]
+        prior = float(np.square(offset / self.prior_sd).sum())
+        merit = sweep.data.chi_squared + prior
+        bad = not np.isfinite(merit) or bool(sweep.open_poses.size) or bool(sweep.singular.size)
+        system = spectrum(sweep.data, offset, self.prior_sd) if sweep.finite else None
+        return _Point(parameters, sweep, np.inf if bad else merit, system, closing)
+
+    def _advance(self, current: _Point, damping: float) -> tuple[_Point | None, float]:
+        """The next accepted point, or None where no step lowers the merit."""
+        assert current.spectrum is not None
+        while damping < 1e10:
+            system = current.spectrum
+            predicted = system.predicted(damping)
+            parameters = current.parameters.copy()
+            parameters[self.problem.free] += system.step(damping)
+            far = predicted > _FAR * self.problem.equations
+            # The last steps are taken with closed loops, so that the point they end at is final.
+            last = predicted <= self._limit(current.merit, slack=1e10)
+            start = current.sweep.corrections if far else current.sweep.proposal
+            trial = self._evaluate(
+                parameters, start, None if far else _CLOSED if last else _ONCE
+            )
+            if self._worth(current, trial, predicted):
+                return trial, 0.0 if damping < 1e-8 else damping / 10
+            if not last:
+                trial = self._evaluate(parameters, start, _NEAR)
+                if self._worth(current, trial, predicted):
+                    return trial, damping
+            if current.closed in (None, _ONCE):
+                closed = self._evaluate(current.parameters, current.sweep.proposal, _NEAR)
+                if np.isfinite(closed.merit) and closed.spectrum is not None:
+                    current = closed
+                    continue
+                current = replace(current, closed=_NEAR)
+            damping = max(10 * damping, 1e-6)
+        return None, damping
+
+    def _worth(self, current: _Point, trial: _Point, predicted: float) -> bool:
+        if not np.isfinite(trial.merit) or trial.spectrum is None:
+            return False
+        rounding = 1e-13 * current.merit + self.floor
+        return current.merit - trial.merit >= 1e-3 * predicted - rounding
+
+    def _settled(self, point: _Point) -> bool:
+        """Whether the next step is nothing beside the sds that the residuals suggest."""
+        assert point.spectrum is not None
+        return point.spectrum.decrement <= self._limit(point.merit)
+
+    def _limit(self, merit: float, slack: float = 1.0) -> float:
+        """The decrement at which a fit has converged: n steps of RELATIVE_STEP sds."""
+        n = len(self.problem.free)
+        variance = merit / max(self.problem.equations - n, 1)
+        return slack * max(RELATIVE_STEP**2 * n * variance, self.floor)
+
+    def _rounding_floor(self, point: _Point) -> float:
+        """What rounding of the loop values alone adds to the decrement.
+
+        A loop value of terms of size a carries a rounding of about eps * a; whitened and summed
+        over the n directions of the parameters that is n * mean |L^-1 eps a|^2.
+        """
+        unmeasured, poses = next(iter(self.problem.blocks()))
+        some = np.arange(len(self.problem.poses), dtype=np.intp)[poses][:64]
+        readings = self.problem.readings[:, some]
+        engine = self.sweeper.closing_engine
+        engine.at(point.parameters)
+        values = engine.evaluate(
+            readings + point.sweep.corrections[:, some], self.problem.known[:, some]
+        )
+        slopes = np.abs(values.by_quantity)
+        terms = np.einsum("kmb,kb->mb", slopes, 1.0 + np.abs(readings))
+        noise = self.sweeper.noise(unmeasured, some)
+        whitened = self.sweeper.reduce(replace(values, f=terms), np.zeros_like(readings), noise)
+        square = float(np.square(whitened.E).sum(axis=0).mean())
+        return len(self.problem.free) * square * float(np.finfo(float).eps) ** 2
+
+    def _give_up(self, first: _Point, current: _Point, reason: str) -> Solution:
+        end = self._evaluate(current.parameters, current.sweep.proposal, _CLOSED)
+        if end.sweep.open_poses.size or end.spectrum is None:
+            end = replace(current, closed=None)
+            reason = "cannot_close"
+        if not end.merit <= first.merit:
+            start = self._evaluate(first.parameters, first.sweep.corrections, _CLOSED)
+            end = start if start.merit <= end.merit else end
+        return self._solution(end, reason)
+
+    def _solution(self, end: _Point, reason: str) -> Solution:
+        detail = ""
+        if reason == "cannot_close" and end.sweep.open_poses.size:
+            some = [self.problem.poses[i] for i in end.sweep.open_poses[:5]]
+            detail = f"Poses: {', '.join(some)}."
+        assert end.spectrum is not None
+        prior = end.merit - end.sweep.data.chi_squared
+        status = Status.of(
+            reason, self.iterations, self.sweeper.evaluations / len(self.problem.poses), detail
+        )
+        return Solution(end.parameters, end.sweep, end.spectrum, max(prior, 0.0), status)

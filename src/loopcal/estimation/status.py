@@ -1,0 +1,43 @@
+"""Why a fit stopped: a status is its cause and what to do about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+REASONS = {
+    "converged": "The gradient of the Lagrangian is zero to rounding and every loop closes.",
+    "max_iterations": (
+        "The iterations allowed ran out before the gradient was small. Allow more "
+        "(fit.max_iterations), or start nearer: check nominal values, units and joint signs."
+    ),
+    "stalled": (
+        "No step lowers chi-squared any further although its gradient is not small. Check the "
+        "nominal values and units, scale sds that differ by many orders of magnitude, or give "
+        "weakly determined parameters a prior sd."
+    ),
+    "cannot_close": (
+        "Some loops cannot be closed by correcting the readings. Check the poses named, "
+        "and whether every loop contains a quantity with an sd above zero."
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Status:
+    """How a fit ended.
+
+    reason: one of "converged", "max_iterations", "stalled", "cannot_close"; message: cause and
+    remedy; iterations: parameter steps tried; evaluations: loop evaluations per pose.
+    """
+
+    converged: bool
+    reason: str
+    message: str
+    iterations: int
+    evaluations: float = 0.0
+
+    @classmethod
+    def of(cls, reason: str, iterations: int, evaluations: float, detail: str = "") -> Status:
+        """The status for a reason, with its cause and remedy."""
+        message = f"{REASONS[reason]} {detail}".strip()
+        return cls(reason == "converged", reason, message, iterations, evaluations)

@@ -1,0 +1,192 @@
+"""First derivatives of a tape, as a tape: reverse mode, one sweep per loop equation.
+
+The adjoints are built in the graph of the tape itself, so they share subexpressions with the
+loops and with each other, vanish where a derivative is zero, and need no second evaluator:
+an engine that can run a tape can run its Jacobian.
+
+Source of the method: Griewank and Walther, Evaluating Derivatives, 2nd ed. (2008), chapter 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from loopcal.expressions.graph import Graph, Node
+from loopcal.expressions.operations import LEAVES
+from loopcal.expressions.tape import Tape
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """A tape with the loop values f and their partial derivatives as outputs.
+
+    The outputs stand in this order: f (m); then for each chosen quantity its m derivatives;
+    then for each chosen parameter its m derivatives.
+    """
+
+    tape: Tape
+    loops: int
+    quantities: tuple[str, ...]
+    parameters: tuple[str, ...]
+
+
+def linearise(tape: Tape, quantities: Iterable[str], parameters: Iterable[str]) -> Linearisation:
+    """f, df/dx for the named quantities and df/dp for the named parameters, as one tape."""
+    quantities, parameters = tuple(quantities), tuple(parameters)
+    graph = Graph()
+    place: list[Node] = []
+    for name, payload in tape.operations:
+        if name in LEAVES:
+            place.append(graph.leaf(name, payload[0]))
+        else:
+            place.append(graph.apply(name, *(place[int(a)] for a in payload)))
+    loops = [place[output] for output in tape.outputs]
+    inputs = [graph.leaf("quantity", tape.quantities.index(q)) for q in quantities]
+    inputs += [graph.leaf("parameter", tape.parameters.index(p)) for p in parameters]
+    gradients = [_reverse(graph, loop, inputs) for loop in loops]
+    outputs = [*loops, *(gradient[i] for i in range(len(inputs)) for gradient in gradients)]
+    lowered, outputs = _lower(graph, outputs)
+    names = [str(i) for i in range(len(outputs))]
+    return Linearisation(
+        Tape.from_graph(
+            lowered,
+            outputs,
+            quantities=tape.quantities,
+            known=tape.known,
+            parameters=tape.parameters,
+            loops=names,
+        ),
+        len(loops),
+        quantities,
+        parameters,
+    )
+
+
+def _reverse(graph: Graph, output: Node, inputs: Sequence[Node]) -> list[Node]:
+    """d output / d input for every input: one reverse sweep over what the output needs."""
+    adjoint: dict[Node, Node] = {output: graph.constant(1.0)}
+    useful = _leading_to(graph, output, set(inputs))
+    for node in range(output, -1, -1):
+        if node not in adjoint or node not in useful:
+            continue
+        name, payload = graph.operations[node]
+        if name in LEAVES:
+            continue
+        arguments = tuple(int(a) for a in payload)
+        for position, argument in enumerate(arguments):
+            if argument not in useful:
+                continue
+            term = _chain(graph, name, position, arguments, node, adjoint[node])
+            before = adjoint.get(argument)
+            adjoint[argument] = term if before is None else graph.apply("add", before, term)
+    zero = graph.constant(0.0)
+    return [adjoint.get(node, zero) for node in inputs]
+
+
+def _leading_to(graph: Graph, output: Node, inputs: set[Node]) -> set[Node]:
+    """The nodes up to the output whose value depends on an input: no other adjoint is needed."""
+    useful: set[Node] = set()
+    for node in range(output + 1):
+        name, payload = graph.operations[node]
+        if node in inputs or (name not in LEAVES and any(int(a) in useful for a in payload)):
+            useful.add(node)
+    return useful
+
+
+def _chain(
+    graph: Graph, name: str, position: int, arguments: tuple[Node, ...], node: Node, bar: Node
+) -> Node:
+    """bar * d node / d argument[position]."""
+    apply, constant = graph.apply, graph.constant
+    a = arguments[0]
+    match name, position:
+        case ("add", _) | ("sub", 0):
+            return bar
+        case ("sub", 1) | ("neg", 0):
+            return apply("neg", bar)
+        case ("mul", _):
+            return apply("mul", bar, arguments[1 - position])
+        case ("div", 0):
+            return apply("div", bar, arguments[1])
+        case ("div", 1):
+            return apply("neg", apply("mul", bar, apply("div", node, arguments[1])))
+        case ("pow", 0):
+            lower = apply("pow", a, apply("sub", arguments[1], constant(1.0)))
+            return apply("mul", bar, apply("mul", arguments[1], lower))
+        case ("pow", 1):
+            return apply("mul", bar, apply("mul", node, apply("log", a)))
+        case ("turn_cos" | "turn_sin", _):
+            return _chain_turn(graph, name, position, arguments, bar)
+        case ("arctan2" | "hypot", _):
+            return _chain_polar(graph, name, position, arguments, node, bar)
+        case (("arcsin" | "arccos" | "arctan"), 0):
+            return _chain_arc(graph, name, a, bar)
+        case ("square", 0):
+            return apply("mul", bar, apply("mul", constant(2.0), a))
+        case ("sqrt", 0):
+            return apply("div", apply("mul", constant(0.5), bar), node)
+        case ("sin", 0):
+            return apply("mul", bar, apply("cos", a))
+        case ("cos", 0):
+            return apply("neg", apply("mul", bar, apply("sin", a)))
+        case ("tan", 0):
+            return apply("mul", bar, apply("add", constant(1.0), apply("square", node)))
+        case ("exp", 0):
+            return apply("mul", bar, node)
+        case ("log", 0):
+            return apply("div", bar, a)
+        case ("abs", 0):
+            return apply("mul", bar, apply("sign", a))
+    return constant(0.0)  # sign is flat
+
+
+def _chain_arc(graph: Graph, name: str, a: Node, bar: Node) -> Node:
+    apply, one = graph.apply, graph.constant(1.0)
+    if name == "arctan":
+        return apply("div", bar, apply("add", one, apply("square", a)))
+    # (1 - a)(1 + a) keeps its digits near |a| = 1, where 1 - a^2 loses them
+    product = apply("mul", apply("sub", one, a), apply("add", one, a))
+    slope = apply("div", bar, apply("sqrt", product))
+    return slope if name == "arcsin" else apply("neg", slope)
+
+
+def _chain_polar(
+    graph: Graph, name: str, position: int, arguments: tuple[Node, ...], node: Node, bar: Node
+) -> Node:
+    apply = graph.apply
+    if name == "hypot":
+        return apply("mul", bar, apply("div", arguments[position], node))
+    radius = apply("hypot", *arguments)
+    other = apply("div", apply("div", arguments[1 - position], radius), radius)
+    term = apply("mul", bar, other)
+    return term if position == 0 else apply("neg", term)
+
+
+def _chain_turn(
+    graph: Graph, name: str, position: int, arguments: tuple[Node, ...], bar: Node
+) -> Node:
+    apply, angle = graph.apply, arguments[2]
+    if position == 2:
+        other = apply("turn_sin" if name == "turn_cos" else "turn_cos", *arguments)
+        term = apply("mul", bar, other)
+        return apply("neg", term) if name == "turn_cos" else term
+    cosine_first = (name == "turn_cos") == (position == 0)
+    term = apply("mul", bar, apply("cos" if cosine_first else "sin", angle))
+    return apply("neg", term) if name == "turn_cos" and position == 1 else term
+
+
+def _lower(graph: Graph, outputs: Sequence[Node]) -> tuple[Graph, list[Node]]:
+    """The same graph with rotations written out, ready for an engine."""
+    lowered = Graph()
+    place: list[Node] = []
+    for name, payload in graph.operations:
+        if name in LEAVES:
+            place.append(lowered.leaf(name, payload[0]))
+            continue
+        arguments = [place[int(a)] for a in payload]
+        if name in ("turn_cos", "turn_sin"):
+            place.append(lowered.lower_turn(name, *arguments))
+        else:
+            place.append(lowered.apply(name, *arguments))
+    return lowered, [place[output] for output in outputs]

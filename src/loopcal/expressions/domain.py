@@ -1,0 +1,71 @@
+"""Finds out which operation of which loop met a value outside its domain, and in which pose."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import DomainError
+from loopcal.expressions.operations import LEAVES, OPERATIONS, evaluate_scalar
+from loopcal.expressions.tape import Tape
+
+Array = NDArray[np.float64]
+
+
+def explain_domain(
+    tape: Tape, x: Array, known: Array, parameters: Array, poses: Sequence[str]
+) -> DomainError:
+    """The error that names loop, pose and operation; x: (k, N), known: (c, N), (n_all,) [SI]."""
+    for column, pose in enumerate(poses):
+        found = _first_undefined(tape, x[:, column], known[:, column], parameters)
+        if found is not None:
+            loop, text = found
+            return DomainError(
+                f"{text} in loop equation {loop!r} at pose {pose!r}",
+                remedy="check the readings and units of this pose, and the nominal parameters; "
+                "leave the pose out with data.exclude if its reading is wrong",
+            )
+    return DomainError(
+        "the loop equations overflow: some value is not finite",
+        remedy="check units and nominal parameters",
+    )
+
+
+def _first_undefined(tape: Tape, x: Array, known: Array, p: Array) -> tuple[str, str] | None:
+    inputs = {"quantity": x, "known": known, "parameter": p}
+    values: list[float] = []
+    for position, (name, payload) in enumerate(tape.operations):
+        if name in LEAVES:
+            value = payload[0] if name == "constant" else float(inputs[name][int(payload[0])])
+            values.append(value)
+            continue
+        arguments = [values[int(a)] for a in payload]
+        why = OPERATIONS[name].undefined(*arguments)
+        value = evaluate_scalar(name, *arguments)
+        if why is None and not math.isfinite(value):
+            why = f"of {', '.join(f'{a:.6g}' for a in arguments)} is not finite"
+        if why is not None:
+            symbol = {"div": "division", "pow": "power"}.get(name, name)
+            return tape.loops[_loop_with(tape, position)], f"{symbol} {why}"
+        values.append(value)
+    return None
+
+
+def _loop_with(tape: Tape, wanted: int) -> int:
+    """The first loop equation that contains an operation."""
+    for loop, output in enumerate(tape.outputs):
+        stack, seen = [output], set()
+        while stack:
+            node = stack.pop()
+            if node == wanted:
+                return loop
+            if node in seen:
+                continue
+            seen.add(node)
+            name, payload = tape.operations[node]
+            if name not in LEAVES:
+                stack.extend(int(a) for a in payload)
+    return 0

@@ -1,0 +1,151 @@
+"""The graph a tape is built in: every subexpression once, constants folded, zeros gone.
+
+`Graph.apply` is the only way to make a node, for the tracer and for the derivative alike, so
+both profit from the same simplifications. They are the exact ones: x + 0, x * 1, x * 0, --x.
+"""
+
+from __future__ import annotations
+
+import math
+
+from loopcal.expressions.operations import evaluate_scalar
+
+Node = int
+
+
+class Graph:
+    """A growing directed acyclic graph of operations; a node is its position.
+
+    operations[i] is (name, argument nodes or the payload of a leaf).
+    """
+
+    def __init__(self) -> None:
+        self.operations: list[tuple[str, tuple[float, ...]]] = []
+        self._known: dict[tuple[str, tuple[float, ...]], Node] = {}
+
+    def leaf(self, kind: str, payload: float) -> Node:
+        """A constant (payload: its value) or an input (payload: its position)."""
+        return self._intern(kind, (payload,))
+
+    def constant(self, value: float) -> Node:
+        """The node of a number; 0.0 and -0.0 are one."""
+        return self._intern("constant", (value + 0.0,))
+
+    def value_of(self, node: Node) -> float | None:
+        """The number a node stands for, None if it is not a constant."""
+        name, payload = self.operations[node]
+        return payload[0] if name == "constant" else None
+
+    def apply(self, name: str, *arguments: Node) -> Node:
+        """The node of an operation on nodes, simplified where the result is the same number."""
+        values = [self.value_of(a) for a in arguments]
+        if all(v is not None for v in values):
+            folded = evaluate_scalar(name, *(v for v in values if v is not None))
+            if math.isfinite(folded):
+                return self.constant(folded)
+        simplified = self._simplify(name, arguments, values)
+        if simplified is not None:
+            return simplified
+        if name in ("add", "mul") and arguments[0] > arguments[1]:
+            arguments = (arguments[1], arguments[0])
+        return self._intern(name, arguments)
+
+    def _intern(self, name: str, payload: tuple[float, ...]) -> Node:
+        key = (name, payload)
+        node = self._known.get(key)
+        if node is None:
+            node = len(self.operations)
+            self.operations.append(key)
+            self._known[key] = node
+        return node
+
+    def _negated(self, node: Node) -> Node | None:
+        name, arguments = self.operations[node]
+        return int(arguments[0]) if name == "neg" else None
+
+    def _simplify(
+        self, name: str, arguments: tuple[Node, ...], values: list[float | None]
+    ) -> Node | None:
+        match name:
+            case "add" | "sub":
+                return self._simplify_sum(name, *arguments, *values)  # type: ignore[arg-type]
+            case "mul":
+                return self._simplify_product(*arguments, *values)  # type: ignore[arg-type]
+            case "div" if values[1] == 1.0 or values[0] == 0.0:
+                return arguments[0]
+            case "neg":
+                return self._negated(arguments[0])
+            case "pow":
+                return self._simplify_power(arguments[0], values[1])
+            case "turn_cos" | "turn_sin":
+                return self._simplify_turn(name, arguments, values)
+        return None
+
+    def _simplify_sum(
+        self, name: str, a: Node, b: Node, value_a: float | None, value_b: float | None
+    ) -> Node | None:
+        if value_b == 0.0:
+            return a
+        if value_a == 0.0:
+            return b if name == "add" else self.apply("neg", b)
+        minus_b = self._negated(b)
+        if minus_b is not None:
+            return self.apply("sub" if name == "add" else "add", a, minus_b)
+        minus_a = self._negated(a)
+        if name == "add" and minus_a is not None:
+            return self.apply("sub", b, minus_a)
+        return None
+
+    def _simplify_product(
+        self, a: Node, b: Node, value_a: float | None, value_b: float | None
+    ) -> Node | None:
+        for node, value in ((b, value_a), (a, value_b)):
+            if value == 0.0:
+                return self.constant(0.0)
+            if value == 1.0:
+                return node
+            if value == -1.0:
+                return self.apply("neg", node)
+        for node, other in ((a, b), (b, a)):
+            inner = self._negated(node)
+            if inner is not None:
+                return self.apply("neg", self.apply("mul", inner, other))
+        return self.apply("square", a) if a == b else None
+
+    def _simplify_power(self, base: Node, exponent: float | None) -> Node | None:
+        match exponent:
+            case 0.0:
+                return self.constant(1.0)
+            case 1.0:
+                return base
+            case 2.0:
+                return self.apply("square", base)
+            case -1.0:
+                return self.apply("div", self.constant(1.0), base)
+            case 0.5:
+                return self.apply("sqrt", base)
+        return None
+
+    def _simplify_turn(
+        self, name: str, arguments: tuple[Node, ...], values: list[float | None]
+    ) -> Node | None:
+        a, b, angle = arguments
+        cosine, sine = self.apply("cos", angle), self.apply("sin", angle)
+        first, second = (cosine, sine) if name == "turn_cos" else (sine, cosine)
+        if values[0] == 0.0 and values[1] == 0.0:
+            return self.constant(0.0)
+        if values[1] == 0.0:
+            return self.apply("mul", a, first)
+        if values[0] == 0.0:
+            product = self.apply("mul", b, second)
+            return self.apply("neg", product) if name == "turn_cos" else product
+        if values[2] is not None:
+            return self.lower_turn(name, a, b, angle)
+        return None
+
+    def lower_turn(self, name: str, a: Node, b: Node, angle: Node) -> Node:
+        """A plane rotation written with cos and sin, for evaluation."""
+        cosine, sine = self.apply("cos", angle), self.apply("sin", angle)
+        if name == "turn_cos":
+            return self.apply("sub", self.apply("mul", a, cosine), self.apply("mul", b, sine))
+        return self.apply("add", self.apply("mul", a, sine), self.apply("mul", b, cosine))

@@ -1,0 +1,192 @@
+"""A loop as data: a flat list of elementary operations that ends in the loop equations.
+
+A tape is a value: frozen, compared by its contents, printed readably, written to and read from
+plain JSON data, so that a mechanism can travel in a file without any code being run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from loopcal.errors import InputError, nearest
+from loopcal.expressions.graph import Graph, Node
+from loopcal.expressions.operations import LEAVES, OPERATIONS
+
+_PREFIX = {"quantity": "x", "known": "x", "parameter": "p"}
+
+
+@dataclass(frozen=True)
+class Tape:
+    """f(x, p) as operations in order of evaluation.
+
+    operations[i] is (name, arguments): positions of earlier operations, or for a leaf the value
+    of a constant or the position among quantities, known constants or parameters. outputs are
+    the positions of the loop equations, one for each name in loops.
+    """
+
+    quantities: tuple[str, ...]
+    known: tuple[str, ...]
+    parameters: tuple[str, ...]
+    loops: tuple[str, ...]
+    operations: tuple[tuple[str, tuple[float, ...]], ...]
+    outputs: tuple[int, ...]
+
+    @classmethod
+    def from_graph(
+        cls,
+        graph: Graph,
+        outputs: Sequence[Node],
+        *,
+        quantities: Sequence[str],
+        parameters: Sequence[str],
+        loops: Sequence[str],
+        known: Sequence[str] = (),
+    ) -> Tape:
+        """The part of a graph that its outputs need, renumbered."""
+        needed = _reachable(graph.operations, outputs)
+        place = {node: position for position, node in enumerate(needed)}
+        operations = tuple(
+            (name, payload if name in LEAVES else tuple(place[int(a)] for a in payload))
+            for name, payload in (graph.operations[node] for node in needed)
+        )
+        return cls(
+            tuple(quantities),
+            tuple(known),
+            tuple(parameters),
+            tuple(loops),
+            operations,
+            tuple(place[node] for node in outputs),
+        )
+
+    def __hash__(self) -> int:
+        # The operations are compared but not hashed: thousands of them, seldom alike otherwise.
+        return hash((self.quantities, self.parameters, self.loops, self.outputs))
+
+    def depends_on(self) -> tuple[frozenset[str], ...]:
+        """For each loop equation, the names of all inputs it contains."""
+        names: list[frozenset[str]] = []
+        for name, payload in self.operations:
+            if name in LEAVES:
+                names.append(frozenset() if name == "constant" else {self._input(name, payload)})
+            else:
+                names.append(frozenset().union(*(names[int(a)] for a in payload)))
+        return tuple(frozenset(names[output]) for output in self.outputs)
+
+    def _input(self, kind: str, payload: tuple[float, ...]) -> str:
+        table = {"quantity": self.quantities, "known": self.known, "parameter": self.parameters}
+        return table[kind][int(payload[0])]
+
+    def __str__(self) -> str:
+        uses = [0] * len(self.operations)
+        for name, payload in self.operations:
+            if name not in LEAVES:
+                for argument in payload:
+                    uses[int(argument)] += 1
+        lines: list[str] = []
+        texts: list[tuple[str, int]] = []  # with how tightly each binds
+        for position, (name, payload) in enumerate(self.operations):
+            text, binding = self._text(name, payload, texts)
+            if name not in LEAVES and uses[position] > 1:
+                lines.append(f"t{position} = {text}")
+                text, binding = f"t{position}", _ATOM
+            texts.append((text, binding))
+        lines += [
+            f"{loop}: {texts[output][0]} = 0"
+            for loop, output in zip(self.loops, self.outputs, strict=True)
+        ]
+        return "\n".join(lines)
+
+    def _text(
+        self, name: str, payload: tuple[float, ...], texts: Sequence[tuple[str, int]]
+    ) -> tuple[str, int]:
+        if name == "constant":
+            return f"{payload[0]!r}", _ATOM if payload[0] >= 0 else 1
+        if name in LEAVES:
+            return f"{_PREFIX[name]}.{self._input(name, payload)}", _ATOM
+        operation = OPERATIONS[name]
+        written = []
+        for place, argument in enumerate(payload):
+            text, binding = texts[int(argument)]
+            # a - (b - c) and a / (b / c) need their brackets, a + b + c and functions do not
+            tighter = operation.binding + (name in _RIGHT_BRACKETS and place == operation.arity - 1)
+            inside_function = operation.binding == _ATOM
+            written.append(text if inside_function or binding >= tighter else f"({text})")
+        return operation.text.format(*written), operation.binding
+
+    def to_data(self) -> dict[str, Any]:
+        """The tape as plain data for JSON; floats survive exactly."""
+        return {
+            "quantities": list(self.quantities),
+            "known": list(self.known),
+            "parameters": list(self.parameters),
+            "loops": list(self.loops),
+            "operations": [[name, *payload] for name, payload in self.operations],
+            "outputs": list(self.outputs),
+        }
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> Tape:
+        """The tape written by `to_data`.
+
+        Raises InputError naming the operation that is not one, or refers ahead of itself.
+        """
+        try:
+            tables = [tuple(str(n) for n in data[key]) for key in _TABLES]
+            rows, outputs = list(data["operations"]), [int(o) for o in data["outputs"]]
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"this is not a tape: {error!r}", remedy=_REWRITE) from None
+        quantities, known, parameters, loops = tables
+        sizes = {
+            "quantity": len(quantities),
+            "known": len(known),
+            "parameter": len(parameters),
+        }
+        operations = tuple(_checked(i, row, sizes) for i, row in enumerate(rows))
+        if len(outputs) != len(loops) or not all(0 <= o < len(operations) for o in outputs):
+            raise InputError(
+                "the outputs of the tape are not among its operations", remedy=_REWRITE
+            )
+        return cls(quantities, known, parameters, loops, operations, tuple(outputs))
+
+
+_ATOM = 4
+_RIGHT_BRACKETS = ("sub", "div", "neg", "pow")
+_TABLES = ("quantities", "known", "parameters", "loops")
+_REWRITE = "write it again with Tape.to_data()"
+
+
+def _checked(position: int, row: Any, sizes: Mapping[str, int]) -> tuple[str, tuple[float, ...]]:
+    """One operation of a tape read from outside, or the error that says what is wrong with it."""
+    place = f"operation {position}"
+    try:
+        name, payload = str(row[0]), list(row[1:])
+        numbers = tuple(float(v) if name == "constant" else int(v) for v in payload)
+    except (TypeError, ValueError, IndexError):
+        raise InputError(f"{row!r} is not an operation", place=place, remedy=_REWRITE) from None
+    if name in sizes or name == "constant":
+        valid = len(numbers) == 1 and (name == "constant" or 0 <= numbers[0] < sizes[name])
+    elif name in OPERATIONS:
+        valid = len(numbers) == OPERATIONS[name].arity and all(0 <= n < position for n in numbers)
+    else:
+        remedy = nearest(name, [*LEAVES, *OPERATIONS])
+        raise InputError(f"operation {name!r} is not known", place=place, remedy=remedy)
+    if not valid:
+        raise InputError(f"{row!r} has wrong arguments", place=place, remedy=_REWRITE)
+    return name, numbers
+
+
+def _reachable(
+    operations: Sequence[tuple[str, tuple[float, ...]]], outputs: Sequence[Node]
+) -> list[Node]:
+    needed: set[Node] = set()
+    stack = list(outputs)
+    while stack:
+        node = stack.pop()
+        if node not in needed:
+            needed.add(node)
+            name, payload = operations[node]
+            if name not in LEAVES:
+                stack.extend(int(a) for a in payload)
+    return sorted(needed)

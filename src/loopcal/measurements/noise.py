@@ -1,0 +1,213 @@
+"""How uncertain the readings are: an sd for each quantity or reading, or full covariances.
+
+The sd decides a quantity's role: sd > 0 measured, sd = 0 exact (never corrected), sd = inf
+unmeasured (its reading is only a starting guess). A missing reading is unmeasured in its pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.measurements.dataset import Dataset
+
+Array = NDArray[np.float64]
+
+
+class Noise:
+    """What is said about the sensors: sd [SI] by quantity, glob or group; later entries win.
+
+    A value is one sd, an array (N,) with one sd per reading, or for several quantities together,
+    keyed by a tuple of names, a covariance (b, b) or one per pose (N, b, b) [SI squared].
+
+    >>> Noise({"theta_*": 5e-5, ("x", "y", "z"): 1e-10 * np.eye(3)})
+    Noise({'theta_*': 5e-05, ('x', 'y', 'z'): covariance (3, 3)})
+
+    Readings that come with an sd of their own (`Dataset.sds`) keep it; an entry here serves the
+    readings that have none. Raises InputError for an sd that is negative or not a number, and
+    for a matrix that is no covariance.
+    """
+
+    def __init__(self, entries: Mapping[str | tuple[str, ...], Any]) -> None:
+        self.entries: dict[str | tuple[str, ...], Array] = {}
+        for key, value in entries.items():
+            self.entries[key] = _checked_entry(key, value)
+
+    def __repr__(self) -> str:
+        def text(value: Array) -> str:
+            if value.ndim == 0:
+                return f"{float(value):.6g}"
+            return f"{'sd' if value.ndim == 1 else 'covariance'} {value.shape}"
+
+        inner = ", ".join(f"{key!r}: {text(value)}" for key, value in self.entries.items())
+        return f"Noise({{{inner}}})"
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, Noise)
+            and list(self.entries) == list(other.entries)
+            and all(np.array_equal(v, other.entries[k]) for k, v in self.entries.items())
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True)
+class CovarianceBlock:
+    """The joint covariance of some quantities: indices (b,), factor (b, b) or (N, b, b).
+
+    factor is a square root: factor @ factor.T is the covariance [SI squared].
+    """
+
+    indices: tuple[int, ...]
+    factor: Array
+
+
+@dataclass(frozen=True)
+class ReadingUncertainty:
+    """The uncertainty of every reading of a data set, resolved.
+
+    sd: (k, 1) where it is the same in all poses, else (k, N) [SI]; inf is unmeasured, 0 exact;
+    blocks: quantities with a full covariance (their sd here is the square root of its diagonal);
+    sources: for each quantity "given" or "reading".
+    """
+
+    sd: Array
+    blocks: tuple[CovarianceBlock, ...]
+    sources: tuple[str, ...]
+
+
+def resolve_noise(
+    noise: Noise,
+    dataset: Dataset,
+    quantities: Sequence[str],
+    expand: Callable[[str], tuple[str, ...]],
+) -> ReadingUncertainty:
+    """The uncertainty of every reading of the given quantities.
+
+    expand turns a name, glob or group into quantities. Raises InputError for a quantity that
+    has no sd from anywhere, and for arrays that do not have one value per pose.
+    """
+    poses = len(dataset)
+    sds: dict[str, Array] = {}
+    in_block: dict[str, tuple[str, ...]] = {}
+    blocks: dict[tuple[str, ...], Array] = {}
+    for key, value in noise.entries.items():
+        names = key if isinstance(key, tuple) else expand(key)
+        for name in names:
+            expand(name)  # a tuple may name a quantity that is not there
+            blocks.pop(in_block.pop(name, ()), None)
+        if isinstance(key, tuple):
+            _check_length(key, value, poses, 3)
+            blocks[names] = value
+            in_block |= dict.fromkeys(names, names)
+            value = np.sqrt(np.einsum("...ii->...i", value)).T
+            sds |= {name: value[i] for i, name in enumerate(names)}
+        else:
+            _check_length(key, value, poses, 1)
+            sds |= dict.fromkeys(names, value)
+    for name in quantities:
+        if name in dataset.sds and name not in in_block:
+            own = dataset.sds[name]
+            sds[name] = np.where(np.isnan(own), sds.get(name, np.nan), own)
+    rows = [_row(name, sds, dataset) for name in quantities]
+    varying = any(row.ndim for row in rows)
+    width = poses if varying else 1
+    return ReadingUncertainty(
+        np.array([np.broadcast_to(row, (width,)) for row in rows]),
+        tuple(
+            CovarianceBlock(tuple(quantities.index(n) for n in names), _factor(value))
+            for names, value in blocks.items()
+        ),
+        tuple("reading" if n in dataset.sds and n not in in_block else "given" for n in quantities),
+    )
+
+
+def _row(name: str, sds: Mapping[str, Array], dataset: Dataset) -> Array:
+    remedy = f"give an sd for {name!r}: 0 if it is exact, inf if it is not measured"
+    if name not in sds:
+        raise InputError(f"no sd is stated for the quantity {name!r}", remedy=remedy)
+    row = np.asarray(sds[name], dtype=float)
+    without = np.flatnonzero(np.isnan(row)) if row.ndim else []
+    if len(without):
+        raise InputError(
+            f"{len(without)} readings of {name!r} have no sd, the first at pose "
+            f"{dataset.poses[without[0]]!r}",
+            remedy=remedy,
+        )
+    missing = np.isnan(dataset.readings[name]) if name in dataset.readings else None
+    if missing is None:  # a quantity without any column can only be unmeasured
+        if not np.all(np.isinf(row)):
+            raise InputError(
+                f"the data have no readings of the quantity {name!r}",
+                remedy=f"name its column, or give it the sd inf if {name!r} is not measured",
+            )
+        return np.asarray(np.inf)
+    return np.where(missing, np.inf, row) if missing.any() else row
+
+
+def _checked_entry(key: str | tuple[str, ...], value: Any) -> Array:
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"the noise of {key!r} is {value!r}", remedy="give an sd in SI units"
+        ) from None
+    size = len(key) if isinstance(key, tuple) else 0
+    if size:
+        if array.ndim not in (2, 3) or array.shape[-2:] != (size, size):
+            raise InputError(
+                f"the covariance of {key!r} has the shape {array.shape}",
+                remedy=f"give ({size}, {size}), or (N, {size}, {size}) with one per pose",
+            )
+        _check_covariance(key, array)
+    elif array.ndim > 1:
+        raise InputError(
+            f"the sd of {key!r} has the shape {array.shape}",
+            remedy="give one sd, or one per reading; a covariance belongs to a tuple of names",
+        )
+    elif np.any(array < 0) or (array.ndim == 0 and np.isnan(array)):
+        worst = float(np.min(array))
+        raise InputError(
+            f"the sd of {key!r} is {worst:.6g}; an sd cannot be negative or NaN",
+            remedy="give 0 for an exact sensor, inf for a quantity that is not measured",
+        )
+    array.setflags(write=False)
+    return array
+
+
+def _check_covariance(key: Any, array: Array) -> None:
+    scale = np.abs(array).max() or 1.0
+    if not np.all(np.isfinite(array)):
+        raise InputError(
+            f"the covariance of {key!r} contains a value that is not finite",
+            remedy="list a quantity that is not measured with the sd inf instead",
+        )
+    if np.abs(array - np.swapaxes(array, -1, -2)).max() > 1e-9 * scale:
+        raise InputError(f"the covariance of {key!r} is not symmetric", remedy="make it symmetric")
+    smallest = float(np.linalg.eigvalsh(array).min())
+    if smallest < -1e-9 * scale:
+        raise InputError(
+            f"the covariance of {key!r} has the negative eigenvalue {smallest:.6g}",
+            remedy="a covariance has no negative eigenvalue: check signs and units",
+        )
+
+
+def _check_length(key: Any, value: Array, poses: int, dimensions: int) -> None:
+    if value.ndim == dimensions and value.shape[0] != poses:
+        raise InputError(
+            f"the noise of {key!r} has {value.shape[0]} entries, the data have {poses} poses",
+            remedy="give one entry for every pose that is used, or one for all",
+        )
+
+
+def _factor(covariance: Array) -> Array:
+    """A square root of covariances, also of singular ones."""
+    values, vectors = np.linalg.eigh(covariance)
+    root: Array = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    return root

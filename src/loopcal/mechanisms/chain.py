@@ -1,0 +1,89 @@
+"""Chains of elementary transforms, the common language of all serial conventions.
+
+A step moves along or turns about one coordinate axis of the current frame by
+
+    amount = constant + parameter + direction * joint reading      [m or rad]
+
+and a chain is the product of its steps, from the instrument's frame to the tool point:
+p_instrument = S_1 S_2 ... S_n p_tool. Tz Rz means: first move along z, then turn about the new z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.expressions.vectors import rotate
+
+MOTIONS = ("tx", "ty", "tz", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One elementary transform: a translation (tx, ty, tz) or rotation (rx, ry, rz)."""
+
+    motion: str
+    parameter: str | None = None
+    joint: str | None = None
+    direction: int = 1
+    constant: float = 0.0
+
+    @property
+    def unit(self) -> str:
+        """SI unit of the amount."""
+        return "m" if self.motion[0] == "t" else "rad"
+
+    def amount(self, joints: Mapping[str, Any], parameters: Mapping[str, Any]) -> Any:
+        """constant + parameter + direction * joint, for numbers or traced values."""
+        total: Any = self.constant
+        if self.parameter is not None:
+            total = total + parameters[self.parameter]
+        if self.joint is not None:
+            reading = joints[self.joint]
+            total = total + reading if self.direction > 0 else total - reading
+        return total
+
+
+def apply(
+    steps: Sequence[Step],
+    point: NDArray[Any],
+    joints: Mapping[str, Any],
+    parameters: Mapping[str, Any],
+) -> NDArray[Any]:
+    """The point of the last frame, seen in the first: S_1 ... S_n point, from tip to base."""
+    for step in reversed(steps):
+        amount = step.amount(joints, parameters)
+        axis = step.motion[1]
+        if step.motion[0] == "r":
+            point = rotate(axis, amount, point)
+        else:
+            moved = list(point)
+            moved["xyz".index(axis)] = moved["xyz".index(axis)] + amount
+            point = np.array(moved, dtype=point.dtype)
+    return point
+
+
+def matrix(step: Step, amount: float) -> NDArray[np.float64]:
+    """The 4x4 matrix of one step."""
+    T = np.eye(4)
+    axis = step.motion[1]
+    if step.motion[0] == "t":
+        T["xyz".index(axis), 3] = amount
+    else:
+        for column, unit_vector in enumerate(np.eye(3)):
+            T[:3, column] = rotate(axis, amount, unit_vector)
+    return T
+
+
+def product(
+    steps: Sequence[Step], joints: Mapping[str, float], parameters: Mapping[str, float]
+) -> NDArray[np.float64]:
+    """The 4x4 matrix of a chain: T_first_last."""
+    T = np.eye(4)
+    for step in steps:
+        T = T @ matrix(step, float(step.amount(joints, parameters)))
+    return T

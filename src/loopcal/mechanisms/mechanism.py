@@ -1,0 +1,147 @@
+"""A mechanism: loop equations with named parameters and quantities."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, nearest
+from loopcal.expressions.tape import Tape
+from loopcal.expressions.trace import Inputs, trace
+from loopcal.mechanisms.parameters import Parameter, Parameters, declared, matching
+from loopcal.units import unit
+
+
+class Placement(Protocol):
+    """How the parameters of a mechanism change when the whole machine is moved rigidly."""
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The parameters that say where the instrument sees the machine stand."""
+
+    def moved(
+        self, values: Mapping[str, float], rotation: NDArray[np.float64], shift: NDArray[np.float64]
+    ) -> dict[str, float]:
+        """The parameter values [SI] of the machine moved by p -> rotation @ p + shift.
+
+        In a plane rotation is 2x2 and shift (2,), in space 3x3 and (3,).
+        """
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """Loop equations f(x, p) = 0 with their names, units and nominal values.
+
+    quantities, known: name -> SI unit of what is read in each pose, and of per-pose constants
+    that carry no error; parameters: the constants to be estimated; outputs: the quantities that
+    the loop predicts from the rest (the end point of an arm; may be empty); tape: the loops.
+    description: what a mechanism file says to build this mechanism, None if it was written as
+    a function; placement: how the parameters change when the machine is moved, if known.
+    """
+
+    name: str
+    tape: Tape
+    quantities: Mapping[str, str]
+    parameters: Parameters
+    outputs: tuple[str, ...] = ()
+    known: Mapping[str, str] = field(default_factory=dict)
+    description: Mapping[str, Any] | None = None
+    placement: Placement | None = None
+
+    @classmethod
+    def from_function(
+        cls,
+        function: Callable[[Inputs, Inputs], Iterable[Any]],
+        quantities: Mapping[str, str],
+        parameters: Mapping[str, tuple[float, str] | Parameter],
+        outputs: Sequence[str] = (),
+        *,
+        known: Mapping[str, str] | None = None,
+        loops: Sequence[str] | None = None,
+        name: str | None = None,
+    ) -> Mechanism:
+        """A mechanism from a plain Python function f(x, p) that is zero where the loops close.
+
+        The function is traced once (see `loopcal.expressions.trace`); x has the quantities and
+        known constants by name in SI units, p the parameters. quantities and known map names to
+        units, parameters to (nominal, unit); outputs name the quantities that the loops predict
+        from the others; loops name the equations.
+
+        >>> m = Mechanism.from_function(lambda x, p: x.a * p.gain - x.b,
+        ...     {"a": "m", "b": "m"}, {"gain": (1.0, "1")}, outputs=("b",))
+        >>> print(m.tape)
+        loop 1: x.a*p.gain - x.b = 0
+
+        Raises TraceError (an InputError) for what a tape cannot hold.
+        """
+        known = known or {}
+        _check_names([*quantities, *known], parameters)
+        tape = trace(
+            function,
+            quantities=tuple(quantities),
+            known=tuple(known),
+            parameters=tuple(parameters),
+            loops=loops,
+        )
+        return cls(
+            name or getattr(function, "__name__", "mechanism"),
+            tape,
+            {q: unit(u).si for q, u in quantities.items()},
+            declared(parameters),
+            tuple(outputs),
+            {q: unit(u).si for q, u in known.items()},
+        )
+
+    def __post_init__(self) -> None:
+        for output in self.outputs:
+            if output not in self.quantities:
+                raise InputError(
+                    f"the output {output!r} is not a quantity of the mechanism",
+                    remedy=nearest(output, self.quantities),
+                )
+        if len(set(self.outputs)) > len(self.tape.loops):
+            raise InputError(
+                f"{len(self.outputs)} outputs cannot be predicted from "
+                f"{len(self.tape.loops)} loop equations",
+                remedy="name at most as many outputs as there are loop equations",
+            )
+
+    def with_parameters(self, parameters: Parameters) -> Mechanism:
+        """The same machine with other nominal values, priors or fixed parameters."""
+        if parameters.names != self.parameters.names:
+            raise InputError(
+                "the parameters are not those of this mechanism",
+                remedy="change them with Parameters.with_nominal, with_prior, with_fixed",
+            )
+        return replace(self, parameters=parameters)
+
+    def with_nominal(self, values: Mapping[str, float]) -> Mechanism:
+        """The same machine with other nominal values [SI] for the names given."""
+        return replace(self, parameters=self.parameters.with_nominal(values))
+
+    def quantity_group(self, key: str) -> tuple[str, ...]:
+        """The quantities that a name, a glob, or the joined names of the outputs stand for."""
+        if self.outputs and key == "".join(self.outputs):
+            return self.outputs
+        return matching(key, self.quantities, "quantity")
+
+    def __repr__(self) -> str:
+        return (
+            f"<Mechanism {self.name!r}: {len(self.tape.loops)} loop equations, "
+            f"{len(self.quantities)} quantities, {len(self.parameters)} parameters>"
+        )
+
+
+def _check_names(quantities: Sequence[str], parameters: Iterable[str]) -> None:
+    for name in [*quantities, *parameters]:
+        if not name or any(c.isspace() or c in "*?[]" for c in name):
+            raise InputError(
+                f"{name!r} cannot be a name",
+                remedy="use letters, digits and underscores: names are also searched by globs",
+            )
+    if len(set(quantities)) != len(quantities):
+        raise InputError("a quantity is declared twice", remedy="name each once")

@@ -1,0 +1,144 @@
+"""Parameters of a mechanism: constants to be estimated, addressed by name, never by position."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+
+from loopcal.errors import InputError, nearest
+from loopcal.units import unit
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A constant of a mechanism.
+
+    nominal [SI], unit: the SI unit it is in; prior_sd [SI]: how well the nominal is known
+    (inf: flat, it is not used as information); fixed: not estimated.
+    """
+
+    name: str
+    nominal: float
+    unit: str
+    prior_sd: float = math.inf
+    fixed: bool = False
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.nominal):
+            raise InputError(
+                f"parameter {self.name!r} has the nominal value {self.nominal}",
+                remedy="give a finite number, the best known value of the parameter",
+            )
+        if math.isnan(self.prior_sd) or self.prior_sd < 0:
+            raise InputError(
+                f"the prior sd of {self.name!r} is {self.prior_sd}",
+                remedy="give a positive number, inf for a flat prior, or fix the parameter",
+            )
+        if self.prior_sd == 0.0 and not self.fixed:
+            object.__setattr__(self, "fixed", True)  # known exactly: nothing to estimate
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The parameters of a mechanism in the order they were declared."""
+
+    items: tuple[Parameter, ...]
+
+    def __post_init__(self) -> None:
+        seen: set[str] = set()
+        for parameter in self.items:
+            if parameter.name in seen:
+                raise InputError(
+                    f"parameter {parameter.name!r} is declared twice", remedy="name each once"
+                )
+            seen.add(parameter.name)
+
+    def __iter__(self) -> Iterator[Parameter]:
+        return iter(self.items)
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def __getitem__(self, name: str) -> Parameter:
+        for parameter in self.items:
+            if parameter.name == name:
+                return parameter
+        raise InputError(f"there is no parameter {name!r}", remedy=nearest(name, self.names))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names, in order."""
+        return tuple(p.name for p in self.items)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the parameters that are estimated, in order."""
+        return tuple(p.name for p in self.items if not p.fixed)
+
+    def matching(self, pattern: str) -> tuple[str, ...]:
+        """Names that a name or glob stands for.
+
+        Raises InputError if it stands for none.
+        """
+        return matching(pattern, self.names, "parameter")
+
+    def with_nominal(self, values: Mapping[str, float]) -> Parameters:
+        """The same parameters with other nominal values [SI] for the names given."""
+        return self._changed({n: {"nominal": float(v)} for n, v in values.items()})
+
+    def with_prior(self, sds: Mapping[str, float]) -> Parameters:
+        """The same parameters with other prior sds [SI]; keys may be globs, later ones win."""
+        changes = {
+            n: {"prior_sd": float(sd)} for key, sd in sds.items() for n in self.matching(key)
+        }
+        return self._changed(changes)
+
+    def with_fixed(self, patterns: Iterable[str], fixed: bool = True) -> Parameters:
+        """The same parameters with those named (or matched by globs) fixed, or set free."""
+        return self._changed({n: {"fixed": fixed} for key in patterns for n in self.matching(key)})
+
+    def _changed(self, changes: Mapping[str, Mapping[str, object]]) -> Parameters:
+        for name in changes:
+            self[name]  # raises for a name that is not there
+        return Parameters(
+            tuple(replace(p, **changes.get(p.name, {})) for p in self.items)  # type: ignore[arg-type]
+        )
+
+
+def matching(pattern: str, names: Iterable[str], what: str) -> tuple[str, ...]:
+    """The names that a name or a glob (*, ?, [..]) stands for, in their order.
+
+    Raises InputError naming the nearest name if it stands for none.
+    """
+    known = tuple(names)
+    if pattern in known:
+        return (pattern,)
+    found = tuple(name for name in known if fnmatchcase(name, pattern))
+    if not found:
+        raise InputError(f"no {what} is called {pattern!r}", remedy=nearest(pattern, known))
+    return found
+
+
+def declared(parameters: Mapping[str, object]) -> Parameters:
+    """Parameters from {name: (value, unit)} or {name: value [SI]} or {name: Parameter}.
+
+    Raises InputError for a value that is not a number or a unit that is not known.
+    """
+    items = []
+    for name, given in parameters.items():
+        if isinstance(given, Parameter):
+            items.append(replace(given, name=name))
+            continue
+        value, unit_name = given if isinstance(given, tuple) else (given, "1")
+        try:
+            number = float(value)  # type: ignore[arg-type]
+        except (TypeError, ValueError):
+            raise InputError(
+                f"parameter {name!r} has the value {value!r}",
+                remedy="give (value, unit), for example (0.8, 'm')",
+            ) from None
+        its = unit(str(unit_name))
+        items.append(Parameter(name, number * its.factor, its.si))
+    return Parameters(tuple(items))

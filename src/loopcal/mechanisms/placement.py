@@ -1,0 +1,135 @@
+"""Moving a machine rigidly, in terms of its own parameters.
+
+An instrument may stand anywhere, so a calibration starts by moving the nominal machine to where
+the instrument sees it. Where six base parameters hold the placement, only they change. The
+seed's minimal transitions have none: there the joint axes are moved as lines, and every
+transition's parameters are found again from where its axis pierces its plane.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.mechanisms.chain import Step, matrix, product
+
+Array = NDArray[np.float64]
+_NO_JOINTS: Mapping[str, float] = {}
+
+
+def rigid(rotation: Array, shift: Array) -> Array:
+    """The 4x4 matrix of p -> rotation @ p + shift."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation, shift
+    return T
+
+
+def yaw_pitch_roll(rotation: Array) -> tuple[float, float, float]:
+    """Angles [rad] with Rz(yaw) Ry(pitch) Rx(roll) = rotation, pitch within +-pi/2."""
+    pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
+    if abs(math.cos(pitch)) < 1e-12:  # yaw and roll turn about one axis: call it all yaw
+        return math.atan2(-rotation[0, 1], rotation[1, 1]), pitch, 0.0
+    yaw = math.atan2(rotation[1, 0], rotation[0, 0])
+    return yaw, pitch, math.atan2(rotation[2, 1], rotation[2, 2])
+
+
+@dataclass(frozen=True)
+class ChainPlacement:
+    """Placement of a serial chain; `parameters` are those that only say where it stands."""
+
+    steps: tuple[Step, ...]
+    tool: tuple[str, str, str]
+    base: bool
+    parameters: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        steps: Sequence[Step],
+        tool: tuple[str, str, str],
+        *,
+        joints_are_transitions: bool,
+        base: bool,
+    ) -> ChainPlacement | None:
+        """The placement of a chain, None where its parameters cannot express a rigid motion."""
+        if base:
+            names = tuple(s.parameter for s in steps[:6] if s.parameter)
+            return cls(tuple(steps), tool, True, names)
+        if joints_are_transitions and len([s for s in steps if s.joint]) > 1:
+            # six of the first two transitions' eight: the other two are the machine's own
+            names = tuple(s.parameter for s in steps if s.parameter)[:8]
+            second = names[4:]
+            return cls(tuple(steps), tool, False, (*names[:4], second[1], second[3]))
+        return None
+
+    def moved(self, values: Mapping[str, float], rotation: Array, shift: Array) -> dict[str, float]:
+        """The parameters of the chain moved by p -> rotation @ p + shift, both in 3D."""
+        T = rigid(rotation, shift)
+        if self.base:
+            placed = T @ product(self.steps[:6], _NO_JOINTS, values)
+            angles = yaw_pitch_roll(placed[:3, :3])
+            new = (*placed[:3, 3], *angles)
+            return dict(values) | dict(zip(self.parameters, map(float, new), strict=True))
+        return self._moved_transitions(values, T)
+
+    def _moved_transitions(self, values: Mapping[str, float], T: Array) -> dict[str, float]:
+        frame_old, frame_new, new = T, np.eye(4), dict(values)
+        zeros = {step.joint: 0.0 for step in self.steps if step.joint}
+        own: list[Step] = []
+        for step in self.steps:
+            if step.parameter is None and step.joint is None:
+                fixed = matrix(step, step.constant)
+                frame_old, frame_new = frame_old @ fixed, frame_new @ fixed
+                continue
+            frame_old = frame_old @ matrix(step, float(step.amount(zeros, values)))
+            if step.joint is None:
+                own.append(step)
+                continue
+            found = _transition(np.linalg.solve(frame_new, frame_old), own, step.motion[1])
+            new |= found
+            frame_new = frame_new @ product(own, _NO_JOINTS, found)
+            own = []
+        tip = np.array([*(values[t] for t in self.tool), 1.0])
+        return new | dict(
+            zip(self.tool, map(float, np.linalg.solve(frame_new, frame_old @ tip)[:3]), strict=True)
+        )
+
+
+def _transition(T: Array, own: Sequence[Step], axis: str) -> dict[str, float]:
+    """The four parameters that bring the axis of a frame onto that of T, all in the first frame.
+
+    The turns are about the plane's axes a, then b. Rb alone tilts the joint axis c within the
+    plane of a and c, so the component of c along a gives the second angle, the rest the first.
+    """
+    a, b = (step.motion[1] for step in own[:2])
+    i, j, k = ("xyz".index(letter) for letter in (a, b, axis))
+    point, direction = T[:3, 3], T[:3, k]
+    if abs(direction[k]) < 1e-9:
+        raise InputError(
+            f"the axis of {axis}-transition {own[0].parameter!r} lies in the plane it should pierce",
+            remedy="turn the instrument's frame by about 90 degrees (a fixed motion `before` the "
+            "first joint), so that the axis meets its plane",
+        )
+    pierced = point - direction * (point[k] / direction[k])
+    turned = _along(b, a, axis) * direction[i]
+    second = math.asin(max(-1.0, min(1.0, float(turned))))
+    rest = np.array([direction[j], direction[k]])
+    first = math.atan2(_along(a, b, axis) * rest[0], rest[1])
+    if abs(first) > math.pi / 2:  # the other branch: half a turn less about a
+        first -= math.copysign(math.pi, first)
+        second = math.copysign(math.pi, second) - second
+    names = [step.parameter for step in own]
+    numbers = (pierced[i], pierced[j], first, second)
+    return {str(n): float(v) for n, v in zip(names, numbers, strict=True)}
+
+
+def _along(turn: str, onto: str, of: str) -> float:
+    """Sign of the component along `onto` of the axis `of` turned a little about `turn`."""
+    axes = np.eye(3)
+    moved = np.cross(axes["xyz".index(turn)], axes["xyz".index(of)])
+    return float(moved["xyz".index(onto)])

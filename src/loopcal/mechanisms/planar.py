@@ -1,0 +1,90 @@
+"""The planar two-link arm of the seed (equations 4.1 and 4.2), measured by its end point."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, nearest
+from loopcal.expressions.trace import Inputs
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameter
+
+PLANAR_TWO_LINK = {
+    "xA": (0.0, "m"),
+    "yA": (0.0, "m"),
+    "l2": (0.8, "m"),
+    "l3": (0.6, "m"),
+    "phi20": (0.0, "rad"),
+    "phi30": (0.0, "rad"),
+}
+"""The six parameters with the dimensions assumed where the seed states none (table 5)."""
+
+
+@dataclass(frozen=True)
+class PlanarPlacement:
+    """Moving the arm in its plane shifts A and adds to the first joint's offset."""
+
+    parameters: tuple[str, ...] = ("xA", "yA", "phi20")
+
+    def moved(
+        self, values: Mapping[str, float], rotation: NDArray[np.float64], shift: NDArray[np.float64]
+    ) -> dict[str, float]:
+        """The parameters of the arm moved by p -> rotation @ p + shift (2x2, (2,))."""
+        corner = rotation @ np.array([values["xA"], values["yA"]]) + shift
+        turn = math.atan2(rotation[1, 0], rotation[0, 0])
+        turned = {"xA": float(corner[0]), "yA": float(corner[1]), "phi20": values["phi20"] + turn}
+        return dict(values) | turned
+
+
+def _loops(x: Inputs, p: Inputs) -> tuple[Any, Any]:
+    a = x.phi2 + p.phi20
+    b = a + x.phi3 + p.phi30
+    return (
+        p.xA + p.l2 * np.cos(a) + p.l3 * np.cos(b) - x.xP,
+        p.yA + p.l2 * np.sin(a) + p.l3 * np.sin(b) - x.yP,
+    )
+
+
+def planar_two_link(
+    nominal: Mapping[str, float | Parameter] | None = None, *, name: str = "planar two-link arm"
+) -> Mechanism:
+    """The planar two-link arm: A, two links, two joint offsets, end point P measured.
+
+    xA + l2 cos(phi2 + phi20) + l3 cos(phi2 + phi20 + phi3 + phi30) - xP = 0, and the same with
+    sin for y. Quantities xP, yP [m], phi2, phi3 [rad]; nominal: values [SI] by name.
+
+    Raises InputError for a parameter this arm does not have. Source: seed, (4.1) and (4.2).
+    """
+    nominal = nominal or {}
+    for key in nominal:
+        if key not in PLANAR_TWO_LINK:
+            remedy = nearest(key, PLANAR_TWO_LINK)
+            raise InputError(f"there is no parameter {key!r}", remedy=remedy)
+
+    def parameter(key: str, value: float, unit: str) -> Parameter:
+        given = nominal.get(key, value)
+        return given if isinstance(given, Parameter) else Parameter(key, float(given), unit)
+
+    made = Mechanism.from_function(
+        _loops,
+        quantities={"xP": "m", "yP": "m", "phi2": "rad", "phi3": "rad"},
+        parameters={key: parameter(key, *default) for key, default in PLANAR_TWO_LINK.items()},
+        outputs=("xP", "yP"),
+        loops=("xP", "yP"),
+        name=name,
+    )
+    return Mechanism(
+        name,
+        made.tape,
+        made.quantities,
+        made.parameters,
+        made.outputs,
+        description={"type": "planar-two-link"},
+        placement=PlanarPlacement(),
+    )

@@ -1,0 +1,207 @@
+"""Serial arms: joints in one of the field's conventions, seen by an instrument as a point.
+
+Each convention is a recipe for elementary steps around the joint's own motion (i: number of the
+joint from 1, for the transitions from 0):
+
+- "dh", classical Denavit and Hartenberg (1955): Rz(offset + theta) Tz(d) Tx(a) Rx(alpha);
+- "mdh", modified, Craig (1986): Rx(alpha) Tx(a) Rz(offset + theta) Tz(d);
+- "hayati", Hayati and Mirmirani (1985), for a next axis nearly parallel:
+  Rz(offset + theta) Tx(a) Rx(alpha) Ry(beta);
+- "transition-x", "-y", "-z", the seed's four parameters (chapter 5): move within the coordinate
+  plane most nearly normal to the joint axis to where it pierces it, turn about the two axes of
+  that plane, then turn by the joint about the named axis: Tx Ty Rx Ry Rz(theta) for z,
+  Tx Tz Rx Rz Ry(theta) for y, Ty Tz Ry Rz Rx(theta) for x.
+
+A prismatic joint moves along the axis about which a revolute one turns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from loopcal.errors import InputError, nearest
+from loopcal.expressions.trace import Inputs
+from loopcal.expressions.vectors import vector
+from loopcal.mechanisms.chain import MOTIONS, Step, apply
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.placement import ChainPlacement
+
+_PLANES = {"z": "xy", "y": "xz", "x": "yz"}
+BASE = ("x", "y", "z", "rz", "ry", "rx")
+"""The base's placement: T_instrument_base = Tx Ty Tz Rz Ry Rx (yaw, pitch, roll)."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint of a serial arm.
+
+    name: the quantity that is read; form: "dh", "mdh", "hayati", "transition-x", "-y" or "-z";
+    kind: "revolute" or "prismatic"; direction: +1, or -1 where the reading counts against the
+    axis; before, after: fixed, exactly known motions ({"rx": 1.57, "tz": 0.1}, in the order of
+    writing, [m, rad]) ahead of and behind this joint's own transform.
+    """
+
+    name: str
+    form: str = "dh"
+    kind: str = "revolute"
+    direction: int = 1
+    before: Mapping[str, float] = field(default_factory=dict)
+    after: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.form not in FORMS:
+            raise InputError(
+                f"joint {self.name!r} has the form {self.form!r}", remedy=nearest(self.form, FORMS)
+            )
+        if self.kind not in ("revolute", "prismatic"):
+            raise InputError(
+                f"joint {self.name!r} is of the kind {self.kind!r}",
+                remedy="give 'revolute' or 'prismatic'",
+            )
+        if self.direction not in (1, -1):
+            raise InputError(
+                f"joint {self.name!r} has the direction {self.direction!r}",
+                remedy="give 1, or -1 where the reading counts against the axis",
+            )
+        for motion in (*self.before, *self.after):
+            if motion not in MOTIONS:
+                raise InputError(
+                    f"joint {self.name!r} has the fixed motion {motion!r}",
+                    remedy=nearest(motion, MOTIONS),
+                )
+
+
+FORMS = ("dh", "mdh", "hayati", "transition-x", "transition-y", "transition-z")
+
+
+def parameter_keys(form: str) -> tuple[str, ...]:
+    """The keys of a form's parameters, in the order of the method's tables."""
+    if form.startswith("transition"):
+        a, b = _PLANES[form[-1]]
+        return (a, b, f"phi{a}", f"phi{b}")
+    return ("a", "alpha", "beta", "offset") if form == "hayati" else ("a", "d", "alpha", "offset")
+
+
+def parameter_name(form: str, key: str, number: int) -> str:
+    """Name of a parameter of the joint with this number (from 1): a_1, d_1, ...; x0, phix0, ..."""
+    return f"{key}{number - 1}" if form.startswith("transition") else f"{key}_{number}"
+
+
+def joint_steps(joint: Joint, number: int) -> list[Step]:
+    """The elementary steps of one joint."""
+
+    def named(motion: str, key: str) -> Step:
+        return Step(motion, parameter_name(joint.form, key, number))
+
+    def moving(motion: str, key: str | None = None) -> Step:
+        parameter = parameter_name(joint.form, key, number) if key else None
+        return Step(motion, parameter, joint.name, joint.direction)
+
+    revolute = joint.kind == "revolute"
+    turn = moving("rz", "offset") if revolute else named("rz", "offset")
+    slide = named("tz", "d") if revolute else moving("tz", "d")
+    match joint.form:
+        case "dh":
+            own = [turn, slide, named("tx", "a"), named("rx", "alpha")]
+        case "mdh":
+            own = [named("rx", "alpha"), named("tx", "a"), turn, slide]
+        case "hayati":
+            own = [turn, named("tx", "a"), named("rx", "alpha"), named("ry", "beta")]
+            if not revolute:
+                own.insert(1, moving("tz"))
+        case _:
+            axis = joint.form[-1]
+            a, b = _PLANES[axis]
+            own = [named(f"t{a}", a), named(f"t{b}", b)]
+            own += [named(f"r{a}", f"phi{a}"), named(f"r{b}", f"phi{b}")]
+            own.append(moving(("r" if revolute else "t") + axis))
+    fixed = [[Step(m, constant=v) for m, v in part.items()] for part in (joint.before, joint.after)]
+    return [*fixed[0], *own, *fixed[1]]
+
+
+def base_names() -> tuple[str, ...]:
+    """Names of the six parameters of the base's placement."""
+    return tuple(f"base_{key}" for key in BASE)
+
+
+def tool_names(joints: Sequence[Joint]) -> tuple[str, str, str]:
+    """Names of the tool point's coordinates: the seed's x6B, ... for transitions, else tool_x."""
+    if all(joint.form.startswith("transition") for joint in joints):
+        n = len(joints)
+        return (f"x{n}B", f"y{n}B", f"z{n}B")
+    return ("tool_x", "tool_y", "tool_z")
+
+
+def chain_steps(joints: Sequence[Joint], base: bool) -> tuple[Step, ...]:
+    """All steps of an arm, from the instrument's frame to the last link's."""
+    steps = []
+    if base:
+        motions = [f"t{key}" if len(key) == 1 else key for key in BASE]
+        steps = [Step(m, name) for m, name in zip(motions, base_names(), strict=True)]
+    for number, joint in enumerate(joints, 1):
+        steps += joint_steps(joint, number)
+    return tuple(steps)
+
+
+def serial_arm(
+    joints: Sequence[Joint],
+    nominal: Mapping[str, float | Parameter],
+    *,
+    base: bool | None = None,
+    point: tuple[str, str, str] = ("x", "y", "z"),
+    name: str = "serial arm",
+) -> Mechanism:
+    """A serial arm whose tool point an instrument measures as x, y, z in its own frame.
+
+    Loops: T_instrument_base T_1 ... T_n [tool 1]^T - [x y z 1]^T = 0 (three equations [m]).
+
+    joints from the base to the tip; nominal: values [SI] of the parameters by name, those not
+    given are 0; base: whether the base's placement in the instrument's frame is made of six
+    parameters base_x ... base_rx (default: unless all joints are transitions, whose parameters
+    hold it already); point: names of the three measured coordinates.
+
+    Raises InputError for a joint or parameter name that is not one of this arm's.
+    """
+    joints = tuple(joints)
+    if not joints:
+        raise InputError("a serial arm has no joints", remedy="list at least one joint")
+    tool = tool_names(joints)
+    base = tool[0] == "tool_x" if base is None else base
+    steps = chain_steps(joints, base)
+    units = {s.parameter: s.unit for s in steps if s.parameter} | dict.fromkeys(tool, "m")
+    for given in nominal:
+        if given not in units:
+            raise InputError(f"there is no parameter {given!r}", remedy=nearest(given, units))
+
+    def loops(x: Inputs, p: Inputs) -> list[Any]:
+        tip = vector(*(p[t] for t in tool))
+        reached = apply(steps, tip, x, p)  # type: ignore[arg-type]
+        return [reached[i] - x[point[i]] for i in range(3)]
+
+    def parameter(key: str, unit: str) -> Parameter:
+        value = nominal.get(key, 0.0)
+        return value if isinstance(value, Parameter) else Parameter(key, float(value), unit)
+
+    moving = {step.joint: step.unit for step in steps if step.joint}
+    mechanism = Mechanism.from_function(
+        loops,
+        quantities={**moving, **dict.fromkeys(point, "m")},
+        parameters={key: parameter(key, unit) for key, unit in units.items()},
+        outputs=point,
+        loops=point,
+        name=name,
+    )
+    placement = ChainPlacement.of(steps, tool, joints_are_transitions=tool[0] != "tool_x", base=base)
+    described = {"type": "serial", "base": base, "point": list(point), "joints": list(joints)}
+    return Mechanism(
+        name,
+        mechanism.tape,
+        mechanism.quantities,
+        mechanism.parameters,
+        mechanism.outputs,
+        description=described,
+        placement=placement,
+    )
