@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Cells: TypeAlias = "list[object] | list[str] | NDArray[np.float64] | pl.Series"
 
-MISSING = frozenset(("", "nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-"))
+MISSING = frozenset(("", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-"))
 _FORM = r"[+-]?(?:\d+MARK?\d*|MARK\d+)(?:[eE][+-]?\d+)?"
 _NUMBER = {mark: re.compile(_FORM.replace("MARK", f"[{mark}]"), re.ASCII) for mark in ".,"}
 _INFINITE = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
@@ -92,12 +92,12 @@ def numbers(cells: Cells, keep: NDArray[np.int64], decimal: str = ".") -> NDArra
 
 
 def mostly_numbers(cells: Cells, decimal: str = ".") -> bool:
-    """Whether a column is one of numbers: more than half of what its first rows hold is."""
+    """Whether a column is one of numbers: half of what its first rows hold, or more."""
     if isinstance(cells, np.ndarray):
         return True
     first = cells[:1000] if isinstance(cells, list) else cells.head(1000).to_list()
     here = [cell for cell in first if not is_missing(cell) and cell == cell]
-    return 2 * sum(is_number(cell, decimal) for cell in here) > len(here)
+    return 2 * sum(is_number(cell, decimal) for cell in here) >= len(here) > 0
 
 
 def ids(cells: Cells) -> tuple[str, ...]:

@@ -109,14 +109,14 @@ def recognise(
     if not best.several and stated:
         _check_fits(best, best_of(_DELIMITERS), rows, name)
     cells = [_cells(row, best.delimiter, name) for row in rows]
-    titled = (
-        is_header(cells, best.decimal, f"{name}, row {rows[0].number}")
-        if header is None
-        else header
-    )
-    names = tuple(_without_empty_end(cells[0])) if titled else ()
+    first = rows[0]
+    if header is None:
+        header = is_header(cells, best.decimal, f"{name}, row {first.number}")
+    names = tuple(_without_empty_end(cells[0])) if header else ()
+    if header:
+        _check_header(names, [_without_empty_end(row) for row in cells[1:]], first, name)
     width = len(names) or _width(cells)
-    return Dialect(best.delimiter, best.decimal, names, rows[0].number if names else 0, width)
+    return Dialect(best.delimiter, best.decimal, names, first.number if names else 0, width)
 
 
 def _check_stated(delimiter: str | None, decimal: str | None, name: str) -> None:
@@ -152,7 +152,7 @@ def _try(rows: list[Row], delimiter: str, decimal: str) -> _Trial:
         return _Trial(delimiter, decimal, 0.0, 0.0, False, False)
     body = cells[1:] or cells
     lengths = [len(row) for row in body]
-    width = max(set(lengths), key=lambda length: (lengths.count(length), length))
+    width = max(set(lengths), key=lambda n: (lengths.count(n), n == len(cells[0]), n))
     even = [row for row in body if len(row) == width]
     good = sum(is_missing(c) or is_number(c, decimal) for row in even for c in row)
     return _Trial(
@@ -199,6 +199,16 @@ def is_header(cells: Sequence[Sequence[object]], decimal: str, place: str) -> bo
         place=f"{place}, column {text[0] + 1}",
         remedy="state header = true or header = false, or correct the cell",
     )
+
+
+def _check_header(names: tuple[str, ...], body: list[list[str]], row: Row, name: str) -> None:
+    if body and all(len(cells) > len(names) for cells in body):
+        raise InputError(
+            f"the header names {len(names)} columns ({row.line.strip()[:60]!r}), the rows below "
+            f"it have {len(body[0])}",
+            place=f"{name}, row {row.number}",
+            remedy="name every column, start a line that is no data with #, or state the delimiter",
+        )
 
 
 def _width(cells: list[list[str]]) -> int:
