@@ -28,7 +28,7 @@ def write_atomic(path: str | Path, data: str | bytes) -> None:
     it cannot be written.
     """
     path = Path(os.path.realpath(path))
-    if path.exists() and not path.is_file() and not path.is_dir():
+    if os.path.exists(path) and not path.is_file() and not path.is_dir():
         try:
             path.write_bytes(_bytes(data))
         except OSError as error:

@@ -93,7 +93,7 @@ def numbers(cells: Cells, keep: NDArray[np.int64], decimal: str = ".") -> NDArra
 
 def mostly_numbers(cells: Cells, decimal: str = ".") -> bool:
     """Whether a column is one of numbers: half of what its first rows hold, or more."""
-    if isinstance(cells, np.ndarray):
+    if isinstance(cells, np.ndarray) or (not isinstance(cells, list) and cells.dtype.is_numeric()):
         return True
     first = cells[:1000] if isinstance(cells, list) else cells.head(1000).to_list()
     here = [cell for cell in first if not is_missing(cell) and cell == cell]

@@ -1,0 +1,105 @@
+"""Parquet: values exactly, nulls as missing, only the columns asked for."""
+
+from __future__ import annotations
+
+import datetime
+from decimal import Decimal
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from loopcal.errors import InputError
+from loopcal.files.dataset_readers import read_dataset
+from loopcal.files.parquet import read_parquet
+
+
+@pytest.fixture
+def path(tmp_path):
+    path = tmp_path / "arm.parquet"
+    frame = pl.DataFrame(
+        {
+            "pose": [11, 12, 13],
+            "x": [0.1, None, 1 / 3],
+            "n": [1, 2, None],
+            "text": ["1.5", "n/a", "2,5"],
+            "note": ["good", "windy", "3"],
+            "d": [Decimal("1.25"), None, None],
+            "flag": [True, None, False],
+            "when": [None, datetime.date(2024, 5, 17), None],
+            "none": [None, None, None],
+        }
+    )
+    frame.write_parquet(path)
+    return path
+
+
+def test_numbers_nulls_and_ids(path):
+    columns = {"x": "x", "n": "n", "d": "d"}
+    data = read_dataset(path, columns, pose="pose", units={"x": "mm"})
+    np.testing.assert_array_equal(data["x"], np.array([0.1, np.nan, 1 / 3]) * 1e-3)
+    np.testing.assert_array_equal(data["n"], [1, 2, np.nan])
+    np.testing.assert_array_equal(data["d"], [1.25, np.nan, np.nan])
+    assert data.poses == ("11", "12", "13")
+    assert data.exclude([11]).place(0, "n") == "arm.parquet, row 2, column 'n'"
+
+
+@settings(max_examples=25)
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=False), min_size=1, max_size=20))
+def test_values_come_back_exactly(tmp_path_factory, values):
+    path = tmp_path_factory.mktemp("parquet") / "a.parquet"
+    pl.DataFrame({"x": values}).write_parquet(path)
+    table = read_parquet(path)
+    found = table.numbers(0, np.arange(len(values)))
+    np.testing.assert_array_equal(found, values)
+
+
+def test_only_the_columns_asked_for_are_read(path):
+    assert list(read_parquet(path, wanted={"x", 1}).columns) == [0, 1]
+    data = read_dataset(path, every=2, exclude=[3], units={"x": "mm"})
+    assert data.quantities == ("pose", "x", "n", "text", "d")
+
+
+def test_text_is_read_by_the_rule_of_text(path):
+    with pytest.raises(InputError, match=r"arm.parquet, row 3, column 'text': '2,5'"):
+        read_dataset(path, {"t": "text"})
+    np.testing.assert_array_equal(
+        read_dataset(path, {"t": "text"}, exclude=[3])["t"], [1.5, np.nan]
+    )
+
+
+@pytest.mark.parametrize(
+    ("columns", "parts"),
+    [
+        ({"q": "X"}, ["arm.parquet", "no column 'X'", "'pose', 'x'"]),
+        ({"q": "flag"}, ["row 1, column 'flag'", "'True'"]),
+        ({"q": "when"}, ["row 2, column 'when'", "'2024-05-17'"]),
+    ],
+)
+def test_wrong_columns(path, columns, parts):
+    with pytest.raises(InputError) as caught:
+        read_dataset(path, columns)
+    for part in parts:
+        assert part in str(caught.value)
+
+
+def test_a_column_of_nothing_is_all_missing(path):
+    assert np.isnan(read_dataset(path, {"q": "none"})["q"]).all()
+
+
+@pytest.mark.parametrize("keep", [0, 3, 200, -4])
+def test_broken_files(path, keep):
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(InputError) as caught:
+        read_dataset(path)
+    assert "arm.parquet" in str(caught.value)
+    assert ("empty" if not keep else "no Parquet file") in str(caught.value)
+
+
+def test_a_file_without_rows(tmp_path):
+    path = tmp_path / "none.parquet"
+    pl.DataFrame({"x": []}, schema={"x": pl.Float64}).write_parquet(path)
+    with pytest.raises(InputError, match=r"none.parquet: the file is empty"):
+        read_dataset(path)
