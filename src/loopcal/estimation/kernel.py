@@ -92,7 +92,7 @@ def whiten(values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened
     forward(L, D[:, skip:], rows[:-1])
     forward(L, misclosure[None], rows[-1:])
     new = np.zeros_like(correction)
-    new[measured] = _unload(G, rows[-1], noise)
+    new[measured] = unload(G, rows[-1], noise)
     if skip:
         step = new[measured] - now
         remainder = f[:skip] + np.einsum("kmb,kb->mb", J[:, :skip], step)
@@ -134,7 +134,7 @@ def _loadings(J: Array, noise: BlockNoise) -> Array:
     return G
 
 
-def _unload(G: Array, E: Array, noise: BlockNoise) -> Array:
+def unload(G: Array, E: Array, noise: BlockNoise) -> Array:
     """correction = S Q E, (k', b), from orthonormal rows G = Q^T."""
     normalised = np.einsum("rkb,rb->kb", G, E)
     sd = noise.sd if len(noise.measured) == len(noise.sd) else noise.sd[list(noise.measured)]

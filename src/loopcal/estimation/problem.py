@@ -136,7 +136,11 @@ def _known_constants(mechanism: Mechanism, dataset: Dataset) -> Array:
     for name in mechanism.tape.known:
         values = dataset.readings.get(name)
         if values is None or np.isnan(values).any():
-            which = "none" if values is None else f"pose {dataset.poses[int(np.argmax(np.isnan(values)))]!r} lacks it"
+            which = (
+                "none"
+                if values is None
+                else f"pose {dataset.poses[int(np.argmax(np.isnan(values)))]!r} lacks it"
+            )
             raise InputError(
                 f"the known constant {name!r} must be there in every pose ({which})",
                 remedy="name its column, or exclude the poses without it",

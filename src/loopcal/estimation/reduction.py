@@ -18,7 +18,7 @@ from loopcal.estimation.kernel import Whitened
 Array = NDArray[np.float64]
 RANK_TOLERANCE = 1e-10
 """Directions with a singular value this much below the largest are not determined."""
-WELL_CONDITIONED = 1e5
+WELL_CONDITIONED = 1e4
 """Up to this scaled condition number normal equations lose nothing that iterating cannot mend."""
 
 
@@ -118,7 +118,9 @@ def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
     precision = 1.0 / prior_sd
     if data.triangular:
         rows = [data.total]
-        rows.append(np.column_stack([np.diag(precision), np.where(precision, offset, 0) * precision]))
+        rows.append(
+            np.column_stack([np.diag(precision), np.where(precision, offset, 0) * precision])
+        )
         R = np.linalg.qr(np.vstack(rows), mode="r")
         n = len(prior_sd)
         scale = _scale(np.sqrt(np.square(R[:, :n]).sum(axis=0)))

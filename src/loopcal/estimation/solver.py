@@ -32,6 +32,7 @@ Progress = Callable[[int, float, float], None]
 RELATIVE_STEP = 1e-6
 """Converged when the next step is this small beside the sds that the residuals suggest; close to
 the solution every iteration gains several digits, so what is left is far smaller still."""
+_MOST_DAMPING = 1e6
 _FAR = 100.0
 """Whitened residuals this large (mean square): the loops need not be closed yet."""
 _ONCE, _NEAR, _CLOSED = np.inf, 0.1, 1e-9
@@ -163,40 +164,51 @@ class _Solver:
         return _Point(parameters, sweep, np.inf if bad else merit, system, closing)
 
     def _advance(self, current: _Point, damping: float) -> tuple[_Point | None, float]:
-        """The next accepted point, or None where no step lowers the merit."""
-        assert current.spectrum is not None
-        while damping < 1e10:
+        """The next accepted point with the damping to go on with; None: no step lowers the merit."""
+        while damping < _MOST_DAMPING:
             system = current.spectrum
+            assert system is not None
             predicted = system.predicted(damping)
             parameters = current.parameters.copy()
             parameters[self.problem.free] += system.step(damping)
-            far = predicted > _FAR * self.problem.equations
-            # The last steps are taken with closed loops, so that the point they end at is final.
-            last = predicted <= self._limit(current.merit, slack=1e10)
-            start = current.sweep.corrections if far else current.sweep.proposal
-            trial = self._evaluate(
-                parameters, start, None if far else _CLOSED if last else _ONCE
-            )
-            if self._worth(current, trial, predicted):
-                return trial, 0.0 if damping < 1e-8 else damping / 10
-            if not last:
-                trial = self._evaluate(parameters, start, _NEAR)
-                if self._worth(current, trial, predicted):
-                    return trial, damping
+            trial = self._try(current, parameters, predicted)
+            weakest = float(np.square(system.singular_values[system.kept].min(initial=1.0)))
+            if trial is not None:
+                gain = (current.merit - trial.merit) / predicted if predicted > 0 else 1.0
+                if gain < 0.25:
+                    return trial, max(4 * damping, 0.1 * weakest)
+                damping = damping / 10 if gain > 0.75 else damping
+                return trial, damping if damping > 1e-3 * weakest else 0.0
             if current.closed in (None, _ONCE):
                 closed = self._evaluate(current.parameters, current.sweep.proposal, _NEAR)
                 if np.isfinite(closed.merit) and closed.spectrum is not None:
                     current = closed
                     continue
                 current = replace(current, closed=_NEAR)
-            damping = max(10 * damping, 1e-6)
+            damping = max(10 * damping, 0.1 * weakest)
         return None, damping
+
+    def _try(self, current: _Point, parameters: Array, predicted: float) -> _Point | None:
+        """The point at these parameters if its merit falls as it should, else None."""
+        far = predicted > _FAR * self.problem.equations
+        # The last steps are taken with closed loops, so that the point they end at is final.
+        last = predicted <= self._limit(current.merit, slack=1e10)
+        start = current.sweep.corrections if far else current.sweep.proposal
+        closings = [None, _NEAR] if far else [_CLOSED] if last else [_ONCE, _NEAR]
+        for closing in closings:
+            trial = self._evaluate(parameters, start, closing)
+            if self._worth(current, trial, predicted):
+                return trial
+        return None
 
     def _worth(self, current: _Point, trial: _Point, predicted: float) -> bool:
         if not np.isfinite(trial.merit) or trial.spectrum is None:
             return False
-        rounding = 1e-13 * current.merit + self.floor
-        return current.merit - trial.merit >= 1e-3 * predicted - rounding
+        # Each of many residuals E carries a rounding d, so the merit wavers by about 2 |E| |d|.
+        wavering = 4 * np.sqrt(current.merit * self.floor) + 1e-13 * current.merit
+        if predicted <= wavering:
+            return trial.spectrum.decrement <= 2 * predicted
+        return current.merit - trial.merit >= 1e-3 * predicted - wavering
 
     def _settled(self, point: _Point) -> bool:
         """Whether the next step is nothing beside the sds that the residuals suggest."""

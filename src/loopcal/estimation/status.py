@@ -15,6 +15,10 @@ REASONS = {
         "nominal values and units, scale sds that differ by many orders of magnitude, or give "
         "weakly determined parameters a prior sd."
     ),
+    "diverged": (
+        'The undamped iteration ran away. Use method "implicit-loop", which damps its steps, '
+        "or start nearer."
+    ),
     "cannot_close": (
         "Some loops cannot be closed by correcting the readings. Check the poses named, "
         "and whether every loop contains a quantity with an sd above zero."
@@ -26,7 +30,7 @@ REASONS = {
 class Status:
     """How a fit ended.
 
-    reason: one of "converged", "max_iterations", "stalled", "cannot_close"; message: cause and
+    reason: one of the keys of REASONS; message: cause and
     remedy; iterations: parameter steps tried; evaluations: loop evaluations per pose.
     """
 

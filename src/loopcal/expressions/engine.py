@@ -174,7 +174,9 @@ def engine_for(tape: Tape, parameters: tuple[str, ...], size: int) -> NumpyEngin
 
     Made once and kept, because binding the registers takes longer than a small block.
     """
-    kept: dict[tuple[Tape, tuple[str, ...], int], NumpyEngine] = _engines.__dict__.setdefault("kept", {})
+    kept: dict[tuple[Tape, tuple[str, ...], int], NumpyEngine] = _engines.__dict__.setdefault(
+        "kept", {}
+    )
     key = (tape, parameters, size)
     if key not in kept:
         if len(kept) > 32:

@@ -194,7 +194,9 @@ def serial_arm(
         loops=point,
         name=name,
     )
-    placement = ChainPlacement.of(steps, tool, joints_are_transitions=tool[0] != "tool_x", base=base)
+    placement = ChainPlacement.of(
+        steps, tool, joints_are_transitions=tool[0] != "tool_x", base=base
+    )
     described = {"type": "serial", "base": base, "point": list(point), "joints": list(joints)}
     return Mechanism(
         name,

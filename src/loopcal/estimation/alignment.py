@@ -1,0 +1,82 @@
+"""Where the instrument sees the machine stand: the best rigid motion between two point sets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.problem import Problem
+from loopcal.mechanisms.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RigidMotion:
+    """p -> rotation @ p + shift; rms: of what it leaves [m]."""
+
+    rotation: Array
+    shift: Array
+    rms: float
+
+
+def align(points: Array, targets: Array) -> RigidMotion:
+    """The rotation and shift that bring points (d, N) nearest to targets (d, N), d = 2 or 3.
+
+    Least squares by singular values; columns with NaN are left out. Source: Kabsch (1976),
+    Umeyama (1991). Raises InputError if fewer than d points are left, or they coincide.
+    """
+    good = np.isfinite(points).all(axis=0) & np.isfinite(targets).all(axis=0)
+    P, T = points[:, good], targets[:, good]
+    d = len(points)
+    if P.shape[1] < d:
+        raise InputError(
+            f"{P.shape[1]} measured points are too few to place the instrument",
+            remedy=f"measure at least {d} points, or start from the nominal placement",
+        )
+    centre_p, centre_t = P.mean(axis=1), T.mean(axis=1)
+    U, s, Vt = np.linalg.svd((T - centre_t[:, None]) @ (P - centre_p[:, None]).T)
+    if s[d - 2] <= 1e-9 * max(float(s[0]), 1e-300):
+        raise InputError(
+            "the measured points lie on a line or coincide, so they do not show how the "
+            "instrument stands",
+            remedy="measure poses that spread in space, or start from the nominal placement",
+        )
+    signs = np.ones(d)
+    signs[-1] = np.sign(np.linalg.det(U @ Vt))  # a rotation, not a reflection
+    R = (U * signs) @ Vt
+    shift = centre_t - R @ centre_p
+    left = R @ P + shift[:, None] - T
+    return RigidMotion(R, shift, float(np.sqrt(np.square(left).sum(axis=0).mean())))
+
+
+def can_be_placed(mechanism: Mechanism) -> bool:
+    """Whether the start may be moved: all placement parameters are free and have flat priors."""
+    if mechanism.placement is None:
+        return False
+    its = [mechanism.parameters[name] for name in mechanism.placement.parameters]
+    return all(not p.fixed and np.isinf(p.prior_sd) for p in its)
+
+
+def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
+    """The nominal machine moved to where the instrument sees it.
+
+    Raises InputError if the mechanism cannot say how its parameters change with its placement.
+    """
+    mechanism = problem.mechanism
+    if mechanism.placement is None or len(mechanism.outputs) not in (2, 3):
+        raise InputError(
+            f"the mechanism {mechanism.name!r} cannot be placed by aligning points",
+            remedy='start from the nominal parameters (fit.start = "nominal")',
+        )
+    rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
+    measured = np.where(np.isinf(problem.uncertainty.sd[rows]), np.nan, problem.readings[rows])
+    computed = predict_outputs(mechanism, problem.start, problem.readings, problem.known)
+    motion = align(computed, measured)
+    values = dict(zip(mechanism.parameters.names, problem.start.tolist(), strict=True))
+    moved = mechanism.placement.moved(values, motion.rotation, motion.shift)
+    return mechanism.with_nominal(moved), motion

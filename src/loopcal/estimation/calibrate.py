@@ -1,0 +1,258 @@
+"""Calibration: a mechanism, its readings and what is known of their noise, to a result."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, nearest
+from loopcal.estimation.alignment import can_be_placed, placed
+from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.problem import BLOCK, Problem, build_problem
+from loopcal.estimation.reduction import spectrum, undetermined
+from loopcal.estimation.result import (
+    Accuracy,
+    ChiSquared,
+    Identifiability,
+    NoiseEntry,
+    Result,
+    Undetermined,
+    frozen,
+)
+from loopcal.estimation.seed_iteration import iterate_undamped
+from loopcal.estimation.solver import Progress, Solution, solve
+from loopcal.expressions.engine import engine_for
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.prior import Prior
+
+Array = NDArray[np.float64]
+METHODS = ("implicit-loop", "least-squares", "implicit-loop-undamped")
+STARTS = ("auto", "align", "nominal")
+
+
+def calibrate(
+    mechanism: Mechanism,
+    data: Dataset,
+    *,
+    noise: Noise | None = None,
+    prior: Prior | None = None,
+    method: str = "implicit-loop",
+    start: str | Mapping[str, float] = "auto",
+    max_iterations: int = 100,
+    progress: Progress | None = None,
+) -> Result:
+    """Calibrate a mechanism from readings.
+
+    method "implicit-loop" finds the parameters of maximum likelihood while every loop closes:
+    minimise sum_i c_i^T Sigma^-1 c_i + (p - nominal)^T Sigma_p^-1 (p - nominal) over parameters
+    p and corrections c_i subject to f(reading_i + c_i, p) = 0 (Wampler, Hollerbach and Arai
+    1995; seed 3.7 to 3.30). "least-squares" takes the readings as exact and minimises the sum
+    of squared loop values (seed 3.1 to 3.6), without noise or prior. "implicit-loop-undamped"
+    is the seed's own iteration, for study.
+
+    start: "nominal"; "align" moves the nominal machine rigidly to where the instrument sees it;
+    "auto" aligns a spatial machine whose placement parameters are free with flat priors; or
+    parameter values [SI] by name. Angles rad, lengths m throughout.
+
+    Raises InputError for input that cannot be used; a fit that does not converge is returned,
+    with its status saying so.
+    """
+    if method not in METHODS:
+        raise InputError(f"there is no method {method!r}", remedy=nearest(method, METHODS))
+    if noise is None and method != "least-squares":
+        raise InputError(
+            f"the method {method!r} needs to know how uncertain the readings are",
+            remedy="give noise=Noise({...}) with an sd for every quantity, "
+            'or use method="least-squares"',
+        )
+    if prior is not None:
+        mechanism = mechanism.with_parameters(prior.apply(mechanism.parameters))
+    exact = method == "least-squares"
+    problem = _started(mechanism, data, None if exact else noise, start)
+    if method == "implicit-loop-undamped":
+        solution = iterate_undamped(problem, max_iterations=max_iterations)
+    else:
+        solution = solve(problem, exact=exact, max_iterations=max_iterations, progress=progress)
+    return _result(method, problem, solution, data)
+
+
+def _started(
+    mechanism: Mechanism, data: Dataset, noise: Noise | None, start: str | Mapping[str, float]
+) -> Problem:
+    if not isinstance(start, str):
+        for name in start:
+            mechanism.parameters[name]  # raises for a name that is not there
+        return build_problem(mechanism, data, noise, start)
+    if start not in STARTS:
+        raise InputError(f"there is no start {start!r}", remedy=nearest(start, STARTS))
+    problem = build_problem(mechanism, data, noise)
+    spatial = len(mechanism.outputs) == 3
+    if start == "align" or (start == "auto" and spatial and can_be_placed(mechanism)):
+        moved, _ = placed(problem)
+        return build_problem(moved, data, noise)
+    return problem
+
+
+def _result(method: str, problem: Problem, solution: Solution, data: Dataset) -> Result:
+    mechanism, exact = problem.mechanism, method == "least-squares"
+    names = mechanism.parameters.names
+    system = solution.spectrum
+    finite = 0 if exact else int(np.isfinite(problem.prior_sd).sum())
+    freedom = problem.equations + finite - system.rank
+    merit = solution.chi_squared
+    covariance = system.covariance()
+    if exact:
+        covariance = covariance * (merit / freedom if freedom > 0 else math.inf)
+    identifiability = _identifiability(problem, solution)
+    loose = {n for u in identifiability.not_identifiable for n in u.combination}
+    sd: dict[str, float | None] = dict.fromkeys(names)
+    for i, name in enumerate(problem.names):
+        sd[name] = math.inf if name in loose else math.sqrt(max(float(covariance[i, i]), 0.0))
+    chi = None
+    if not exact:
+        chi = ChiSquared(merit, freedom, _p_value(merit, freedom), _ratio(merit, freedom))
+    quantities = mechanism.tape.quantities
+    corrections = solution.sweep.corrections
+    sds = np.broadcast_to(problem.uncertainty.sd, corrections.shape)
+    result = Result(
+        method=method,
+        status=solution.status,
+        mechanism=mechanism,
+        value=MappingProxyType(dict(zip(names, map(float, solution.parameters), strict=True))),
+        sd=MappingProxyType(sd),
+        estimated=problem.names,
+        covariance=covariance,
+        chi_squared=chi,
+        noise=() if exact else _noise_entries(problem),
+        corrections=frozen({q: corrections[i].copy() for i, q in enumerate(quantities)}),
+        reading_sds=frozen({q: sds[i].copy() for i, q in enumerate(quantities)}),
+        residuals_before=_residuals(problem, problem.start, 0.0),
+        residuals_after=_residuals(problem, solution.parameters, corrections),
+        accuracy_before=_accuracy(problem, problem.start),
+        accuracy_after=_accuracy(problem, solution.parameters, corrections),
+        identifiability=identifiability,
+        dataset=data,
+    )
+    return replace(result, warnings=_warnings(result))
+
+
+def _p_value(chi_squared: float, freedom: int) -> float | None:
+    from scipy.special import chdtrc
+
+    return float(chdtrc(freedom, chi_squared)) if freedom > 0 else None
+
+
+def _ratio(chi_squared: float, freedom: int) -> float | None:
+    return chi_squared / freedom if freedom > 0 else None
+
+
+def _identifiability(problem: Problem, solution: Solution) -> Identifiability:
+    system = solution.spectrum
+    flat = np.full(len(problem.free), np.inf)
+    alone = spectrum(solution.sweep.data, np.zeros(len(problem.free)), flat)
+    directions = undetermined(system, problem.names)
+    condition = system.condition
+    return Identifiability(
+        system.rank,
+        len(problem.free),
+        alone.rank,
+        condition if system.rank == len(problem.free) and math.isfinite(condition) else None,
+        tuple(Undetermined(MappingProxyType(c), _in_words(c)) for c in directions),
+    )
+
+
+def _in_words(combination: Mapping[str, float]) -> str:
+    names = [repr(name) for name in combination]
+    if len(names) == 1:
+        return f"{names[0]} has no effect that these poses could show"
+    listed = ", ".join(names[:-1]) + f" and {names[-1]}"
+    return f"{listed} cannot be told apart by these poses"
+
+
+def _noise_entries(problem: Problem) -> tuple[NoiseEntry, ...]:
+    entries = []
+    for i, quantity in enumerate(problem.mechanism.tape.quantities):
+        row = np.broadcast_to(problem.uncertainty.sd[i], len(problem.poses))
+        measured = row[np.isfinite(row)]
+        if measured.size:
+            unit = problem.mechanism.quantities[quantity]
+            source = problem.uncertainty.sources[i]
+            entries.append(NoiseEntry((quantity,), unit, float(np.median(measured)), None, source))
+    return tuple(entries)
+
+
+def _residuals(
+    problem: Problem, parameters: Array, corrections: Array | float
+) -> Mapping[str, Array]:
+    """Loop values with these corrections; unmeasured quantities stay where the fit left them."""
+    tape = problem.mechanism.tape
+    out = np.empty((len(tape.loops), len(problem.poses)))
+    engine = engine_for(tape, (), min(BLOCK, len(problem.poses)))
+    engine.at(parameters)
+    x = problem.readings + corrections
+    for _, poses in problem.blocks():
+        out[:, poses] = engine.evaluate(x[:, poses], problem.known[:, poses]).f
+    return frozen({loop: out[i].copy() for i, loop in enumerate(tape.loops)})
+
+
+def _accuracy(
+    problem: Problem, parameters: Array, corrections: Array | None = None
+) -> Accuracy | None:
+    """Computed minus measured outputs; quantities that no sensor reads come from the loops."""
+    mechanism = problem.mechanism
+    units = {mechanism.quantities[q] for q in mechanism.outputs}
+    if len(units) != 1:
+        return None
+    rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
+    differences = np.full((len(rows), len(problem.poses)), np.nan)
+    for pattern in problem.patterns:
+        if set(pattern.unmeasured) & set(rows):
+            continue  # nothing was measured that the prediction could be compared with
+        x = problem.readings[:, pattern.poses]
+        if corrections is not None and pattern.unmeasured:
+            x = x.copy()
+            x[list(pattern.unmeasured)] += corrections[list(pattern.unmeasured)][:, pattern.poses]
+        known = problem.known[:, pattern.poses]
+        computed = predict_outputs(mechanism, parameters, x, known, pattern.unmeasured)
+        differences[:, pattern.poses] = computed - problem.readings[rows][:, pattern.poses]
+    return Accuracy.of(differences, units.pop())
+
+
+def _warnings(result: Result) -> tuple[str, ...]:
+    words = []
+    for loose in result.identifiability.not_identifiable:
+        words.append(
+            f"Not identifiable: {loose.words}. They were moved as little as possible; fix one of "
+            "them, give it a prior sd, or measure other poses."
+        )
+    chi = result.chi_squared
+    if chi is not None and chi.p_value is not None and chi.variance_factor is not None:
+        if chi.p_value < 1e-3 and chi.variance_factor > 1.0:
+            words.append(_too_large(chi))
+        elif chi.p_value > 0.999 and chi.variance_factor < 0.8:
+            words.append(
+                f"Chi-squared per degree of freedom is {chi.variance_factor:.2g}: the readings "
+                "scatter less than their stated sds, which are too large."
+            )
+    return tuple(words)
+
+
+def _too_large(chi: ChiSquared) -> str:
+    assert chi.variance_factor is not None
+    factor = chi.variance_factor
+    text = f"{factor:.0f}" if factor >= 10 else f"{factor:.2g}"
+    times = math.sqrt(factor)
+    return (
+        f"Chi-squared per degree of freedom is {text}: the corrections are about {times:.2g} times "
+        "as large as the stated sds allow, so these sds cannot be right. Either the sensors are "
+        "worse than stated, or the machine model lacks something real (a model error). The sd of "
+        "every parameter below is too small in that case, and a closed loop is no sign of "
+        "accuracy: compare the accuracy lines instead."
+    )

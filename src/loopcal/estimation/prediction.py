@@ -1,0 +1,52 @@
+"""What a mechanism predicts: its outputs from all other readings, by closing the loops."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.kernel import eliminate
+from loopcal.estimation.problem import BLOCK
+from loopcal.expressions.engine import engine_for
+from loopcal.mechanisms.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+_MOST = 50
+
+
+def predict_outputs(
+    mechanism: Mechanism,
+    parameters: Array,
+    readings: Array,
+    known: Array,
+    also: tuple[int, ...] = (),
+) -> Array:
+    """The outputs (o, N) [SI] that close the loops at these parameters; NaN where none do.
+
+    parameters: (n_all,); readings: (k, N), with start values for the outputs; known: (c, N);
+    also: positions of further quantities that are found rather than read. Newton's method on
+    f(x, p) = 0, by least squares where there are more loops than unknowns.
+    """
+    wanted = [mechanism.tape.quantities.index(name) for name in mechanism.outputs]
+    unknown = list(dict.fromkeys([*wanted, *also]))
+    out = np.empty((len(wanted), readings.shape[1]))
+    engine = engine_for(mechanism.tape, (), min(BLOCK, max(readings.shape[1], 1)))
+    engine.at(parameters)
+    for begin in range(0, readings.shape[1], BLOCK):
+        part = slice(begin, begin + BLOCK)
+        x = np.array(readings[:, part])
+        before = np.inf
+        for _ in range(_MOST):
+            values = engine.evaluate(x, known[:, part])
+            reflections = eliminate(values.by_quantity[unknown])
+            step = reflections.solve(reflections.apply(values.f)[: len(unknown)])
+            x[unknown] -= step
+            size = float(np.abs(step[np.isfinite(step)]).max(initial=0.0))
+            if size <= 1e-12 or (size <= 1e-6 and size >= 0.5 * before):
+                break
+            before = size
+        # least-squares closings leave the rest of the loops open: only the step tells
+        lost = ~(np.abs(step) <= 1e-6).all(axis=0)
+        x[:, lost] = np.nan
+        out[:, part] = x[wanted]
+    return out

@@ -1,0 +1,179 @@
+"""What a calibration found, and how far it can be believed: small frozen values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.status import Status
+from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ChiSquared:
+    """The weighted square of all corrections and of the parameters' distance from their nominal.
+
+    With the right sds it follows a chi-squared distribution with that many degrees of freedom
+    (loop equations + finite priors - determined parameters). variance_factor is their ratio.
+    p_value: probability of a value at least this large if model and sds are right.
+    """
+
+    value: float
+    degrees_of_freedom: int
+    p_value: float | None
+    variance_factor: float | None
+
+
+@dataclass(frozen=True)
+class Closure:
+    """Size of the loop equations' values [SI] over all poses."""
+
+    rms: float
+    max: float
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Distances between computed and measured outputs [unit] over the poses that have both.
+
+    The computed output comes from the other readings alone, without corrections.
+    """
+
+    unit: str
+    mean: float
+    rms: float
+    p95: float
+    max: float
+    poses: int
+
+    @classmethod
+    def of(cls, differences: Array, unit: str) -> Accuracy | None:
+        """From differences (o, N); poses with a missing value do not count."""
+        distances = np.sqrt(np.square(differences).sum(axis=0))
+        distances = distances[np.isfinite(distances)]
+        if not distances.size:
+            return None
+        return cls(
+            unit,
+            float(distances.mean()),
+            float(np.sqrt(np.square(distances).mean())),
+            float(np.percentile(distances, 95)),
+            float(distances.max()),
+            int(distances.size),
+        )
+
+
+@dataclass(frozen=True)
+class NoiseEntry:
+    """The sd [SI unit] used for one or several quantities; median where it differs by reading."""
+
+    quantities: tuple[str, ...]
+    unit: str
+    sd: float
+    sd_of_sd: float | None
+    source: str
+
+
+@dataclass(frozen=True)
+class Undetermined:
+    """A direction in which neither data nor prior say anything: {parameter: share}, and words."""
+
+    combination: Mapping[str, float]
+    words: str
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What can be told from these poses.
+
+    rank: directions determined by data and prior, of `parameters` estimated ones; data_rank: by
+    the data alone; condition_number: largest over smallest singular value of the column-scaled
+    system, None if singular.
+    """
+
+    rank: int
+    parameters: int
+    data_rank: int
+    condition_number: float | None
+    not_identifiable: tuple[Undetermined, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The result of a calibration. Values are SI; mappings go by name.
+
+    mechanism: the nominal one, placed where the instrument sees it; value, sd: of every
+    parameter (sd None if fixed, inf if not identifiable); covariance: (n, n) of the estimated
+    ones in the order of `estimated`; corrections: quantity -> (N,) estimated true value minus
+    reading; residuals_before, residuals_after: loop -> (N,) values of the loop equations;
+    accuracy is None where the mechanism has no outputs, or outputs of several units.
+    """
+
+    method: str
+    status: Status
+    mechanism: Mechanism
+    value: Mapping[str, float]
+    sd: Mapping[str, float | None]
+    estimated: tuple[str, ...]
+    covariance: Array
+    chi_squared: ChiSquared | None
+    noise: tuple[NoiseEntry, ...]
+    corrections: Mapping[str, Array]
+    reading_sds: Mapping[str, Array]
+    residuals_before: Mapping[str, Array]
+    residuals_after: Mapping[str, Array]
+    accuracy_before: Accuracy | None
+    accuracy_after: Accuracy | None
+    identifiability: Identifiability
+    dataset: Dataset
+    warnings: tuple[str, ...] = ()
+    errors: Mapping[str, float] | None = None
+
+    @property
+    def calibrated(self) -> Mechanism:
+        """The mechanism with the calibrated values as its nominal ones."""
+        return self.mechanism.with_nominal(self.value)
+
+    @property
+    def closure_before(self) -> Closure:
+        """Loop values at the readings and the start parameters."""
+        return _closure(self.residuals_before)
+
+    @property
+    def closure_after(self) -> Closure:
+        """Loop values at the corrected readings and the calibrated parameters."""
+        return _closure(self.residuals_after)
+
+    def __str__(self) -> str:
+        from loopcal.estimation.summary import summary
+
+        return summary(self)
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        return f"<pre>{escape(str(self))}</pre>"
+
+    def __repr__(self) -> str:
+        state = "converged" if self.status.converged else self.status.reason
+        return f"<Result: {self.method}, {state}, {len(self.estimated)} parameters>"
+
+
+def _closure(residuals: Mapping[str, Array]) -> Closure:
+    values = np.array(list(residuals.values()))
+    values = values[np.isfinite(values)]
+    return Closure(float(np.sqrt(np.square(values).mean())), float(np.abs(values).max()))
+
+
+def frozen(values: Mapping[str, Array]) -> Mapping[str, Array]:
+    """A read-only mapping of read-only arrays."""
+    for array in values.values():
+        array.setflags(write=False)
+    return MappingProxyType(dict(values))
