@@ -83,7 +83,7 @@ cell = st.one_of(finite.map(repr), st.sampled_from((*NUMBERS, *MISSING, *INFINIT
     st.lists(st.tuples(cell, cell, st.integers().map(str)), min_size=2, max_size=30),
     st.sampled_from([";", "\t"]),
     st.sampled_from([".", ","]),
-    st.sampled_from(["", "# a comment", ";;", "2"]),
+    st.sampled_from(["", "# a comment", ";;", " ;\t; ", ",,", "   ", "2", "%"]),
 )
 def test_the_fast_way_reads_what_the_careful_way_reads(rows, delimiter, decimal, odd):
     lines = ["a;b;c", *(";".join(row) for row in rows)]

@@ -30,7 +30,6 @@ from loopcal.files.table import Table
 
 LARGE = 1_000_000  # bytes from which on loading polars pays
 _SAMPLE = 1 << 16
-_SUSPECT_STARTS = b"\n \t,;#%"  # a line that begins with none of these holds data
 
 
 def read_delimited(
@@ -147,8 +146,9 @@ def _fast(text: Text, dialect: Dialect) -> Table | None:
 def _plain(body: bytes, dialect: Dialect) -> tuple[bytes, NDArray[np.int64]]:
     """The rows of data alone, and their numbers in the file."""
     first = dialect.header_row + 1
-    suspect = body[:1] in _SUSPECT_STARTS or any(
-        bytes((10, start)) in body for start in _SUSPECT_STARTS
+    starts = {"\n", " ", "\t", dialect.delimiter}  # of lines that may hold nothing
+    suspect = body[:1].decode("latin-1") in starts or any(
+        part in body for part in (b"#", b"%", *(f"\n{start}".encode() for start in starts))
     )
     if dialect.delimiter != WHITESPACE and not suspect:
         number = body.count(b"\n") + (not body.endswith(b"\n"))
