@@ -61,12 +61,14 @@ class Whitened:
     @property
     def D(self) -> Array:
         """Whitened derivatives by the parameters, (n, r, b)."""
-        return self.rows[:-1]
+        part: Array = self.rows[:-1]
+        return part
 
     @property
     def E(self) -> Array:
         """Whitened misclosure, (r, b)."""
-        return self.rows[-1]
+        part: Array = self.rows[-1]
+        return part
 
 
 def whiten(values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened:

@@ -37,14 +37,14 @@ class Accumulator:
         """Add a block's equations."""
         rows = block.rows.reshape(len(block.rows), -1)
         if self.triangular:
-            self.total = np.linalg.qr(np.vstack([self.total, rows.T]), mode="r")
+            self.total = _triangle(self.total, rows.T)
         else:
             self.total += rows @ rows.T
 
     def add_other(self, other: Accumulator) -> None:
         """Add what another accumulator of the same kind has gathered."""
         if self.triangular:
-            self.total = np.linalg.qr(np.vstack([self.total, other.total]), mode="r")
+            self.total = _triangle(self.total, other.total)
         else:
             self.total += other.total
 
@@ -116,24 +116,25 @@ class Spectrum:
 def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
     """The spectrum of data and prior: offset = nominal - current value, prior_sd may be inf."""
     precision = 1.0 / prior_sd
+    known = np.where(precision, offset, 0.0) * precision
+    n = len(prior_sd)
     if data.triangular:
-        rows = [data.total]
-        rows.append(
-            np.column_stack([np.diag(precision), np.where(precision, offset, 0) * precision])
-        )
-        R = np.linalg.qr(np.vstack(rows), mode="r")
-        n = len(prior_sd)
+        R = _triangle(data.total, np.column_stack([np.diag(precision), known]))
         scale = _scale(np.sqrt(np.square(R[:, :n]).sum(axis=0)))
         U, s, Vt = np.linalg.svd(R[:n, :n] * scale)
         return Spectrum(scale, Vt.T, s, U.T @ R[:n, n])
-    n = len(prior_sd)
     H = data.total[:n, :n] + np.diag(np.square(precision))
-    g = data.total[:n, n] + np.where(precision, offset, 0) * np.square(precision)
+    g = data.total[:n, n] + known * precision
     scale = _scale(np.sqrt(np.diag(H)))
     values, vectors = np.linalg.eigh(H * scale * scale[:, None])
     s = np.sqrt(np.maximum(values, 0.0))
     b = vectors.T @ (scale * g)
     return Spectrum(scale, vectors, s, np.where(s > 0, b / np.where(s > 0, s, 1.0), 0.0))
+
+
+def _triangle(above: Array, below: Array) -> Array:
+    """R of the QR decomposition of two stacked blocks of rows."""
+    return np.asarray(np.linalg.qr(np.vstack([above, below]), mode="r"), dtype=np.float64)
 
 
 def _scale(lengths: Array) -> Array:

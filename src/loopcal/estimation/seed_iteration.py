@@ -37,7 +37,8 @@ def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution
     parameters = problem.start.copy()
     corrections = np.zeros_like(problem.readings)
     reason, iteration = "max_iterations", 0
-    for iteration in range(1, max_iterations + 1):
+    while reason == "max_iterations" and iteration < max_iterations:
+        iteration += 1
         offset = problem.nominal - parameters[problem.free]
         data, steps, proposals = _linearised(sweeper, parameters, corrections)
         if not np.all(np.isfinite(data.total)):
@@ -53,7 +54,6 @@ def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution
         corrections = new
         if max(moved, shifted) <= TOLERANCE * max(1.0, np.abs(corrections / sd).max()):
             reason = "converged"
-            break
     sweep = sweeper.sweep(parameters, corrections)
     offset = problem.nominal - parameters[problem.free]
     end = spectrum(sweep.data, offset, problem.prior_sd)

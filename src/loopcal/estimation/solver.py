@@ -114,7 +114,9 @@ class _Solver:
                 current = self._evaluate(current.parameters, current.sweep.proposal, _CLOSED)
                 if current.spectrum is None:
                     return self._give_up(first, current, "cannot_close")
-                continue
+                if self._settled(current):
+                    continue
+            assert current.spectrum is not None
             if self.iterations >= max_iterations:
                 return self._give_up(first, current, "max_iterations")
             self.iterations += 1
@@ -164,7 +166,7 @@ class _Solver:
         return _Point(parameters, sweep, np.inf if bad else merit, system, closing)
 
     def _advance(self, current: _Point, damping: float) -> tuple[_Point | None, float]:
-        """The next accepted point with the damping to go on with; None: no step lowers the merit."""
+        """The next accepted point, None where no step lowers the merit; and the damping then."""
         while damping < _MOST_DAMPING:
             system = current.spectrum
             assert system is not None
@@ -208,7 +210,7 @@ class _Solver:
         wavering = 4 * np.sqrt(current.merit * self.floor) + 1e-13 * current.merit
         if predicted <= wavering:
             return trial.spectrum.decrement <= 2 * predicted
-        return current.merit - trial.merit >= 1e-3 * predicted - wavering
+        return bool(current.merit - trial.merit >= 1e-3 * predicted - wavering)
 
     def _settled(self, point: _Point) -> bool:
         """Whether the next step is nothing beside the sds that the residuals suggest."""

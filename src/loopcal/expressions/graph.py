@@ -68,9 +68,9 @@ class Graph:
     ) -> Node | None:
         match name:
             case "add" | "sub":
-                return self._simplify_sum(name, *arguments, *values)  # type: ignore[arg-type]
+                return self._simplify_sum(name, *arguments, *values)
             case "mul":
-                return self._simplify_product(*arguments, *values)  # type: ignore[arg-type]
+                return self._simplify_product(*arguments, *values)
             case "div" if values[1] == 1.0 or values[0] == 0.0:
                 return arguments[0]
             case "neg":

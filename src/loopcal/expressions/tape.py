@@ -69,7 +69,8 @@ class Tape:
         names: list[frozenset[str]] = []
         for name, payload in self.operations:
             if name in LEAVES:
-                names.append(frozenset() if name == "constant" else {self._input(name, payload)})
+                own = () if name == "constant" else (self._input(name, payload),)
+                names.append(frozenset(own))
             else:
                 names.append(frozenset().union(*(names[int(a)] for a in payload)))
         return tuple(frozenset(names[output]) for output in self.outputs)

@@ -139,7 +139,7 @@ class Scalar:
             remedy="use np.sin instead of math.sin, and no float(), int() or round()",
         )
 
-    __int__ = __index__ = __complex__ = __float__  # type: ignore[assignment]
+    __int__ = __index__ = __complex__ = __float__
 
     def __bool__(self) -> bool:
         _refuse_branch()

@@ -133,8 +133,8 @@ def _row(name: str, sds: Mapping[str, Array], dataset: Dataset) -> Array:
     if name not in sds:
         raise InputError(f"no sd is stated for the quantity {name!r}", remedy=remedy)
     row = np.asarray(sds[name], dtype=float)
-    without = np.flatnonzero(np.isnan(row)) if row.ndim else []
-    if len(without):
+    without = np.flatnonzero(np.isnan(np.atleast_1d(row)))
+    if row.ndim and without.size:
         raise InputError(
             f"{len(without)} readings of {name!r} have no sd, the first at pose "
             f"{dataset.poses[without[0]]!r}",

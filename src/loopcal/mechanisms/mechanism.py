@@ -88,7 +88,7 @@ class Mechanism:
             loops=loops,
         )
         return cls(
-            name or getattr(function, "__name__", "mechanism"),
+            name or str(getattr(function, "__name__", "mechanism")),
             tape,
             {q: unit(u).si for q, u in quantities.items()},
             declared(parameters),

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from typing import Any
 
 from loopcal.errors import InputError, nearest
 from loopcal.units import unit
@@ -99,12 +100,10 @@ class Parameters:
         """The same parameters with those named (or matched by globs) fixed, or set free."""
         return self._changed({n: {"fixed": fixed} for key in patterns for n in self.matching(key)})
 
-    def _changed(self, changes: Mapping[str, Mapping[str, object]]) -> Parameters:
+    def _changed(self, changes: Mapping[str, Mapping[str, Any]]) -> Parameters:
         for name in changes:
             self[name]  # raises for a name that is not there
-        return Parameters(
-            tuple(replace(p, **changes.get(p.name, {})) for p in self.items)  # type: ignore[arg-type]
-        )
+        return Parameters(tuple(replace(p, **changes.get(p.name, {})) for p in self.items))
 
 
 def matching(pattern: str, names: Iterable[str], what: str) -> tuple[str, ...]:
@@ -133,7 +132,7 @@ def declared(parameters: Mapping[str, object]) -> Parameters:
             continue
         value, unit_name = given if isinstance(given, tuple) else (given, "1")
         try:
-            number = float(value)  # type: ignore[arg-type]
+            number = float(value)
         except (TypeError, ValueError):
             raise InputError(
                 f"parameter {name!r} has the value {value!r}",

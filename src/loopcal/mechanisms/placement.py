@@ -90,7 +90,8 @@ class ChainPlacement:
             if step.joint is None:
                 own.append(step)
                 continue
-            found = _transition(np.linalg.solve(frame_new, frame_old), own, step.motion[1])
+            between = np.asarray(np.linalg.solve(frame_new, frame_old), dtype=np.float64)
+            found = _transition(between, own, step.motion[1])
             new |= found
             frame_new = frame_new @ product(own, _NO_JOINTS, found)
             own = []
@@ -111,7 +112,7 @@ def _transition(T: Array, own: Sequence[Step], axis: str) -> dict[str, float]:
     point, direction = T[:3, 3], T[:3, k]
     if abs(direction[k]) < 1e-9:
         raise InputError(
-            f"the axis of {axis}-transition {own[0].parameter!r} lies in the plane it should pierce",
+            f"the {axis} axis after {own[0].parameter!r} lies in the plane that it should pierce",
             remedy="turn the instrument's frame by about 90 degrees (a fixed motion `before` the "
             "first joint), so that the axis meets its plane",
         )

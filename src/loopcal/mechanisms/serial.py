@@ -80,7 +80,7 @@ FORMS = ("dh", "mdh", "hayati", "transition-x", "transition-y", "transition-z")
 def parameter_keys(form: str) -> tuple[str, ...]:
     """The keys of a form's parameters, in the order of the method's tables."""
     if form.startswith("transition"):
-        a, b = _PLANES[form[-1]]
+        a, b = tuple(_PLANES[form[-1]])
         return (a, b, f"phi{a}", f"phi{b}")
     return ("a", "alpha", "beta", "offset") if form == "hayati" else ("a", "d", "alpha", "offset")
 
@@ -114,7 +114,7 @@ def joint_steps(joint: Joint, number: int) -> list[Step]:
                 own.insert(1, moving("tz"))
         case _:
             axis = joint.form[-1]
-            a, b = _PLANES[axis]
+            a, b = tuple(_PLANES[axis])
             own = [named(f"t{a}", a), named(f"t{b}", b)]
             own += [named(f"r{a}", f"phi{a}"), named(f"r{b}", f"phi{b}")]
             own.append(moving(("r" if revolute else "t") + axis))
