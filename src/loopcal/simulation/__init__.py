@@ -1,0 +1,1 @@
+"""Readings that a mechanism would give: poses, true values, and noise of a known seed."""

@@ -1,0 +1,57 @@
+"""Where the driven quantities of a simulation stand: on a grid, or anywhere within ranges."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loopcal.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+def grid_poses(values: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """Every combination of the values of each quantity, the last one changing fastest.
+
+    >>> grid_poses({"phi2": [0.0, 1.0], "phi3": [5.0, 6.0]})["phi3"]
+    array([5., 6., 5., 6.])
+    """
+    axes = np.meshgrid(*(np.asarray(v, dtype=float) for v in values.values()), indexing="ij")
+    return {name: axis.ravel() for name, axis in zip(values, axes, strict=True)}
+
+
+def random_poses(
+    ranges: Mapping[str, tuple[float, float]], number: int, *, seed: int
+) -> dict[str, Array]:
+    """So many poses, each quantity uniform and independent within its range [SI].
+
+    The same seed gives the same poses, and a simulation with that seed draws its noise apart
+    from them. Raises InputError for a range that is not one.
+    """
+    if number < 1:
+        raise InputError(f"{number} poses are asked for", remedy="ask for one pose at least")
+    for name, (low, high) in ranges.items():
+        if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+            raise InputError(
+                f"the range of {name!r} goes from {low:.6g} to {high:.6g}",
+                remedy="give two finite numbers, the smaller one first",
+            )
+    draws = stream(seed, "poses").random((len(ranges), number))
+    return {
+        name: low + (high - low) * draw
+        for (name, (low, high)), draw in zip(ranges.items(), draws, strict=True)
+    }
+
+
+def stream(seed: int, use: str) -> np.random.Generator:
+    """The random numbers of one use ("poses" or "noise") of a seed: PCG64, independent streams.
+
+    Raises InputError unless the seed is a whole number from 0 on.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"the seed is {seed!r}", remedy="give a whole number, 0 or more")
+    children = np.random.SeedSequence(int(seed)).spawn(2)
+    return np.random.Generator(np.random.PCG64(children[("poses", "noise").index(use)]))

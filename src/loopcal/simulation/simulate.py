@@ -1,0 +1,157 @@
+"""Simulation: what the sensors of a mechanism with known parameters would read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loopcal.errors import InputError, nearest
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise, ReadingUncertainty, resolve_noise
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.simulation.closing import close_loops
+from loopcal.simulation.poses import stream
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Simulation:
+    """Readings with noise, and the truth behind them.
+
+    dataset: what the sensors read; parameters: every true parameter by name [SI]; quantities:
+    true value (N,) [SI] of every quantity, without noise; seed: of the noise.
+    """
+
+    dataset: Dataset
+    parameters: Mapping[str, float]
+    quantities: Mapping[str, Array]
+    seed: int
+
+    def __repr__(self) -> str:
+        return f"<Simulation: {len(self.dataset)} poses, seed {self.seed}>"
+
+
+def simulate(
+    mechanism: Mechanism,
+    readings: Mapping[str, ArrayLike] | Dataset | Any,
+    *,
+    noise: Noise,
+    seed: int,
+    truth: Mapping[str, float] | None = None,
+    start: Mapping[str, ArrayLike] | None = None,
+) -> Simulation:
+    """Readings of a mechanism in given poses, with noise of a known seed.
+
+    readings: true values of the driven quantities and known constants, as a dict of (N,) arrays
+    [SI], any DataFrame or a Dataset. The outputs, and whatever is not given, follow from closing
+    the loops f(x, p) = 0 at the true parameters p: the nominal ones, replaced by those in
+    `truth` [SI]. Outputs that are given only say where that search starts, as `start` does for
+    other quantities (one value, or one per pose).
+
+    reading = true value + sd * z, z standard normal and independent, drawn by PCG64 from the
+    seed in the order of the mechanism's quantities, whatever the sds: another sd scales the same
+    draw. A full covariance takes its square root for the sd. With sd 0 the reading is the truth,
+    with sd inf there is none (NaN).
+
+    >>> from loopcal.mechanisms.planar import planar_two_link
+    >>> exact = Noise({"*": 0.0})
+    >>> made = simulate(planar_two_link(), {"phi2": [0.0], "phi3": [0.0]}, noise=exact, seed=1)
+    >>> made.dataset["xP"]
+    array([1.4])
+
+    Raises InputError for names that are not the mechanism's, values that are missing, and poses
+    whose loops cannot close.
+    """
+    driven = readings if isinstance(readings, Dataset) else Dataset.from_arrays(readings)
+    parameters = _true_parameters(mechanism, truth or {})
+    x, unknown = _values(mechanism, driven, start or {})
+    known = _known(mechanism, driven)
+    true = close_loops(
+        mechanism, np.array(list(parameters.values())), x, known, unknown, driven.poses
+    )
+    quantities = dict(zip(mechanism.tape.quantities, true, strict=True))
+    constants = dict(zip(mechanism.tape.known, known, strict=True))
+    units = {**mechanism.quantities, **mechanism.known}
+    exact = Dataset(
+        {**quantities, **constants},
+        units,
+        driven.poses,
+        # no sd beside a lost reading: it is lost in the simulation too
+        {q: np.where(np.isnan(sd), np.inf, sd) for q, sd in driven.sds.items() if q in quantities},
+    )
+    uncertainty = resolve_noise(noise, exact, mechanism.tape.quantities, mechanism.quantity_group)
+    noisy = true + _draw(uncertainty, true.shape, seed)
+    dataset = exact.with_readings(
+        dict(zip(mechanism.tape.quantities, noisy, strict=True)), units=mechanism.quantities
+    )
+    for values in quantities.values():
+        values.setflags(write=False)
+    return Simulation(
+        dataset, MappingProxyType(parameters), MappingProxyType(quantities), int(seed)
+    )
+
+
+def _true_parameters(mechanism: Mechanism, truth: Mapping[str, float]) -> dict[str, float]:
+    parameters = mechanism.parameters.with_nominal(truth)
+    return {parameter.name: parameter.nominal for parameter in parameters}
+
+
+def _values(
+    mechanism: Mechanism, driven: Dataset, start: Mapping[str, ArrayLike]
+) -> tuple[Array, list[str]]:
+    """All quantities (k, N), start values where they are to be found, and which these are."""
+    names = mechanism.tape.quantities
+    for key in [*driven.quantities, *start]:
+        if key not in (*names, *mechanism.tape.known):
+            raise InputError(
+                f"{key!r} is no quantity of {mechanism.name!r}",
+                remedy=nearest(key, [*names, *mechanism.tape.known]),
+            )
+    x = np.zeros((len(names), len(driven)))
+    unknown = []
+    for row, name in zip(x, names, strict=True):
+        given: ArrayLike | None = driven.readings.get(name)
+        found = name in mechanism.outputs or given is None
+        if found:
+            unknown.append(name)
+        values = np.asarray(start.get(name, 0.0) if given is None else given, dtype=float)
+        missing = np.isnan(np.broadcast_to(values, row.shape))
+        if missing.any() and not found:
+            raise InputError(
+                f"the driven quantity {name!r} has no value at pose "
+                f"{driven.poses[int(np.argmax(missing))]!r}",
+                remedy="give its true value in every pose, or leave the quantity out altogether "
+                "where the loops can say what it is",
+            )
+        row[:] = np.where(missing, 0.0, values)
+    return x, unknown
+
+
+def _known(mechanism: Mechanism, driven: Dataset) -> Array:
+    rows = [driven[name] for name in mechanism.tape.known]
+    for name, row in zip(mechanism.tape.known, rows, strict=True):
+        if np.isnan(row).any():
+            raise InputError(
+                f"the known constant {name!r} has no value at pose "
+                f"{driven.poses[int(np.argmax(np.isnan(row)))]!r}",
+                remedy="give its value in every pose",
+            )
+    return np.array(rows).reshape(len(rows), len(driven))
+
+
+def _draw(uncertainty: ReadingUncertainty, shape: tuple[int, ...], seed: int) -> Array:
+    """One draw of the noise (k, N) [SI]; NaN where a quantity is not read."""
+    z = stream(seed, "noise").standard_normal(shape)
+    noise = np.where(np.isinf(uncertainty.sd), np.nan, z)
+    noise *= np.where(np.isinf(uncertainty.sd), 1.0, uncertainty.sd)
+    for block in uncertainty.blocks:
+        rows = list(block.indices)
+        subscripts = "cd,db->cb" if block.factor.ndim == 2 else "bcd,db->cb"
+        noise[rows] = np.einsum(subscripts, block.factor, z[rows])
+    return noise
