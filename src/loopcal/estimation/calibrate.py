@@ -232,6 +232,8 @@ def _warnings(result: Result) -> tuple[str, ...]:
             f"Not identifiable: {loose.words}. They were moved as little as possible; fix one of "
             "them, give it a prior sd, or measure other poses."
         )
+    if result.mechanism.placement is not None:
+        words += result.mechanism.placement.advice(result.value)
     chi = result.chi_squared
     if chi is not None and chi.p_value is not None and chi.variance_factor is not None:
         if chi.p_value < 1e-3 and chi.variance_factor > 1.0:

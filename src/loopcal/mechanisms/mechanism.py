@@ -31,6 +31,9 @@ class Placement(Protocol):
         In a plane rotation is 2x2 and shift (2,), in space 3x3 and (3,).
         """
 
+    def advice(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """What is wrong with describing the machine by these values [SI], and the remedy."""
+
 
 @dataclass(frozen=True)
 class Mechanism:

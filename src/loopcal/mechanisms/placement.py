@@ -19,6 +19,8 @@ from loopcal.errors import InputError
 from loopcal.mechanisms.chain import Step, matrix, product
 
 Array = NDArray[np.float64]
+FLAT = 0.3
+"""Sine of the angle between an axis and its plane below which a transition is a poor choice."""
 _NO_JOINTS: Mapping[str, float] = {}
 
 
@@ -77,6 +79,22 @@ class ChainPlacement:
             return dict(values) | dict(zip(self.parameters, map(float, new), strict=True))
         return self._moved_transitions(values, T)
 
+    def advice(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """Warns of transitions whose axis meets its plane at a flat angle."""
+        if self.base:
+            return ()
+        own: list[Step] = []
+        words = []
+        for step in self.steps:
+            if step.joint is None and step.parameter is not None:
+                own.append(step)
+            elif step.joint is not None:
+                steepness = abs(math.prod(math.cos(values[str(s.parameter)]) for s in own[2:]))
+                if steepness < FLAT:
+                    words.append(_flat_words(step, own, steepness))
+                own = []
+        return tuple(words)
+
     def _moved_transitions(self, values: Mapping[str, float], T: Array) -> dict[str, float]:
         frame_old, frame_new, new = T, np.eye(4), dict(values)
         zeros = {step.joint: 0.0 for step in self.steps if step.joint}
@@ -99,6 +117,16 @@ class ChainPlacement:
         return new | dict(
             zip(self.tool, map(float, np.linalg.solve(frame_new, frame_old @ tip)[:3]), strict=True)
         )
+
+
+def _flat_words(step: Step, own: Sequence[Step], steepness: float) -> str:
+    names = [repr(s.parameter) for s in own]
+    return (
+        f"The axis of {step.joint!r} meets the plane it should pierce at only "
+        f"{math.degrees(math.asin(steepness)):.0f} degrees, so {names[0]} and {names[1]} grow out of "
+        "proportion and the fit is ill-conditioned. Give the first joint a fixed motion, such as "
+        "before = { rz = 90 } in degrees, or describe the arm with a base."
+    )
 
 
 def _transition(T: Array, own: Sequence[Step], axis: str) -> dict[str, float]:

@@ -41,6 +41,10 @@ class PlanarPlacement:
         turned = {"xA": float(corner[0]), "yA": float(corner[1]), "phi20": values["phi20"] + turn}
         return dict(values) | turned
 
+    def advice(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """Nothing: the arm's parameters serve at every placement."""
+        return ()
+
 
 def _loops(x: Inputs, p: Inputs) -> tuple[Any, Any]:
     a = x.phi2 + p.phi20
