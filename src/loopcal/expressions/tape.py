@@ -110,8 +110,8 @@ class Tape:
         written = []
         for place, argument in enumerate(payload):
             text, binding = texts[int(argument)]
-            # a - (b - c) and a / (b / c) need their brackets, a + b + c and functions do not
-            tighter = operation.binding + (name in _RIGHT_BRACKETS and place == operation.arity - 1)
+            # a - (b - c) and (a ** b) ** c need their brackets, a + b + c and functions do not
+            tighter = operation.binding + (place in _BRACKETS.get(name, ()))
             inside_function = operation.binding == _ATOM
             written.append(text if inside_function or binding >= tighter else f"({text})")
         return operation.text.format(*written), operation.binding
@@ -153,7 +153,8 @@ class Tape:
 
 
 _ATOM = 4
-_RIGHT_BRACKETS = ("sub", "div", "neg", "pow")
+_BRACKETS = {"sub": (1,), "div": (1,), "neg": (0,), "pow": (0, 1)}
+"""Which arguments are bracketed also where they bind as tightly as the operation itself."""
 _TABLES = ("quantities", "known", "parameters", "loops")
 _REWRITE = "write it again with Tape.to_data()"
 

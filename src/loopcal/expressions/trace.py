@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, SupportsIndex
 
 import numpy as np
 
@@ -34,6 +34,9 @@ _METHODS = ("sin", "cos", "tan", "arcsin", "arccos", "arctan", "sqrt", "square",
 _NO_BRANCH = (
     "a loop is traced once, so it cannot branch on a value; write it as one formula, "
     "for example with np.abs, np.hypot or np.arctan2, or make two mechanisms"
+)
+_NO_STEP = (
+    "a step has no derivative; angles need no wrapping, for sin and cos do not mind whole turns"
 )
 
 
@@ -113,10 +116,20 @@ class Scalar:
     def __abs__(self) -> Any:
         return self._apply("abs", self)
 
+    def hypot(self, other: Any) -> Any:
+        """np.hypot of object arrays calls this for each element."""
+        return self._apply("hypot", self, other)
+
+    def arctan2(self, other: Any) -> Any:
+        """np.arctan2 of object arrays calls this for each element."""
+        return self._apply("arctan2", self, other)
+
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         name = ufunc.__name__
         if name in _COMPARISONS:
             _refuse_branch()
+        if name in _STEPS:
+            _refuse_step()
         if method != "__call__" or options or name not in _UFUNCS:
             raise TraceError(
                 f"np.{name} cannot be recorded on a tape",
@@ -141,6 +154,12 @@ class Scalar:
 
     __int__ = __index__ = __complex__ = __float__
 
+    def _stepped(self, *other: Any) -> Any:
+        _refuse_step()
+
+    __round__ = __floor__ = __ceil__ = __trunc__ = _stepped
+    __mod__ = __rmod__ = __floordiv__ = __rfloordiv__ = __divmod__ = __rdivmod__ = _stepped
+
     def __bool__(self) -> bool:
         _refuse_branch()
         return False
@@ -161,12 +180,17 @@ class Scalar:
 
 _COMPARISONS = (
     "less", "less_equal", "greater", "greater_equal", "equal", "not_equal",
-    "maximum", "minimum", "fmax", "fmin", "sign", "floor", "ceil", "rint",
+    "maximum", "minimum", "fmax", "fmin", "sign",
 )  # fmt: skip
+_STEPS = ("floor", "ceil", "rint", "trunc", "remainder", "fmod", "floor_divide", "divmod")
 
 
 def _refuse_branch() -> None:
     raise TraceError("a traced value is compared with another", remedy=_NO_BRANCH)
+
+
+def _refuse_step() -> None:
+    raise TraceError("a traced value is rounded or wrapped", remedy=_NO_STEP)
 
 
 def _zero_d(value: Any) -> bool:
@@ -204,15 +228,22 @@ class Inputs:
     def __getattr__(self, name: str) -> Scalar:
         return self[name]
 
-    def __getitem__(self, key: str | int) -> Scalar:
-        if isinstance(key, int):
-            return list(self._scalars.values())[key]
-        if key not in self._scalars:
+    def __getitem__(self, key: str | SupportsIndex) -> Scalar:
+        if isinstance(key, str):
+            if key not in self._scalars:
+                raise TraceError(
+                    f"the loop uses {self._what} {key!r}, which is not declared",
+                    remedy=nearest(key, self._scalars),
+                )
+            return self._scalars[key]
+        everything = list(self._scalars.values())
+        try:
+            return everything[key]
+        except (IndexError, TypeError):
             raise TraceError(
-                f"the loop uses {self._what} {key!r}, which is not declared",
-                remedy=nearest(key, self._scalars),
-            )
-        return self._scalars[key]
+                f"the loop uses {self._what} number {key!r} of {len(everything)}",
+                remedy="use a name, or a whole number from 0 on",
+            ) from None
 
     def __iter__(self) -> Iterator[Scalar]:
         return iter(self._scalars.values())
