@@ -8,6 +8,7 @@ free of singularities at parallel axes.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
@@ -31,14 +32,22 @@ NOMINAL = {
 
 
 def motoman_ma1400(
-    nominal: Mapping[str, float | Parameter] | None = None, *, name: str = "Motoman MA1400"
+    nominal: Mapping[str, float | Parameter] | None = None,
+    *,
+    before: Mapping[str, float] | None = None,
+    name: str = "Motoman MA1400",
 ) -> Mechanism:
     """The MA1400 arm with the seed's 27 parameters; joints theta_1 to theta_6, point x, y, z.
 
-    nominal: values [SI] by name that replace the drawing's. Source: seed, chapter 5.
+    nominal: values [SI] by name that replace the drawing's; before: fixed motions ahead of the
+    first joint, as a `Joint` takes them, say {"rz": pi / 2} for an instrument that sees the arm
+    turned so far that x1 and y3 would run away. Source: seed, chapter 5.
     """
     joints = [
         Joint(f"theta_{i}", f"transition-{axis}", direction=direction)
         for i, (axis, direction) in enumerate(zip(AXES, DIRECTIONS, strict=True), 1)
     ]
-    return serial_arm(joints, {**NOMINAL, **(nominal or {})}, name=name)
+    joints[0] = replace(joints[0], before=dict(before or {}))
+    made = serial_arm(joints, {**NOMINAL, **(nominal or {})}, name=name)
+    described = {"type": "motoman-ma1400", "before": joints[0].before}
+    return replace(made, description=described)

@@ -1,0 +1,227 @@
+"""Project files (TOML): one calibration as it is written, resolved into our own types."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from loopcal.errors import InputError, nearest
+from loopcal.files.columns import Column
+from loopcal.files.mechanism_file import Loops, mechanism_from_data, read_mechanism
+from loopcal.files.noise_entries import NoiseSpec, noise_spec
+from loopcal.files.parameter_entries import changed, in_si
+from loopcal.files.place import Place
+from loopcal.files.simulation_entries import SimulationSpec, simulation_spec
+from loopcal.files.toml_reader import checked_schema, read_toml, shown, toml_data
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.units import unit
+
+if TYPE_CHECKING:
+    from loopcal.files.project_schema import DataEntry, ProjectModel, SdEntry
+
+_VARIABLE = re.compile(r"\$\{(\w+)\}")
+
+
+@dataclass(frozen=True)
+class DataSpec:
+    """Where the readings are; see `project_data.load_dataset`.
+
+    file: as written, relative to the project's folder; columns: quantity -> its column;
+    sd_at_least: quantity -> smallest sd [SI] to believe; options: of `read_dataset`.
+    """
+
+    file: str
+    columns: Mapping[str, Column]
+    sd_at_least: Mapping[str, float] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FitSpec:
+    """How to fit: see `calibrate`. require_identifiable: else the result is not trusted."""
+
+    method: str = "implicit-loop"
+    start: str = "auto"
+    max_iterations: int = 100
+    require_identifiable: bool = False
+
+
+@dataclass(frozen=True)
+class Project:
+    """One calibration, SI throughout.
+
+    path: of the file, None for standard input; folder: to which its paths are relative;
+    mechanism: with the nominal values, priors and fixed parameters of the project; data and
+    simulation: None where the project has no such table; inputs: the file as read, as plain
+    data (inf as a text, for JSON knows no such number).
+    """
+
+    title: str
+    path: Path | None
+    folder: Path
+    mechanism: Mechanism
+    data: DataSpec | None
+    noise: NoiseSpec
+    fit: FitSpec
+    simulation: SimulationSpec | None
+    inputs: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        """How messages call the project."""
+        return shown(self.path or "-")
+
+
+def read_project(
+    path: str | Path,
+    *,
+    text: str | bytes | None = None,
+    mechanism: Loops | Mechanism | None = None,
+) -> Project:
+    """The project of a file; "-" is standard input, or `text`, with paths from where we stand.
+
+    mechanism: the loops f(x, p) that a project of the type "function" declares, or a whole
+    mechanism for a project that describes none.
+
+    Raises InputError, naming file and key, for all that cannot be read or does not fit.
+    """
+    from loopcal.files.model import validated
+    from loopcal.files.project_schema import ProjectModel
+
+    place = Place(shown(path))
+    data = read_toml(path) if text is None else toml_data(text, place.file)
+    checked_schema(data, place)
+    model = validated(ProjectModel, data, place)
+    real = None if str(path) == "-" else Path(path)
+    folder = Path() if real is None else real.parent
+    machine = _mechanism(model, data, folder, mechanism, place)
+    units = {**machine.quantities, **machine.known}
+    noise = noise_spec(model.noise, machine.quantities, machine.quantity_group, place.at("noise"))
+    return Project(
+        title=model.title or (real.stem if real else machine.name),
+        path=real,
+        folder=folder,
+        mechanism=machine,
+        data=None if model.data is None else _data(model.data, units, noise, place.at("data")),
+        noise=noise,
+        fit=FitSpec(**model.fit.model_dump()),
+        simulation=None
+        if model.simulation is None
+        else simulation_spec(model.simulation, machine, noise, place.at("simulation")),
+        inputs=_plain(data),
+    )
+
+
+def expanded(path: str, folder: Path, place: Place) -> Path:
+    """A path of a project, ${NAME} replaced by the environment, relative to the folder.
+
+    Raises InputError naming a variable that is not set.
+    """
+    for name in _VARIABLE.findall(path):
+        if not os.environ.get(name):
+            raise InputError(
+                f"the path {path!r} needs the environment variable {name}, which is not set",
+                place=str(place),
+                remedy=f"set it to the folder that is meant: export {name}=/path/to/folder",
+            )
+    return folder / Path(_VARIABLE.sub(lambda match: os.environ[match[1]], path)).expanduser()
+
+
+def _mechanism(
+    model: ProjectModel,
+    data: Mapping[str, Any],
+    folder: Path,
+    given: Loops | Mechanism | None,
+    place: Place,
+) -> Mechanism:
+    stated = data.get("mechanism")
+    here = place.at("mechanism")
+    if stated is None:
+        if not isinstance(given, Mechanism):
+            words = "describes no mechanism" if given is None else "declares no quantities"
+            raise InputError(
+                f"the project {words}",
+                place=place.file,
+                remedy='add [mechanism] with file = "..." or type = "serial", "planar-two-link", '
+                '"motoman-ma1400" or "function"',
+            )
+        made = given
+    elif "file" in stated:
+        path = expanded(stated["file"], folder, here.at("file"))
+        made = read_mechanism(path, function=given)
+    else:
+        made = mechanism_from_data(stated, here, function=given, parameters=model.parameters)
+    parameters = changed(made.parameters, model.parameters, place.at("parameters"))
+    priors = _priors(model.prior)
+    return made.with_parameters(changed(parameters, priors, place.at("prior")))
+
+
+def _priors(entries: Mapping[str, SdEntry]) -> dict[str, Any]:
+    from loopcal.files.mechanism_schema import ParameterEntry
+
+    return {key: ParameterEntry(sd=entry.sd, unit=entry.unit) for key, entry in entries.items()}
+
+
+def _data(entry: DataEntry, units: Mapping[str, str], noise: NoiseSpec, place: Place) -> DataSpec:
+    """Columns of all quantities; those of sd inf may have none."""
+    unmeasured = {q for q in units if noise.sd_of(q) == math.inf}
+    here = place.at("columns")
+    file_wide = entry.units.by_dimension()
+    columns: dict[str, Column] = {}
+    least: dict[str, float] = {}
+    if entry.columns is None:
+        columns = {
+            q: Column(q, _unit(None, units[q], file_wide)) for q in units if q not in unmeasured
+        }
+    for quantity, given in (entry.columns or {}).items():
+        if quantity not in units:
+            raise InputError(
+                f"the mechanism has no quantity {quantity!r}",
+                place=str(here.at(quantity)),
+                remedy=nearest(quantity, units),
+            )
+        at = here.at(quantity)
+        for key in ("unit", "sd_unit"):
+            in_si(1.0, getattr(given, key), units[quantity], at.at(key))
+        if given.sd_column is None and (given.sd_unit or given.sd_at_least is not None):
+            raise InputError(
+                "sd_unit and sd_at_least say nothing without a column of sds",
+                place=str(at),
+                remedy='name the column: sd_column = "..."',
+            )
+        stated = _unit(given.unit, units[quantity], file_wide)
+        columns[quantity] = Column(
+            given.column, stated, given.sd_column, given.sd_unit, given.check
+        )
+        if given.sd_at_least is not None:
+            sd_unit = given.sd_unit or stated
+            least[quantity] = in_si(given.sd_at_least, sd_unit, units[quantity], at)
+    for quantity in units:
+        if quantity not in columns and quantity not in unmeasured:
+            raise InputError(
+                f"no column is named for the quantity {quantity!r}",
+                place=str(here),
+                remedy=f'add {quantity} = "its column"; if nobody measures it, say '
+                f"{quantity} = {{ sd = inf }} in [noise]",
+            )
+    keys = ("pose", "exclude", "every", "sheet", "header", "delimiter", "decimal", "encoding")
+    options = {key: getattr(entry, key) for key in (*keys, "variable")}
+    return DataSpec(entry.file, columns, least, options)
+
+
+def _unit(stated: str | None, si: str, file_wide: Mapping[str, str]) -> str | None:
+    return stated or file_wide.get(unit(si).dimension)
+
+
+def _plain(value: Any) -> Any:
+    """TOML data as JSON can hold it: infinite numbers become the texts "inf" and "-inf"."""
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_plain(inner) for inner in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,206 @@
+"""What a project file may say, with the JSON Schema of it for editors and other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag
+
+from loopcal.files.mechanism_schema import (
+    Function,
+    Motoman,
+    ParameterEntries,
+    PlanarTwoLink,
+    Serial,
+    Units,
+    Value,
+)
+from loopcal.files.model import Finite, Model, NameOrNumber, Sd, UnitName, plain_number_as
+
+Length = Annotated[int, Field(ge=1)]
+
+
+class MechanismFile(Model):
+    """A mechanism in a file of its own."""
+
+    file: str = Field(
+        description="Path of the mechanism file, relative to the project; ${NAME} is replaced "
+        "by the environment variable NAME.",
+        examples=["arm.toml"],
+    )
+
+
+def _mechanism_form(value: Any) -> str:
+    if isinstance(value, Mapping) and ("type" in value or "file" not in value):
+        return str(value.get("type", "serial"))
+    return "file"
+
+
+MechanismEntry = Annotated[
+    Annotated[MechanismFile, Tag("file")]
+    | Annotated[PlanarTwoLink, Tag("planar-two-link")]
+    | Annotated[Serial, Tag("serial")]
+    | Annotated[Motoman, Tag("motoman-ma1400")]
+    | Annotated[Function, Tag("function")],
+    Discriminator(_mechanism_form),
+]
+
+
+class ColumnEntry(Model):
+    """Where the readings of a quantity stand."""
+
+    column: NameOrNumber = Field(description="Name of the column, or its number from 1.")
+    unit: UnitName | None = None
+    sd_column: NameOrNumber | None = Field(
+        default=None, description="Column with the sd of each reading."
+    )
+    sd_unit: UnitName | None = Field(default=None, description="Without one, that of the readings.")
+    sd_at_least: Sd | None = Field(
+        default=None,
+        description="Smallest sd to believe, in the unit of the sds: for columns that were "
+        "rounded, where 0 would call a reading exact.",
+    )
+    check: bool = Field(default=True, description="false: the values are right though strange.")
+
+
+def _column(value: Any) -> Any:
+    return {"column": value} if isinstance(value, str | int) else value
+
+
+class DataEntry(Model):
+    """The readings: a file, and which of its columns is which quantity."""
+
+    file: str = Field(
+        description="CSV, TSV or other text, XLSX, Parquet, MATLAB v5; relative to the project; "
+        "${NAME} is replaced by the environment variable NAME.",
+        examples=["poses.csv", "${LOOPCAL_DATA}/left_arm.csv"],
+    )
+    pose: NameOrNumber | None = Field(default=None, description="Column of the pose ids.")
+    exclude: list[NameOrNumber] = Field(default=[], description="Ids of poses to leave out.")
+    every: Length = Field(default=1, description="Keep the 1st, (every + 1)th, ... row.")
+    units: Units = Field(default=Units(), description="Units of the columns that state none.")
+    columns: dict[str, Annotated[ColumnEntry, BeforeValidator(_column)]] | None = Field(
+        default=None,
+        description="Quantity = its column; without this table each quantity has a column of "
+        "its own name.",
+        examples=[{"theta_1": {"column": "S", "unit": "deg"}, "x": "x_tracker"}],
+    )
+    sheet: NameOrNumber | None = Field(default=None, description="XLSX: name or number from 1.")
+    variable: str | None = Field(default=None, description="MATLAB: name of the variable.")
+    header: bool | None = Field(default=None, description="Whether the first row holds names.")
+    delimiter: str | None = Field(default=None, examples=[",", ";", "\t"])
+    decimal: Literal[".", ","] | None = None
+    encoding: str | None = Field(default=None, examples=["utf-8", "utf-16", "cp1252"])
+
+
+Row = list[Finite]
+
+
+class NoiseEntry(Model):
+    """How uncertain readings are: an sd, or a covariance of several quantities together."""
+
+    sd: Sd | None = Field(default=None, description="0: exact, never corrected; inf: not measured.")
+    covariance: list[Row] | None = Field(
+        default=None,
+        description="Of the quantities of the key in their order, the same in all poses.",
+    )
+    covariance_columns: list[NameOrNumber] | None = Field(
+        default=None,
+        description="Columns of the data with the covariance in each pose: all of it row by row, "
+        "or from the diagonal to the right (xx, xy, xz, yy, yz, zz).",
+    )
+    unit: UnitName | None = Field(
+        default=None, description="Of the sd; a covariance is in its square."
+    )
+
+
+NoiseEntries = Annotated[
+    dict[str, Annotated[NoiseEntry, plain_number_as("sd")]],
+    Field(
+        description="By quantity, glob, the joined names of all outputs, or several of these "
+        "with commas; later lines win.",
+        examples=[{"theta_*": {"sd": 5e-5, "unit": "rad"}, "xyz": {"sd": 10, "unit": "um"}}],
+    ),
+]
+
+
+class SdEntry(Model):
+    """An sd with its unit."""
+
+    sd: Sd
+    unit: UnitName | None = None
+
+
+Sds = dict[str, Annotated[SdEntry, plain_number_as("sd")]]
+
+
+class FitEntry(Model):
+    """How to fit."""
+
+    method: Literal["implicit-loop", "least-squares", "implicit-loop-undamped"] = "implicit-loop"
+    start: Literal["auto", "align", "nominal"] = Field(
+        default="auto",
+        description="align: the nominal machine is first moved to where the instrument sees it; "
+        "auto: that, for a spatial machine whose placement is free and has flat priors.",
+    )
+    max_iterations: Length = 100
+    require_identifiable: bool = Field(
+        default=False, description="true: end with exit code 4 if a parameter is not determined."
+    )
+
+
+class RangeEntry(Model):
+    """Where a quantity is driven in a simulation."""
+
+    from_: Finite = Field(alias="from")
+    to: Finite
+    step: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        default=None, description="With steps all combinations are simulated, without random poses."
+    )
+    unit: UnitName | None = None
+
+
+class SimulationEntry(Model):
+    """How `loopcal simulate` makes readings: poses, the true machine, the noise."""
+
+    poses: Length | None = Field(default=None, description="How many random poses.")
+    ranges: dict[str, RangeEntry] = Field(
+        min_length=1,
+        description="Of every quantity that is driven, and of known constants.",
+        examples=[{"theta_1": {"from": -90, "to": 90, "unit": "deg"}}],
+    )
+    truth: dict[str, Annotated[Value, plain_number_as("value")]] = Field(
+        default={}, description="True values of parameters, by name or glob; else the nominal ones."
+    )
+    perturb: Sds = Field(
+        default={},
+        description="sd of a random deviation of the truth from nominal, by name or glob.",
+    )
+    noise: NoiseEntries = Field(
+        default={}, description="The true noise, where it is not what [noise] says."
+    )
+
+
+class ProjectModel(Model):
+    """One calibration: a mechanism, its readings, and what is known of both."""
+
+    schema_: Literal[1] = Field(alias="schema", description="Version of this format.")
+    title: str | None = None
+    mechanism: MechanismEntry | None = None
+    data: DataEntry | None = None
+    noise: NoiseEntries = Field(default={})
+    prior: Sds = Field(
+        default={},
+        description="Prior sds of parameters by name or glob, inf: flat; later lines win.",
+        examples=[{"*": {"sd": float("inf")}, "d_*": {"sd": 1.0, "unit": "mm"}}],
+    )
+    parameters: ParameterEntries = Field(default={})
+    fit: FitEntry = FitEntry()
+    simulation: SimulationEntry | None = None
+
+
+def project_schema() -> dict[str, Any]:
+    """The JSON Schema (draft 2020-12) of a project file."""
+    made = ProjectModel.model_json_schema(by_alias=True)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | made
