@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import DomainError
+from loopcal.expressions.derivative import linearise
 from loopcal.expressions.operations import LEAVES, OPERATIONS, evaluate_scalar
 from loopcal.expressions.tape import Tape
 
@@ -19,18 +21,28 @@ def explain_domain(
     tape: Tape, x: Array, known: Array, parameters: Array, poses: Sequence[str]
 ) -> DomainError:
     """The error that names loop, pose and operation; x: (k, N), known: (c, N), (n_all,) [SI]."""
-    for column, pose in enumerate(poses):
-        found = _first_undefined(tape, x[:, column], known[:, column], parameters)
-        if found is not None:
-            loop, text = found
-            return DomainError(
-                f"{text} in loop equation {loop!r} at pose {pose!r}",
-                remedy="check the readings and units of this pose, and the nominal parameters; "
-                "leave the pose out with data.exclude if its reading is wrong",
-            )
+    for part, looked_at in (("", tape), ("the derivative of ", _with_derivatives(tape))):
+        for column, pose in enumerate(poses):
+            found = _first_undefined(looked_at, x[:, column], known[:, column], parameters)
+            if found is not None:
+                loop, text = found
+                return DomainError(
+                    f"{text} in {part}loop equation {loop!r} at pose {pose!r}",
+                    remedy="check the readings and units of this pose, and the nominal "
+                    "parameters; leave the pose out with data.exclude if its reading is wrong",
+                )
     return DomainError(
         "the loop equations overflow: some value is not finite",
         remedy="check units and nominal parameters",
+    )
+
+
+def _with_derivatives(tape: Tape) -> Tape:
+    """The linearised tape, each output named by the loop equation it belongs to."""
+    linearised = linearise(tape, tape.quantities, tape.parameters).tape
+    m = len(tape.loops)
+    return replace(
+        linearised, loops=tuple(tape.loops[i % m] for i in range(len(linearised.outputs)))
     )
 
 

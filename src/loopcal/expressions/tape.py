@@ -6,8 +6,10 @@ plain JSON data, so that a mechanism can travel in a file without any code being
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import index
 from typing import Any
 
 from loopcal.errors import InputError, nearest
@@ -90,8 +92,9 @@ class Tape:
         for position, (name, payload) in enumerate(self.operations):
             text, binding = self._text(name, payload, texts)
             if name not in LEAVES and uses[position] > 1:
-                lines.append(f"t{position} = {text}")
-                text, binding = f"t{position}", _ATOM
+                shared = f"t{len(lines) + 1}"
+                lines.append(f"{shared} = {text}")
+                text, binding = shared, _ATOM
             texts.append((text, binding))
         lines += [
             f"{loop}: {texts[output][0]} = 0"
@@ -134,8 +137,8 @@ class Tape:
         Raises InputError naming the operation that is not one, or refers ahead of itself.
         """
         try:
-            tables = [tuple(str(n) for n in data[key]) for key in _TABLES]
-            rows, outputs = list(data["operations"]), [int(o) for o in data["outputs"]]
+            tables = [_names(data[key]) for key in _TABLES]
+            rows, outputs = list(data["operations"]), [index(o) for o in data["outputs"]]
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"this is not a tape: {error!r}", remedy=_REWRITE) from None
         quantities, known, parameters, loops = tables
@@ -159,16 +162,24 @@ _TABLES = ("quantities", "known", "parameters", "loops")
 _REWRITE = "write it again with Tape.to_data()"
 
 
+def _names(values: Any) -> tuple[str, ...]:
+    if isinstance(values, str) or not all(isinstance(value, str) for value in values):
+        raise TypeError(f"{values!r} is not a list of names")
+    return tuple(values)
+
+
 def _checked(position: int, row: Any, sizes: Mapping[str, int]) -> tuple[str, tuple[float, ...]]:
     """One operation of a tape read from outside, or the error that says what is wrong with it."""
     place = f"operation {position}"
     try:
         name, payload = str(row[0]), list(row[1:])
-        numbers = tuple(float(v) if name == "constant" else int(v) for v in payload)
+        numbers = tuple(float(v) if name == "constant" else index(v) for v in payload)
     except (TypeError, ValueError, IndexError):
         raise InputError(f"{row!r} is not an operation", place=place, remedy=_REWRITE) from None
     if name in sizes or name == "constant":
-        valid = len(numbers) == 1 and (name == "constant" or 0 <= numbers[0] < sizes[name])
+        valid = len(numbers) == 1 and (
+            math.isfinite(numbers[0]) if name == "constant" else 0 <= numbers[0] < sizes[name]
+        )
     elif name in OPERATIONS:
         valid = len(numbers) == OPERATIONS[name].arity and all(0 <= n < position for n in numbers)
     else:
