@@ -6,7 +6,7 @@ meet: Im f(x + ih) / h with h = 1e-40 is exact to rounding (Squire and Trapp 199
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,9 +54,7 @@ FUNCTIONS: Mapping[str, Callable[..., Any]] = {
 """Every operation of a tape, written out once more and apart from the engine."""
 
 
-def loop_values(
-    tape: Tape, x: Sequence[Any], p: Sequence[Any], known: Sequence[Any] = ()
-) -> NDArray[Any]:
+def loop_values(tape: Tape, x: Any, p: Any, known: Any = ()) -> NDArray[Any]:
     """f (m, ...) from rows of x, p and known, in numbers or arrays of one shape."""
     inputs = {"quantity": x, "known": known, "parameter": p}
     values: list[Any] = []

@@ -1,0 +1,200 @@
+"""A tape is a value: it prints as formulas, travels as JSON, and is compared by what it says."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+
+from loopcal.errors import InputError
+from loopcal.expressions.tape import Tape
+from loopcal.expressions.trace import trace
+from tests.reference.plain_tape import FUNCTIONS, loop_values
+from tests.reference.random_loops import PARAMETERS, QUANTITIES, RandomLoops, random_loops
+
+
+def traced(loops: RandomLoops) -> Tape:
+    return trace(loops, quantities=QUANTITIES, parameters=PARAMETERS)
+
+
+def two_link(x: Any, p: Any) -> Any:
+    a = x.phi2 + p.phi20
+    b = a + x.phi3 + p.phi30
+    return (
+        p.xA + p.l2 * np.cos(a) + p.l3 * np.cos(b) - x.xP,
+        p.yA + p.l2 * np.sin(a) + p.l3 * np.sin(b) - x.yP,
+    )
+
+
+ARM = trace(
+    two_link,
+    quantities=("xP", "yP", "phi2", "phi3"),
+    parameters=("xA", "yA", "l2", "l3", "phi20", "phi30"),
+    loops=("xP", "yP"),
+)
+
+
+def printed_values(tape: Tape, x: Any, p: Any) -> list[Any]:
+    """The loops by letting Python run what the tape prints."""
+    scope: dict[str, Any] = {**FUNCTIONS, "x": SimpleNamespace(**x), "p": SimpleNamespace(**p)}
+    values = []
+    for line in str(tape).splitlines():
+        _, separator, formula = line.partition(": ")
+        if separator and formula.endswith(" = 0"):
+            values.append(eval(formula.removesuffix(" = 0"), scope))
+        else:
+            exec(line, scope)
+    return values
+
+
+def test_the_two_link_arm_prints_as_its_equations() -> None:
+    assert str(ARM).splitlines() == [
+        "t1 = x.phi2 + p.phi20",
+        "t2 = p.phi30 + x.phi3 + t1",
+        "xP: p.xA + p.l2*cos(t1) + p.l3*cos(t2) - x.xP = 0",
+        "yP: p.yA + p.l2*sin(t1) + p.l3*sin(t2) - x.yP = 0",
+    ]
+
+
+@given(random_loops())
+def test_what_is_printed_evaluates_to_the_same(loops: RandomLoops) -> None:
+    tape = traced(loops)
+    x, p = [0.3, -0.8, 1.1], [0.7, -0.4]
+    values = printed_values(
+        tape, dict(zip(QUANTITIES, x, strict=True)), dict(zip(PARAMETERS, p, strict=True))
+    )
+    expected = loop_values(tape, x, p)
+    assert values == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("function", "text"),
+    [
+        (lambda x, p: (x.a**x.b) ** p.k, "(x.a**x.b)**p.k"),
+        (lambda x, p: x.a ** (x.b**p.k), "x.a**(x.b**p.k)"),
+        (lambda x, p: x.a - (x.b - p.k), "x.a - (x.b - p.k)"),
+        (lambda x, p: x.a - x.b - p.k, "x.a - x.b - p.k"),
+        (lambda x, p: x.a / (x.b / p.k), "x.a/(x.b/p.k)"),
+        (lambda x, p: x.a / (x.b * p.k), "x.a/(x.b*p.k)"),
+        (lambda x, p: (x.a + x.b) * p.k, "p.k*(x.a + x.b)"),
+        (lambda x, p: -(x.a + x.b), "-(x.a + x.b)"),
+        (lambda x, p: -(x.a * x.b), "-x.a*x.b"),
+        (lambda x, p: (-x.a) ** 3, "(-x.a)**3.0"),
+        (lambda x, p: x.a * -2, "x.a*(-2.0)"),
+        (lambda x, p: np.sin(x.a - p.k) * 0.1, "sin(x.a - p.k)*0.1"),
+    ],
+)
+def test_brackets_stand_where_they_are_needed(function: Any, text: str) -> None:
+    tape = trace(function, quantities=("a", "b"), parameters=("k",))
+    assert str(tape) == f"loop 1: {text} = 0"
+
+
+@given(random_loops())
+def test_json_gives_back_the_same_tape(loops: RandomLoops) -> None:
+    tape = traced(loops)
+    again = Tape.from_data(json.loads(json.dumps(tape.to_data())))
+    assert again == tape
+    assert hash(again) == hash(tape)
+    assert again.to_data() == tape.to_data()
+
+
+def test_every_digit_of_a_constant_survives_json() -> None:
+    tape = trace(lambda x, p: x.a * (1 / 3) + 1e-300 + 2**0.5, quantities="a", parameters=())
+    again = Tape.from_data(json.loads(json.dumps(tape.to_data())))
+    assert again.operations == tape.operations
+
+
+def test_tapes_are_equal_by_value_and_differ_in_any_constant() -> None:
+    def tape(number: float) -> Tape:
+        return trace(lambda x, p: x.a * number, quantities="a", parameters=())
+
+    assert tape(2.5) == tape(2.5)
+    assert hash(tape(2.5)) == hash(tape(2.5))
+    assert tape(2.5) != tape(2.5000000000000004)
+
+
+def test_a_tape_cannot_be_changed() -> None:
+    with pytest.raises(AttributeError):
+        ARM.outputs = (0,)  # type: ignore[misc]
+
+
+def test_each_loop_tells_what_it_depends_on() -> None:
+    along_x, along_y = ARM.depends_on()
+    assert along_x == {"xP", "phi2", "phi3", "xA", "l2", "l3", "phi20", "phi30"}
+    assert along_y == {"yP", "phi2", "phi3", "yA", "l2", "l3", "phi20", "phi30"}
+
+
+def data(**changes: Any) -> dict[str, Any]:
+    return {**trace(lambda x, p: np.sin(x.a) - p.k, quantities="a", parameters="k").to_data()} | {
+        **changes
+    }
+
+
+def with_operation(position: int, row: Any) -> dict[str, Any]:
+    rows = data()["operations"]
+    rows[position] = row
+    return data(operations=rows)
+
+
+@pytest.mark.parametrize(
+    ("position", "row", "message"),
+    [
+        (2, ["sinus", 0], "operation 2: operation 'sinus' is not known.*did you mean 'sin'"),
+        (2, ["sin", 0, 1], "operation 2.*wrong arguments"),
+        (2, ["sin"], "operation 2.*wrong arguments"),
+        (2, ["sin", 2], "operation 2.*wrong arguments"),
+        (2, ["sin", 3], "operation 2.*wrong arguments"),
+        (2, ["sin", -1], "operation 2.*wrong arguments"),
+        (2, ["sin", "a"], "operation 2.*is not an operation"),
+        (2, ["sin", None], "operation 2.*is not an operation"),
+        (2, [], "operation 2.*is not an operation"),
+        (2, 7, "operation 2.*is not an operation"),
+        (2, ["sin", 0.5], "operation 2.*is not an operation"),
+        (0, ["quantity", 1], "operation 0.*wrong arguments"),
+        (0, ["quantity"], "operation 0.*wrong arguments"),
+        (1, ["parameter", 5], "operation 1.*wrong arguments"),
+        (1, ["known", 0], "operation 1.*wrong arguments"),
+        (1, ["constant"], "operation 1.*wrong arguments"),
+        (1, ["constant", "one"], "operation 1.*is not an operation"),
+        (1, ["constant", float("nan")], "operation 1.*wrong arguments"),
+        (1, ["constant", float("inf")], "operation 1.*wrong arguments"),
+    ],
+)
+def test_a_malformed_operation_is_named(position: int, row: Any, message: str) -> None:
+    with pytest.raises(InputError, match=f"(?s){message}"):
+        Tape.from_data(with_operation(position, row))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"outputs": []}, "outputs"),
+        ({"outputs": [99]}, "outputs"),
+        ({"outputs": [-1]}, "outputs"),
+        ({"outputs": 3}, "not a tape"),
+        ({"outputs": ["x"]}, "not a tape"),
+        ({"operations": None}, "not a tape"),
+        ({"quantities": 3}, "not a tape"),
+        ({"quantities": "a"}, "not a tape"),
+    ],
+)
+def test_a_malformed_tape_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Tape.from_data(data(**changes))
+
+
+@pytest.mark.parametrize("missing", ["quantities", "operations", "outputs", "loops", "known"])
+def test_a_tape_that_lacks_a_part_is_refused(missing: str) -> None:
+    lacking = data()
+    del lacking[missing]
+    with pytest.raises(InputError, match=f"not a tape.*{missing}"):
+        Tape.from_data(lacking)
+
+
+def test_a_tape_that_is_no_mapping_is_refused() -> None:
+    with pytest.raises(InputError, match="not a tape"):
+        Tape.from_data([1, 2, 3])  # type: ignore[arg-type]
