@@ -120,7 +120,10 @@ def _serial(model: Serial, units: Mapping[str, str], place: Place) -> Mechanism:
                 si = "rad" if key.startswith("r") else "m"
                 nominal[name] = _si(given, si, units, place.at("base", key))
     x, y, z = model.point
-    return serial_arm(joints, nominal, base=base, point=(x, y, z), name=model.name)
+    try:
+        return serial_arm(joints, nominal, base=base, point=(x, y, z), name=model.name)
+    except InputError as error:
+        raise error.at(str(place)) from None
 
 
 def _joint(entry: JointEntry, units: Mapping[str, str], place: Place) -> Joint:

@@ -1,0 +1,108 @@
+"""Mechanisms as TOML files, such that reading them back gives the same machine, bit for bit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from loopcal.files.toml_reader import SCHEMA
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.serial import Joint
+
+
+def mechanism_to_toml(mechanism: Mechanism) -> str:
+    """The text of a mechanism file: SI, every digit, prior sds and fixed parameters included.
+
+    Loops written as a Python function are declared without their code (type "function"): whoever
+    reads the file names the function again.
+    """
+    described = mechanism.description or {"type": "function"}
+    head = [
+        f"# {_comment(mechanism.name)}: a mechanism file of loopcal, made by it.",
+        "# Lengths are in m, angles in rad, sds in the unit of their value.",
+        *_REMARKS.get(described["type"], ()),
+        "",
+        _line("schema", SCHEMA),
+        _line("type", described["type"]),
+        _line("name", mechanism.name),
+    ]
+    parts = [
+        *head,
+        *_structure(mechanism, described),
+        "",
+        "# value: nominal; sd: how well it is known beforehand, absent where not at all;",
+        "# fixed = true: not estimated.",
+        "[parameters]",
+        *(_parameter(parameter) for parameter in mechanism.parameters),
+    ]
+    return "\n".join(parts) + "\n"
+
+
+_REMARKS = {
+    "function": ("# The loops are a Python function: name it with --mechanism FILE.py:FUNCTION.",)
+}
+
+
+def _structure(mechanism: Mechanism, described: Mapping[str, Any]) -> list[str]:
+    match described["type"]:
+        case "serial":
+            lines = [_line("base", described["base"]), _line("point", described["point"])]
+            for joint in described["joints"]:
+                lines += ["", *_joint(joint)]
+            return lines
+        case "motoman-ma1400":
+            return [_line("before", described["before"])] if described["before"] else []
+        case "function":
+            return [
+                _line("quantities", mechanism.quantities),
+                *([_line("known", mechanism.known)] if mechanism.known else []),
+                _line("outputs", mechanism.outputs),
+                _line("loops", mechanism.tape.loops),
+            ]
+        case _:
+            return []
+
+
+def _joint(joint: Joint) -> list[str]:
+    lines = ["[[joint]]", _line("name", joint.name), _line("form", joint.form)]
+    lines += [_line("kind", joint.kind), _line("direction", joint.direction)]
+    for key in ("before", "after"):
+        motions: Mapping[str, float] = getattr(joint, key)
+        lines += [_line(key, motions)] if motions else []
+    return lines
+
+
+def _parameter(parameter: Parameter) -> str:
+    entry: dict[str, Any] = {"value": parameter.nominal, "unit": parameter.unit}
+    if not math.isinf(parameter.prior_sd):
+        entry["sd"] = parameter.prior_sd
+    if parameter.fixed:
+        entry["fixed"] = True
+    return _line(parameter.name, entry)
+
+
+def _line(key: str, value: Any) -> str:
+    """`key = value` with tables and lists within the line."""
+    import tomli_w
+
+    if isinstance(value, Mapping):
+        inner = ", ".join(_line(k, _number(v)) for k, v in value.items())
+        return f"{_key(key)} = {{ {inner} }}" if inner else f"{_key(key)} = {{}}"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return f"{_key(key)} = [{', '.join(_line('x', v)[4:] for v in value)}]"
+    return tomli_w.dumps({key: _number(value)}).rstrip("\n")
+
+
+def _key(key: str) -> str:
+    return _line(key, 0)[: -len(" = 0")]
+
+
+def _number(value: Any) -> Any:
+    """Numbers of NumPy as Python's, whose repr survives reading exactly."""
+    return float(value) if isinstance(value, float) else value
+
+
+def _comment(text: str) -> str:
+    return "".join(c if c.isprintable() else " " for c in " ".join(text.split()))
