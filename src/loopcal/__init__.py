@@ -1,1 +1,132 @@
-"""loopcal: calibration of mechanisms with every sensor uncertain."""
+"""loopcal: calibration of mechanisms with every sensor uncertain.
+
+Everything public is here; modules are loaded when one of their names is first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from loopcal.errors import InputError, LoopcalError
+    from loopcal.estimation.calibrate import calibrate
+    from loopcal.estimation.result import (
+        Accuracy,
+        ChiSquared,
+        Closure,
+        Identifiability,
+        NoiseEntry,
+        Result,
+        Undetermined,
+    )
+    from loopcal.estimation.status import Status
+    from loopcal.expressions.trace import TraceError
+    from loopcal.expressions.vectors import cross, dot, norm, rot_x, rot_y, rot_z, rotate, vector
+    from loopcal.files.dataset_readers import read_dataset
+    from loopcal.files.mechanism_file import read_mechanism
+    from loopcal.files.project_data import LoadedData, load_dataset
+    from loopcal.files.project_file import Project, read_project
+    from loopcal.files.result_file import read_result, write_result
+    from loopcal.measurements.dataset import Dataset
+    from loopcal.measurements.noise import Noise
+    from loopcal.mechanisms.mechanism import Mechanism
+    from loopcal.mechanisms.motoman import motoman_ma1400
+    from loopcal.mechanisms.parameters import Parameter, Parameters
+    from loopcal.mechanisms.planar import planar_two_link
+    from loopcal.mechanisms.prior import Prior
+    from loopcal.mechanisms.serial import Joint, serial_arm
+    from loopcal.simulation.poses import grid_poses, random_poses
+    from loopcal.simulation.simulate import Simulation, simulate
+
+_HOME = {
+    "errors": ("InputError", "LoopcalError"),
+    "estimation.calibrate": ("calibrate",),
+    "estimation.result": (
+        *("Accuracy", "ChiSquared", "Closure", "Identifiability", "NoiseEntry", "Result"),
+        "Undetermined",
+    ),
+    "estimation.status": ("Status",),
+    "expressions.trace": ("TraceError",),
+    "expressions.vectors": (
+        *("cross", "dot", "norm", "rot_x", "rot_y", "rot_z", "rotate", "vector"),
+    ),
+    "files.dataset_readers": ("read_dataset",),
+    "files.mechanism_file": ("read_mechanism",),
+    "files.project_data": ("LoadedData", "load_dataset"),
+    "files.project_file": ("Project", "read_project"),
+    "files.result_file": ("read_result", "write_result"),
+    "measurements.dataset": ("Dataset",),
+    "measurements.noise": ("Noise",),
+    "mechanisms.mechanism": ("Mechanism",),
+    "mechanisms.motoman": ("motoman_ma1400",),
+    "mechanisms.parameters": ("Parameter", "Parameters"),
+    "mechanisms.planar": ("planar_two_link",),
+    "mechanisms.prior": ("Prior",),
+    "mechanisms.serial": ("Joint", "serial_arm"),
+    "simulation.poses": ("grid_poses", "random_poses"),
+    "simulation.simulate": ("Simulation", "simulate"),
+}
+_MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name in names}
+
+__all__ = [
+    "Accuracy",
+    "ChiSquared",
+    "Closure",
+    "Dataset",
+    "Identifiability",
+    "InputError",
+    "Joint",
+    "LoadedData",
+    "LoopcalError",
+    "Mechanism",
+    "Noise",
+    "NoiseEntry",
+    "Parameter",
+    "Parameters",
+    "Prior",
+    "Project",
+    "Result",
+    "Simulation",
+    "Status",
+    "TraceError",
+    "Undetermined",
+    "__version__",
+    "calibrate",
+    "cross",
+    "dot",
+    "grid_poses",
+    "load_dataset",
+    "motoman_ma1400",
+    "norm",
+    "planar_two_link",
+    "random_poses",
+    "read_dataset",
+    "read_mechanism",
+    "read_project",
+    "read_result",
+    "rot_x",
+    "rot_y",
+    "rot_z",
+    "rotate",
+    "serial_arm",
+    "simulate",
+    "vector",
+    "write_result",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from loopcal.files.versions import version
+
+        return version()
+    if name not in _MODULE:
+        raise AttributeError(f"module 'loopcal' has no attribute {name!r}")
+    found = getattr(import_module(_MODULE[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

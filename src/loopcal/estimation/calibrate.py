@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,7 @@ STARTS = ("auto", "align", "nominal")
 
 def calibrate(
     mechanism: Mechanism,
-    data: Dataset,
+    data: Dataset | Any,
     *,
     noise: Noise | None = None,
     prior: Prior | None = None,
@@ -61,6 +62,8 @@ def calibrate(
     "auto" aligns a spatial machine whose placement parameters are free with flat priors; or
     parameter values [SI] by name. Angles rad, lengths m throughout.
 
+    data: a Dataset, or a dict of (N,) arrays or any DataFrame of readings in SI units.
+
     Raises InputError for input that cannot be used; a fit that does not converge is returned,
     with its status saying so.
     """
@@ -72,6 +75,8 @@ def calibrate(
             remedy="give noise=Noise({...}) with an sd for every quantity, "
             'or use method="least-squares"',
         )
+    if not isinstance(data, Dataset):
+        data = Dataset.from_arrays(data)
     if prior is not None:
         mechanism = mechanism.with_parameters(prior.apply(mechanism.parameters))
     exact = method == "least-squares"

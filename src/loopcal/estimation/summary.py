@@ -26,6 +26,8 @@ def summary(result: Result) -> str:
     lines = [f"{result.mechanism.name}: {_METHODS[result.method]}", ""]
     lines += _state(result)
     lines += ["", *_accuracy(result), "", *parameter_table(result)]
+    if result.errors is not None:
+        lines.append("(error: true minus estimate)")
     for warning in result.warnings:
         lines += ["", f"WARNING  {warning}"]
     return "\n".join(lines)
@@ -99,11 +101,18 @@ def parameter_table(result: Result) -> list[str]:
             change = rounded_by_sd(value - nominal, sd, sign=True)
             row = [parameter.name, rounded_by_sd(value, sd), change, significant(sd, 2), unit]
         if result.errors is not None:
-            error = from_si(result.errors[parameter.name], unit)
-            text = significant(error, 2) if not its_sd else f"{significant(error, 2)}"
-            row.insert(4, text)
+            row.insert(4, _error(result.errors.get(parameter.name), its_sd, unit))
         rows.append(row)
     return columns(rows)
+
+
+def _error(error: float | None, sd: float | None, unit: str) -> str:
+    """The error of a parameter, to the digits of its sd; blank where its truth is not known."""
+    if error is None:
+        return ""
+    if sd is None or not math.isfinite(sd):
+        return significant(from_si(error, unit), 3)
+    return rounded_by_sd(from_si(error, unit), from_si(sd, unit), sign=True)
 
 
 def columns(rows: Sequence[Sequence[str]]) -> list[str]:

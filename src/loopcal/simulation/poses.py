@@ -46,12 +46,16 @@ def random_poses(
     }
 
 
-def stream(seed: int, use: str) -> np.random.Generator:
-    """The random numbers of one use ("poses" or "noise") of a seed: PCG64, independent streams.
+STREAMS = ("poses", "noise", "machine")
 
+
+def stream(seed: int, use: str) -> np.random.Generator:
+    """The random numbers of one use of a seed: PCG64, one independent stream for each.
+
+    use: "poses", "noise", or "machine" for deviations of the true parameters from nominal.
     Raises InputError unless the seed is a whole number from 0 on.
     """
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError(f"the seed is {seed!r}", remedy="give a whole number, 0 or more")
-    children = np.random.SeedSequence(int(seed)).spawn(2)
-    return np.random.Generator(np.random.PCG64(children[("poses", "noise").index(use)]))
+    children = np.random.SeedSequence(int(seed)).spawn(len(STREAMS))
+    return np.random.Generator(np.random.PCG64(children[STREAMS.index(use)]))

@@ -1,0 +1,165 @@
+"""The commands and their options. What they do is in `loopcal.workflow`, loaded when needed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Annotated, Any
+
+import typer
+
+from loopcal.errors import NoTrustworthyResult
+
+app = typer.Typer(
+    name="loopcal",
+    help="Calibrate mechanisms from closed kinematic loops, with every sensor uncertain.",
+    epilog="Exit codes: 0 done, 1 a fault of loopcal, 2 usage, 3 bad input, 4 no trustworthy "
+    "result. Data go to stdout, everything else to stderr.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+ProjectArgument = Annotated[
+    str, typer.Argument(metavar="PROJECT", help="Project file (TOML); - reads standard input.")
+]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON document instead of text.")
+]
+FunctionOption = Annotated[
+    str | None,
+    typer.Option(
+        "--mechanism",
+        metavar="FILE.py:NAME",
+        help="The loops f(x, p) of a project of the type 'function', or a Mechanism.",
+    ),
+]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from loopcal.files.versions import version
+
+        print(f"loopcal {version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    """Options before any command."""
+
+
+@app.command()
+def calibrate(
+    project: ProjectArgument,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            metavar="METHOD",
+            help="implicit-loop, least-squares or implicit-loop-undamped, instead of the "
+            "project's (fit.method).",
+        ),
+    ] = None,
+    truth: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="The truth of a simulation: adds every parameter's error, true minus estimate.",
+        ),
+    ] = None,
+    out: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DIR", help="Folder of the results [default: NAME-result beside NAME.toml]."
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+    mechanism: FunctionOption = None,
+    require_identifiable: Annotated[
+        bool,
+        typer.Option(
+            "--require-identifiable", help="End with 4 unless every parameter is determined."
+        ),
+    ] = False,
+) -> None:
+    """Fit the parameters; write result.json, residuals.csv and mechanism.toml; print a summary."""
+    from loopcal.cli.progress import Progress
+    from loopcal.workflow import run_calibration
+
+    with Progress() as progress:
+        done = run_calibration(
+            project,
+            method=method,
+            truth=truth,
+            out=out,
+            function=mechanism,
+            require_identifiable=require_identifiable,
+            progress=progress,
+        )
+    for warning in done.warnings:
+        _log(f"warning: {warning}")
+    where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
+    if as_json:
+        _print_json(done.written.document)
+        _log(where)
+    else:
+        print(f"{done.written.document['title']}\n{done.result}\n\n{where}")
+    if done.objection is not None:
+        raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
+
+
+@app.command()
+def simulate(
+    project: ProjectArgument,
+    out: Annotated[
+        str, typer.Option(metavar="FILE", help="Readings to write: .csv, .tsv or .parquet.")
+    ],
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of all random numbers.")] = 0,
+    as_json: JsonOption = False,
+    mechanism: FunctionOption = None,
+) -> None:
+    """Write readings of the project's mechanism with its noise, the truth kept beside them."""
+    from loopcal.workflow import run_simulation
+
+    done = run_simulation(project, out=out, seed=seed, function=mechanism)
+    poses = len(done.simulation.dataset)
+    if as_json:
+        paths = {"readings": str(done.file), "truth": str(done.truth_file)}
+        _print_json({**paths, "poses": poses, "seed": seed})
+    else:
+        print(f"{poses} poses written to {done.file} (seed {seed}), the truth to {done.truth_file}")
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the project: NAME.toml.")],
+    mechanism: Annotated[str, typer.Option(metavar="TYPE", help="planar-two-link, serial, ... ")],
+) -> None:
+    """Write a commented project to start from."""
+    from loopcal.workflow import new_project
+
+    print(new_project(name, mechanism))
+
+
+@app.command()
+def schema(
+    name: Annotated[str, typer.Argument(metavar="project|result", help="Which file.")],
+) -> None:
+    """Print the JSON Schema of project files, or of result.json."""
+    from loopcal import workflow
+
+    _print_json(workflow.schema(name))
+
+
+def _print_json(document: Any) -> None:
+    print(json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False))
+
+
+def _log(line: str) -> None:
+    print(f"loopcal: {line}", file=sys.stderr)

@@ -1,0 +1,78 @@
+"""Runs the command and ends it: every outcome has its exit code and at most one message.
+
+0 done; 1 a fault of ours, with its traceback; 2 usage; 3 bad input; 4 no trustworthy result;
+130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+
+from typer.exceptions import Abort, TyperException
+
+from loopcal.cli.commands import app
+from loopcal.errors import LoopcalError
+
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run `loopcal ARGUMENTS` (by default those of this process) and return its exit code."""
+    try:
+        code = _run(arguments)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _be_quiet()
+        return 0
+    return code
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    try:
+        code = app(arguments, prog_name="loopcal", standalone_mode=False) or 0
+    except LoopcalError as error:
+        if type(error) is LoopcalError:
+            return _fault(error)
+        print(f"loopcal: {error}", file=sys.stderr)
+        return error.exit_code
+    except TyperException as error:  # arguments that do not parse
+        error.show()  # type: ignore[attr-defined]
+        return error.exit_code
+    except (KeyboardInterrupt, Abort):
+        code = INTERRUPTED
+    except BrokenPipeError:
+        raise
+    except MemoryError:
+        print("loopcal: the memory does not suffice", file=sys.stderr)
+        print("  What to do: use fewer poses (data.every thins them)", file=sys.stderr)
+        return 3
+    except Exception as error:
+        return _fault(error)
+    if code == INTERRUPTED:
+        print("loopcal: interrupted; nothing was written", file=sys.stderr)
+    return int(code)
+
+
+def _fault(error: Exception) -> int:
+    import platform
+    import traceback
+
+    from loopcal.files.versions import versions
+
+    traceback.print_exception(error)
+    about = ", ".join(f"{name} {number}" for name, number in versions().items())
+    print(
+        f"loopcal: this is a fault of loopcal, not of your input: {type(error).__name__}: {error}\n"
+        f"  What to do: please report it, with the lines above and: {about}, {platform.platform()}",
+        file=sys.stderr,
+    )
+    return 1
+
+
+def _be_quiet() -> None:
+    """Whoever read our output has gone: nothing more shall be written, not even at the end."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

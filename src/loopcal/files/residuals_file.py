@@ -1,0 +1,40 @@
+"""residuals.csv: what became of every reading, pose by pose."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.result import Result
+from loopcal.files.table_writer import Column, table_bytes
+
+Array = NDArray[np.float64]
+
+
+def residuals_csv(result: Result) -> bytes:
+    """One row per pose used, SI: its id, loops before and after, readings and corrections.
+
+    Columns: pose; for every loop "residual NAME before [unit]" and "... after [unit]" (at the
+    readings and nominal parameters; at the corrected readings and calibrated parameters); for
+    every quantity "NAME [unit]", the reading, "NAME correction [unit]", estimated true value
+    minus reading, and "NAME correction/sd". Empty: not measured; the last also where exact.
+    """
+    columns: dict[str, Column] = {"pose": result.dataset.poses}
+    for loop, before in result.residuals_before.items():
+        unit = result.mechanism.quantities.get(loop, "SI")
+        columns[f"residual {loop} before [{unit}]"] = before
+        columns[f"residual {loop} after [{unit}]"] = result.residuals_after[loop]
+    nothing = np.full(len(result.dataset), np.nan)
+    for quantity, unit in result.mechanism.quantities.items():
+        reading = result.dataset.readings.get(quantity, nothing)
+        sd = result.reading_sds[quantity]
+        correction = np.where(np.isfinite(sd), result.corrections[quantity], np.nan)
+        columns[f"{quantity} [{unit}]"] = reading
+        columns[f"{quantity} correction [{unit}]"] = correction
+        columns[f"{quantity} correction/sd"] = _over_sd(correction, sd)
+    return table_bytes(columns)
+
+
+def _over_sd(correction: Array, sd: Array) -> Array:
+    measured = (sd > 0.0) & np.isfinite(sd)
+    return np.where(measured, correction / np.where(measured, sd, 1.0), np.nan)

@@ -1,0 +1,166 @@
+"""What result.json says, field by field: checked on reading, published as a JSON Schema.
+
+Numbers are SI unless a unit stands beside them. Unknown is null; NaN and infinity never occur.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from loopcal.files.model import Finite, Model
+
+Count = Annotated[int, Field(ge=0)]
+Sd = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Probability = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+
+
+class StatusEntry(Model):
+    """How the fit ended."""
+
+    converged: bool = Field(description="Whether the point found is the optimum.")
+    reason: str = Field(description="Why the fit stopped, in one word.")
+    message: str = Field(description="Cause and remedy.")
+    iterations: Count = Field(description="Parameter steps tried.")
+
+
+class ParameterEntry(Model):
+    """One parameter of the mechanism."""
+
+    name: str
+    unit: str = Field(description="SI unit of all numbers of this parameter.")
+    nominal: Finite = Field(
+        description="Value before the fit, after the machine was moved to where the instrument "
+        "sees it."
+    )
+    value: Finite = Field(description="Calibrated value; the nominal one where fixed.")
+    sd: Sd | None = Field(description="Null where fixed or not identifiable.")
+    prior_sd: Sd | None = Field(description="How well the nominal was known; null: flat.")
+    fixed: bool = Field(description="Whether it was held at its nominal value.")
+    identifiable: bool | None = Field(description="By data and prior; null where fixed.")
+    error: Finite | None = Field(
+        description="True minus estimate, where the truth of a simulation was given."
+    )
+
+
+class CovarianceEntry(Model):
+    """Covariance of the estimated parameters."""
+
+    names: list[str] = Field(description="Parameters in the order of rows and columns.")
+    unit: Literal["SI"]
+    matrix: list[list[Finite | None]] = Field(
+        description="Products of the parameters' SI units; null where one is not identifiable."
+    )
+
+
+class NoiseEntryOfFile(Model):
+    """The sd that the readings of some quantities were given."""
+
+    quantities: list[str]
+    unit: str
+    sd: Sd = Field(description="The median where it differs from reading to reading.")
+    sd_of_sd: Sd | None = Field(description="How sure the sd itself is, where that is known.")
+    source: Literal["given", "estimated", "reading", "repeats", "datasheet"]
+
+
+class ChiSquaredEntry(Model):
+    """Weighted squares of all corrections and of the distance from informative nominal values."""
+
+    value: Finite
+    degrees_of_freedom: int
+    p_value: Probability | None = Field(
+        description="Probability of a value at least this large if model and sds are right."
+    )
+    variance_factor: Sd | None = Field(description="Value per degree of freedom.")
+
+
+class ClosureSize(Model):
+    """Size of the loop equations' values over all poses [SI]."""
+
+    rms: Sd | None
+    max: Sd | None
+
+
+class ClosureEntry(Model):
+    """The loop equations before and after. That a loop closes is no accuracy."""
+
+    before: ClosureSize = Field(description="At the readings and the nominal parameters.")
+    after: ClosureSize = Field(description="At the corrected readings, calibrated parameters.")
+
+
+class Distances(Model):
+    """Distances between computed and measured outputs over the poses that have both."""
+
+    mean: Sd
+    rms: Sd
+    p95: Sd = Field(description="95 % of the poses are at most so far off.")
+    max: Sd
+
+
+class AccuracyEntry(Model):
+    """Computed minus measured outputs; the readings it is computed from are not corrected."""
+
+    unit: str
+    before: Distances = Field(description="With the nominal parameters.")
+    after: Distances = Field(description="With the calibrated parameters.")
+
+
+class UndeterminedEntry(Model):
+    """A direction in which neither data nor prior say anything."""
+
+    combination: dict[str, Finite] = Field(description="Parameter -> its share, the largest 1.")
+    words: str
+
+
+class IdentifiabilityEntry(Model):
+    """What can be told from these poses."""
+
+    rank: Count = Field(description="Directions determined by data and prior together.")
+    parameters: Count = Field(description="Number of estimated parameters.")
+    data_rank: Count = Field(description="Directions determined by the data alone.")
+    condition_number: Sd | None = Field(
+        description="Largest over smallest singular value of the column-scaled whitened "
+        "parameter Jacobian; null where it is singular."
+    )
+    not_identifiable: list[UndeterminedEntry]
+
+
+class DataEntry(Model):
+    """Which readings were used."""
+
+    file: str | None
+    sha256: str | None = Field(description="Of the bytes of the file.")
+    poses: Count = Field(description="Poses in the file.")
+    used: Count = Field(description="Poses used; residuals.csv lists their ids.")
+    excluded: list[str] = Field(description="Ids of the poses left out on request.")
+    every: Annotated[int, Field(ge=1)] = Field(description="The 1st, (every + 1)th ... was kept.")
+    quantities: list[str] = Field(description="Quantities that were read.")
+
+
+class ResultDocument(Model):
+    """result.json of loopcal: one calibration."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    loopcal: str = Field(description="Version of loopcal that wrote this file.")
+    title: str | None
+    method: Literal["implicit-loop", "least-squares", "implicit-loop-undamped"]
+    status: StatusEntry
+    parameters: list[ParameterEntry]
+    covariance: CovarianceEntry
+    noise: list[NoiseEntryOfFile] = Field(description="Empty for least squares, which knows none.")
+    chi_squared: ChiSquaredEntry | None = Field(description="Null for least squares.")
+    closure: ClosureEntry
+    accuracy: AccuracyEntry | None = Field(
+        description="Null where the mechanism has no outputs, or outputs of several units."
+    )
+    validation: None = Field(description="Null: no validation was made.")
+    identifiability: IdentifiabilityEntry
+    observability: None = Field(description="Null: no index was computed.")
+    outliers: None = Field(description="Null: no reading was tested.")
+    data: DataEntry
+    warnings: list[str] = Field(description="What the summary warns of.")
+    inputs: dict[str, Any] = Field(
+        description='The project as it was read; infinite sds are the text "inf".'
+    )
+    versions: dict[str, str] = Field(description="Versions of Python and of the libraries.")

@@ -1,0 +1,76 @@
+"""Tables of numbers as CSV, TSV or Parquet; floats are written so that they read back exactly."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+
+Column = Sequence[str] | NDArray[np.float64]
+SEPARATORS = {".csv": ",", ".tsv": "\t", ".txt": "\t"}
+LARGE = 20_000
+"""Rows from which on loading polars pays."""
+
+
+def table_bytes(columns: Mapping[str, Column], ending: str = ".csv") -> bytes:
+    """The bytes of a table with a header; NaN becomes an empty cell.
+
+    columns: name -> N texts, or N numbers. Raises InputError for an ending that is not written.
+    """
+    ending = ending.lower()
+    if ending in (".parquet", ".pq"):
+        return _by_polars(columns, None)
+    if ending not in SEPARATORS:
+        raise InputError(
+            f"a table cannot be written as {ending or 'a file without an ending'}",
+            remedy="name a file that ends in .csv, .tsv or .parquet",
+        )
+    rows = len(next(iter(columns.values())))
+    if rows >= LARGE:
+        return _by_polars(columns, SEPARATORS[ending])
+    cells = [_cells(column) for column in columns.values()]
+    text = io.StringIO()
+    writer = csv.writer(text, delimiter=SEPARATORS[ending], lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*cells, strict=True))
+    return text.getvalue().encode("utf-8")
+
+
+def check_ending(path: str | Path) -> None:
+    """Raise InputError, before any work is done, for a table that could not be written."""
+    ending = Path(path).suffix.lower()
+    if ending not in (*SEPARATORS, ".parquet", ".pq"):
+        raise InputError(
+            f"a table cannot be written as {ending or 'a file without an ending'}",
+            place=str(path),
+            remedy="name a file that ends in .csv, .tsv or .parquet",
+        )
+
+
+def _cells(column: Column) -> Sequence[str]:
+    if not isinstance(column, np.ndarray):
+        return column
+    return ["" if value != value else repr(value) for value in column.tolist()]
+
+
+def _by_polars(columns: Mapping[str, Column], separator: str | None) -> bytes:
+    import polars as pl
+
+    frame = pl.DataFrame(
+        {
+            name: pl.Series(column if isinstance(column, np.ndarray) else list(column))
+            for name, column in columns.items()
+        }
+    ).fill_nan(None)
+    out = io.BytesIO()
+    if separator is None:
+        frame.write_parquet(out)
+    else:
+        frame.write_csv(out, separator=separator)
+    return out.getvalue()

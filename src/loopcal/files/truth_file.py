@@ -1,0 +1,88 @@
+"""The truth of a simulation, kept beside its readings: NAME.truth.json for NAME.csv."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from loopcal.errors import InputError, nearest
+from loopcal.files.json_reader import read_json
+from loopcal.files.versions import version
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.simulation.simulate import Simulation
+from loopcal.units import convertible, to_si
+
+SCHEMA = 1
+
+
+def truth_json(simulation: Simulation, mechanism: Mechanism) -> str:
+    """Every true parameter, and the true values of every quantity in every pose [SI]."""
+    document = {
+        "schema": SCHEMA,
+        "loopcal": version(),
+        "mechanism": mechanism.name,
+        "seed": simulation.seed,
+        "parameters": {
+            p.name: {"value": simulation.parameters[p.name], "unit": p.unit}
+            for p in mechanism.parameters
+        },
+        "poses": list(simulation.dataset.poses),
+        "quantities": {
+            name: {"unit": unit, "values": simulation.quantities[name].tolist()}
+            for name, unit in mechanism.quantities.items()
+        },
+    }
+    return json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def read_truth(path: str | Path, mechanism: Mechanism) -> Mapping[str, float]:
+    """True parameters by name [SI], of those that the file states.
+
+    Raises InputError for a file that is no truth, for a parameter the mechanism does not have,
+    and for a value or unit that does not fit.
+    """
+    document = read_json(path, "truth.json", SCHEMA)
+    stated = document.get("parameters")
+    if not isinstance(stated, dict) or not stated:
+        raise InputError(
+            "the file states no true parameters",
+            place=f"{path}: parameters",
+            remedy="name the .truth.json that `loopcal simulate` wrote beside its readings",
+        )
+    truth = {}
+    for name, entry in stated.items():
+        if name not in mechanism.parameters.names:
+            raise InputError(
+                f"the mechanism {mechanism.name!r} has no parameter {name!r}",
+                place=f"{path}: parameters",
+                remedy=nearest(name, mechanism.parameters.names),
+            )
+        place = f"{path}: parameters.{name}"
+        truth[name] = _value(entry, mechanism.parameters[name].unit, place)
+    return MappingProxyType(truth)
+
+
+def _value(entry: Any, expected: str, place: str) -> float:
+    value = entry.get("value") if isinstance(entry, dict) else entry
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(
+            f"the true value is {value!r}",
+            place=place,
+            remedy='give {"value": number, "unit": "..."}',
+        )
+    unit = entry.get("unit", expected) if isinstance(entry, dict) else expected
+    try:
+        fits = convertible(str(unit), expected)
+    except InputError as error:
+        raise error.at(place) from None
+    if not fits:
+        raise InputError(
+            f"the true value is in {unit}, the parameter in {expected}",
+            place=place,
+            remedy=f"give a unit that can be turned into {expected}",
+        )
+    return to_si(float(value), str(unit))

@@ -1,0 +1,19 @@
+"""Versions of this program and of what its numbers depend on."""
+
+from __future__ import annotations
+
+import platform
+
+
+def versions() -> dict[str, str]:
+    """Version of loopcal, Python and NumPy."""
+    import numpy as np
+
+    return {"loopcal": version(), "python": platform.python_version(), "numpy": np.__version__}
+
+
+def version() -> str:
+    """Version of the installed loopcal."""
+    from importlib.metadata import version as installed
+
+    return installed("loopcal")

@@ -1,0 +1,204 @@
+"""From a project file to written results: the one path behind the command line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, UsageError, nearest
+from loopcal.estimation.calibrate import METHODS, calibrate
+from loopcal.estimation.result import Result
+from loopcal.estimation.solver import Progress
+from loopcal.files.atomic import write_files
+from loopcal.files.project_data import load_dataset
+from loopcal.files.project_file import Project, read_project
+from loopcal.files.python_function import load_function
+from loopcal.files.readings_file import readings_table
+from loopcal.files.result_file import WrittenResult, result_schema, write_result
+from loopcal.files.simulation_entries import SimulationSpec
+from loopcal.files.table_writer import check_ending
+from loopcal.files.truth_file import read_truth, truth_json
+from loopcal.measurements.noise import resolve_noise
+from loopcal.simulation.poses import grid_poses, random_poses, stream
+from loopcal.simulation.simulate import Simulation, simulate
+
+Array = NDArray[np.float64]
+SCHEMAS = ("project", "result")
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A calibration that was run and written.
+
+    written: where, and the content of result.json; warnings: about the readings; objection: why
+    the result cannot be trusted, None where it can.
+    """
+
+    result: Result
+    written: WrittenResult
+    warnings: tuple[str, ...]
+    objection: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """Readings that were simulated and written, their truth beside them."""
+
+    simulation: Simulation
+    file: Path
+    truth_file: Path
+
+
+def run_calibration(
+    project: str | Path,
+    *,
+    method: str | None = None,
+    truth: str | Path | None = None,
+    out: str | Path | None = None,
+    function: str | None = None,
+    require_identifiable: bool = False,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Calibrate as a project file says, and write result.json, residuals.csv, mechanism.toml.
+
+    project: its path, "-" for standard input; method: instead of the project's; truth: a file
+    of true parameters, whose errors are added; out: the folder to write to, by default
+    NAME-result beside the project NAME.toml; function: FILE.py:NAME of the loops;
+    require_identifiable: whether every parameter must be determined, as the project may ask.
+
+    The files are written, all or none, also where the fit did not converge: `objection` tells.
+    Raises InputError for what cannot be used and UsageError for a method that is none.
+    """
+    if method is not None and method not in METHODS:
+        raise UsageError(f"there is no method {method!r}", remedy=nearest(method, METHODS))
+    read = _project(project, function)
+    loaded = load_dataset(read)
+    true = None if truth is None else read_truth(truth, read.mechanism)
+    try:
+        result = calibrate(
+            read.mechanism,
+            loaded.dataset,
+            noise=loaded.noise,
+            method=method or read.fit.method,
+            start=read.fit.start,
+            max_iterations=read.fit.max_iterations,
+            progress=progress,
+        )
+    except InputError as error:
+        raise error.at(read.name) from None
+    if true is not None:
+        errors = {name: value - result.value[name] for name, value in true.items()}
+        result = replace(result, errors=MappingProxyType(errors))
+    warnings = tuple(str(warning) for warning in loaded.warnings)
+    written = write_result(
+        result,
+        default_folder(read) if out is None else out,
+        title=read.title,
+        inputs=read.inputs,
+        warnings=warnings,
+    )
+    asked = require_identifiable or read.fit.require_identifiable
+    return Calibration(result, written, warnings, _objection(result, asked))
+
+
+def default_folder(project: Project) -> Path:
+    """Where results go when nobody says: NAME-result beside the project NAME.toml."""
+    name = "loopcal" if project.path is None else project.path.stem
+    return project.folder / f"{name}-result"
+
+
+def _objection(result: Result, require_identifiable: bool) -> str | None:
+    """Why the result must not be used, where that is so."""
+    if not result.status.converged:
+        return f"the fit did not converge ({result.status.reason}): {result.status.message}"
+    loose = result.identifiability.not_identifiable
+    if require_identifiable and loose:
+        return "not every parameter is identifiable: " + "; ".join(u.words for u in loose)
+    return None
+
+
+def run_simulation(
+    project: str | Path, *, out: str | Path, seed: int, function: str | None = None
+) -> Simulated:
+    """Make readings as the [simulation] of a project says, with the noise of a seed.
+
+    Writes the readings to `out` (.csv, .tsv or .parquet) under the column names and units in
+    which the project reads them, and the truth beside them: NAME.truth.json for NAME.csv.
+    Raises InputError for what cannot be used.
+    """
+    out = Path(out)
+    check_ending(out)
+    read = _project(project, function)
+    if read.simulation is None:
+        raise InputError(
+            "the project does not say what to simulate",
+            place=read.name,
+            remedy="add [simulation.ranges], one line for every quantity that is driven",
+        )
+    noise = read.simulation.noise.noise()
+    try:
+        made = simulate(
+            read.mechanism,
+            _poses(read.simulation, seed),
+            noise=noise,
+            seed=seed,
+            truth=_true_parameters(read, seed),
+        )
+    except InputError as error:
+        raise error.at(read.name) from None
+    quantities = read.mechanism.tape.quantities
+    known = resolve_noise(noise, made.dataset, quantities, read.mechanism.quantity_group)
+    shape = (len(quantities), len(made.dataset))
+    sds = dict(zip(quantities, np.broadcast_to(known.sd, shape), strict=True))
+    truth_file = out.with_name(f"{out.stem}.truth.json")
+    write_files(
+        out.parent,
+        {
+            out.name: readings_table(made.dataset, read.data, sds, out.suffix),
+            truth_file.name: truth_json(made, read.mechanism),
+        },
+    )
+    return Simulated(made, out, truth_file)
+
+
+def _poses(spec: SimulationSpec, seed: int) -> dict[str, Array]:
+    if spec.grid:
+        values = {
+            name: [span.start] if span.values is None else span.values
+            for name, span in spec.ranges.items()
+        }
+        return grid_poses(values)
+    ranges = {name: (span.start, span.stop) for name, span in spec.ranges.items()}
+    return random_poses(ranges, spec.poses, seed=seed)
+
+
+def _true_parameters(project: Project, seed: int) -> dict[str, float]:
+    """The truth the project states, and random deviations where it asks for these."""
+    assert project.simulation is not None
+    truth = dict(project.simulation.truth)
+    draws = stream(seed, "machine").standard_normal(len(project.mechanism.parameters))
+    for parameter, z in zip(project.mechanism.parameters, draws.tolist(), strict=True):
+        sd = project.simulation.perturb.get(parameter.name)
+        if sd is not None:
+            truth[parameter.name] = truth.get(parameter.name, parameter.nominal) + sd * z
+    return truth
+
+
+def schema(name: str) -> dict[str, Any]:
+    """The JSON Schema of "project" files or of "result" files."""
+    if name == "project":
+        from loopcal.files.project_schema import project_schema
+
+        return project_schema()
+    if name == "result":
+        return result_schema()
+    raise UsageError(f"there is no schema {name!r}", remedy=nearest(name, SCHEMAS))
+
+
+def _project(path: str | Path, function: str | None) -> Project:
+    return read_project(path, mechanism=None if function is None else load_function(function))
