@@ -44,8 +44,8 @@ class SimulationSpec:
 
     poses: how many; grid: whether they are all combinations of the ranges' values, or random;
     ranges: quantity or known constant -> range; truth: parameter -> true value, where it is not
-    the nominal one; perturb: parameter -> sd of a random deviation of its truth; noise: of the
-    sensors, as they truly are.
+    the nominal one; perturb: parameter -> sd of a random deviation of its truth, fixed parameters
+    never among them; noise: of the sensors, as they truly are.
     """
 
     poses: int
@@ -174,5 +174,12 @@ def _machine(
                     place=str(here),
                     remedy="give a finite sd",
                 )
-            perturb[name] = sd
+            if not parameters[name].fixed:
+                perturb[name] = sd
+            elif name == key:
+                raise InputError(
+                    f"{name!r} is fixed, which means known exactly, and deviates nowhere",
+                    place=str(here),
+                    remedy="set it free, or state its true value in [simulation.truth]",
+                )
     return truth, perturb
