@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from loopcal.expressions.graph import Graph, Node
 from loopcal.expressions.operations import LEAVES
+from loopcal.expressions.rewriting import rewritten, turns_written_out, unchanged
 from loopcal.expressions.tape import Tape
 
 
@@ -34,24 +35,18 @@ class Linearisation:
 def linearise(tape: Tape, quantities: Iterable[str], parameters: Iterable[str]) -> Linearisation:
     """f, df/dx for the named quantities and df/dp for the named parameters, as one tape."""
     quantities, parameters = tuple(quantities), tuple(parameters)
-    graph = Graph()
-    place: list[Node] = []
-    for name, payload in tape.operations:
-        if name in LEAVES:
-            place.append(graph.leaf(name, payload[0]))
-        else:
-            place.append(graph.apply(name, *(place[int(a)] for a in payload)))
+    graph, place = rewritten(tape.operations, unchanged)
     loops = [place[output] for output in tape.outputs]
     inputs = [graph.leaf("quantity", tape.quantities.index(q)) for q in quantities]
     inputs += [graph.leaf("parameter", tape.parameters.index(p)) for p in parameters]
     gradients = [_reverse(graph, loop, inputs) for loop in loops]
     outputs = [*loops, *(gradient[i] for i in range(len(inputs)) for gradient in gradients)]
-    lowered, outputs = _lower(graph, outputs)
+    lowered, place = rewritten(graph.operations, turns_written_out)
     names = [str(i) for i in range(len(outputs))]
     return Linearisation(
         Tape.from_graph(
             lowered,
-            outputs,
+            [place[output] for output in outputs],
             quantities=tape.quantities,
             known=tape.known,
             parameters=tape.parameters,
@@ -174,19 +169,3 @@ def _chain_turn(
     cosine_first = (name == "turn_cos") == (position == 0)
     term = apply("mul", bar, apply("cos" if cosine_first else "sin", angle))
     return apply("neg", term) if name == "turn_cos" and position == 1 else term
-
-
-def _lower(graph: Graph, outputs: Sequence[Node]) -> tuple[Graph, list[Node]]:
-    """The same graph with rotations written out, ready for an engine."""
-    lowered = Graph()
-    place: list[Node] = []
-    for name, payload in graph.operations:
-        if name in LEAVES:
-            place.append(lowered.leaf(name, payload[0]))
-            continue
-        arguments = [place[int(a)] for a in payload]
-        if name in ("turn_cos", "turn_sin"):
-            place.append(lowered.lower_turn(name, *arguments))
-        else:
-            place.append(lowered.apply(name, *arguments))
-    return lowered, [place[output] for output in outputs]

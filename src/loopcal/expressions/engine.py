@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.expressions.derivative import Linearisation, linearise
 from loopcal.expressions.operations import LEAVES, OPERATIONS, evaluate_scalar
+from loopcal.expressions.rewriting import half_angles, varying
 from loopcal.expressions.tape import Tape
 
 Array = NDArray[np.float64]
@@ -42,42 +42,36 @@ class NumpyEngine:
     """
 
     def __init__(self, linearisation: Linearisation, size: int) -> None:
-        tape = linearisation.tape
+        tape = half_angles(linearisation.tape)
         self.size = size
         self._linearisation = linearisation
         self._operations = tape.operations
-        self._stage = _stages(tape)
-        self._constants = {
-            i: payload[0] for i, (name, payload) in enumerate(tape.operations) if name == "constant"
-        }
+        self._varies = varying(tape.operations)
         self._fixed = np.zeros(len(tape.operations))
+        self._once = [o for o in enumerate(tape.operations) if not self._varies[o[0]]]
         self._inputs = np.zeros((len(tape.quantities) + len(tape.known), size))
         self._quantities = len(tape.quantities)
         self._outputs = np.zeros((len(tape.outputs), size))
-        self._first_row, self._copies = _output_rows(tape.outputs)
-        self._register, count = self._allocate(tape)
+        self._targets = tape.outputs
+        self._row = {o: row for row, o in reversed(list(enumerate(tape.outputs)))}
+        self._register, count = self._allocate()
         self._registers = np.zeros((count, size))
-        self._bound: dict[int, list[tuple[Any, ...]]] = {}
+        self._bound: dict[int, list[tuple[np.ufunc, tuple[Array, ...]]]] = {}
 
     def at(self, parameters: Array) -> None:
         """Set the parameters, (n_all,) in the order of the tape [SI], for the blocks to come."""
         values = [0.0] * len(self._operations)
-        for position, (name, payload) in enumerate(self._operations):
-            if self._stage[position] == _POSE:
-                continue
+        for position, (name, payload) in self._once:
             if name == "constant":
                 values[position] = payload[0]
             elif name == "parameter":
                 values[position] = float(parameters[int(payload[0])])
             else:
-                values[position] = evaluate_scalar(name, *(values[int(a)] for a in payload))
-            self._fixed[position] = values[position]
-        for position, row in self._first_row.items():
-            if self._stage[position] != _POSE:
-                self._outputs[row] = values[position]
-                for source, copy in self._copies:
-                    if source == row:
-                        self._outputs[copy] = values[position]
+                values[position] = evaluate_scalar(name, *[values[int(a)] for a in payload])
+        self._fixed[:] = values
+        for row, output in enumerate(self._targets):
+            if not self._varies[output]:
+                self._outputs[row] = values[output]
 
     def evaluate(self, x: Array, known: Array | None = None) -> LoopValues:
         """f and its derivatives at x, (k_all, b) [SI], known constants (c, b); b <= size.
@@ -95,8 +89,8 @@ class NumpyEngine:
         if bound not in self._bound:
             self._bound[bound] = self._bind(bound)
         with np.errstate(all="ignore"):
-            for instruction in self._bound[bound]:
-                instruction[0](*instruction[1:])
+            for function, arrays in self._bound[bound]:
+                function(*arrays)
         out = self._outputs[:, :width]
         m = self._linearisation.loops
         k, n = len(self._linearisation.quantities), len(self._linearisation.parameters)
@@ -106,23 +100,22 @@ class NumpyEngine:
             out[m + k * m :].reshape(n, m, width),
         )
 
-    def _allocate(self, tape: Tape) -> tuple[dict[int, int], int]:
-        """A register for every pose-dependent value that is not itself an output."""
+    def _allocate(self) -> tuple[dict[int, int], int]:
+        """A register for every value that varies and is not itself an output; and how many."""
         last_use: dict[int, int] = {}
-        for position, (name, payload) in enumerate(tape.operations):
+        for position, (name, payload) in enumerate(self._operations):
             if name not in LEAVES:
-                for argument in payload:
-                    last_use[int(argument)] = position
+                last_use |= {int(argument): position for argument in payload}
         register: dict[int, int] = {}
         free: list[int] = []
         count = 0
-        for position, (name, payload) in enumerate(tape.operations):
-            if name in LEAVES or self._stage[position] != _POSE:
+        for position, (name, payload) in enumerate(self._operations):
+            if name in LEAVES or not self._varies[position]:
                 continue
             for argument in {int(a) for a in payload}:
                 if last_use[argument] == position and argument in register:
                     free.append(register[argument])
-            if position in self._first_row:
+            if position in self._row:
                 continue
             if not free:
                 free.append(count)
@@ -130,42 +123,33 @@ class NumpyEngine:
             register[position] = free.pop()
         return register, count
 
-    def _bind(self, width: int) -> list[tuple[Any, ...]]:
-        """The instructions with their arrays, for blocks of `width` poses."""
-
-        def place(position: int) -> Array:
-            name, payload = self._operations[position]
-            if self._stage[position] != _POSE:
-                return self._fixed[position : position + 1]
-            if name in LEAVES:
-                offset = self._quantities if name == "known" else 0
-                return self._inputs[offset + int(payload[0]), :width]
-            if position in self._first_row:
-                return self._outputs[self._first_row[position], :width]
-            return self._registers[self._register[position], :width]
-
-        instructions: list[tuple[Any, ...]] = []
+    def _bind(self, width: int) -> list[tuple[np.ufunc, tuple[Array, ...]]]:
+        """The NumPy calls with their arrays, for blocks of `width` poses."""
+        instructions: list[tuple[np.ufunc, tuple[Array, ...]]] = []
         for position, (name, payload) in enumerate(self._operations):
-            if name in LEAVES or self._stage[position] != _POSE:
-                continue
-            arguments = [place(int(a)) for a in payload]
-            instructions.append((OPERATIONS[name].array, *arguments, place(position)))
-        for position, row in self._first_row.items():
-            if self._operations[position][0] in ("quantity", "known"):
-                target = self._outputs[row, :width]
-                leaf = self._operations[position]
-                offset = self._quantities if leaf[0] == "known" else 0
-                source = self._inputs[offset + int(leaf[1][0]), :width]
-                instructions.append((np.copyto, target, source))
-        for source_row, copy in self._copies:
-            position = next(p for p, row in self._first_row.items() if row == source_row)
-            if self._stage[position] == _POSE:
-                target, source = self._outputs[copy, :width], self._outputs[source_row, :width]
-                instructions.append((np.copyto, target, source))
+            function = OPERATIONS[name].array if name not in LEAVES else None
+            if function is not None and self._varies[position]:
+                arrays = [self._place(int(a), width) for a in payload]
+                instructions.append((function, (*arrays, self._place(position, width))))
+        for row, output in enumerate(self._targets):
+            source, target = self._place(output, width), self._outputs[row, :width]
+            if self._varies[output] and source.ctypes.data != target.ctypes.data:
+                instructions.append((np.positive, (source, target)))
         return instructions
 
+    def _place(self, position: int, width: int) -> Array:
+        """Where the value of an operation stands: one number, or one for each pose."""
+        name, payload = self._operations[position]
+        if not self._varies[position]:
+            return self._fixed[position : position + 1].reshape(())  # a view
+        if name in LEAVES:
+            offset = self._quantities if name == "known" else 0
+            return self._inputs[offset + int(payload[0]), :width]
+        if position in self._row:
+            return self._outputs[self._row[position], :width]
+        return self._registers[self._register[position], :width]
 
-_FIXED, _POSE = 0, 1
+
 _engines = threading.local()
 
 
@@ -183,26 +167,3 @@ def engine_for(tape: Tape, parameters: tuple[str, ...], size: int) -> NumpyEngin
             kept.clear()
         kept[key] = NumpyEngine(linearise(tape, tape.quantities, parameters), size)
     return kept[key]
-
-
-def _stages(tape: Tape) -> list[int]:
-    """For each operation, whether it varies from pose to pose."""
-    stages: list[int] = []
-    for name, payload in tape.operations:
-        if name in LEAVES:
-            stages.append(_POSE if name in ("quantity", "known") else _FIXED)
-        else:
-            stages.append(max(stages[int(a)] for a in payload))
-    return stages
-
-
-def _output_rows(outputs: tuple[int, ...]) -> tuple[dict[int, int], list[tuple[int, int]]]:
-    """Where each distinct output is computed, and which rows are copies of which."""
-    first: dict[int, int] = {}
-    copies: list[tuple[int, int]] = []
-    for row, position in enumerate(outputs):
-        if position in first:
-            copies.append((first[position], row))
-        else:
-            first[position] = row
-    return first, copies
