@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.closing import UNMEASURED_SCALE, close_by_newton
 from loopcal.estimation.kernel import BlockNoise, Whitened, unweighted, whiten
 from loopcal.estimation.problem import BLOCK, Problem
 from loopcal.estimation.reduction import Accumulator
@@ -22,11 +23,10 @@ from loopcal.expressions.engine import LoopValues, engine_for
 from loopcal.measurements.noise import CovarianceBlock
 
 Array = NDArray[np.float64]
-MOST_CLOSINGS = 60
+MOST_CLOSINGS = 8
+"""What Gauss-Newton has not closed by then is left to Newton, who knows the curvature."""
 _NEGLIGIBLE = 1e-6
 """A step of so many sds leaves a next one that only rounding sees."""
-UNMEASURED_SCALE = 1e-3
-"""What counts as one sd for the step of an unmeasured quantity: 1 mm or 1 mrad."""
 
 Reduce = Callable[[LoopValues, Array, BlockNoise], Whitened]
 
@@ -77,6 +77,7 @@ class Sweeper:
         self.closing_engine = engine_for(tape, (), size)
         # The basic method corrects nothing; only unmeasured quantities have to be found.
         self.corrects = not exact or any(p.unmeasured for p in problem.patterns)
+        self.parameters = problem.start
         self.evaluations = 0
 
     def sweep(
@@ -95,6 +96,7 @@ class Sweeper:
         problem = self.problem
         closing = closing if self.corrects else None
         self.engine.at(parameters)
+        self.parameters = parameters
         if closing is not None:
             self.closing_engine.at(parameters)
         data = Accumulator(len(problem.free), triangular)
@@ -172,8 +174,16 @@ class Sweeper:
             expected = np.where(overshot, expected, size)[rest]
             active = active[rest]
         assert active is not None
-        done[:, active] = np.where(np.isfinite(base + step), base + step, start[:, active])
-        late[active] = ~(expected <= 1e-3)
+        closed = close_by_newton(
+            self.problem.mechanism.tape,
+            self.parameters,
+            readings[:, active],
+            known[:, active],
+            np.where(np.isfinite(base), base, start[:, active]),
+            _select(noise, active),
+            min(tolerance, 1e-3),
+        )
+        done[:, active], late[active] = closed.corrections, closed.open
         return done, late
 
     def noise(self, unmeasured: tuple[int, ...], poses: slice | NDArray[np.intp]) -> BlockNoise:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from loopcal.expressions.graph import Graph, Node
 from loopcal.expressions.operations import LEAVES
@@ -56,6 +57,41 @@ def linearise(tape: Tape, quantities: Iterable[str], parameters: Iterable[str]) 
         quantities,
         parameters,
     )
+
+
+@lru_cache(maxsize=64)
+def lagrangian_gradient(tape: Tape) -> Tape:
+    """The gradient by all quantities of sum_r lambda_r f_r, with lambda_r as known constants.
+
+    Its outputs are the k derivatives; its known constants those of the tape, then one multiplier
+    per loop. Linearised once more, it gives the second derivatives of the loops.
+    """
+    graph = Graph()
+    place = _copied(tape, graph)
+    total = graph.constant(0.0)
+    for i, output in enumerate(tape.outputs):
+        multiplier = graph.leaf("known", len(tape.known) + i)
+        total = graph.apply("add", total, graph.apply("mul", multiplier, place[output]))
+    inputs = [graph.leaf("quantity", i) for i in range(len(tape.quantities))]
+    return Tape.from_graph(
+        graph,
+        _reverse(graph, total, inputs),
+        quantities=tape.quantities,
+        known=[*tape.known, *(f"lambda {loop}" for loop in tape.loops)],
+        parameters=tape.parameters,
+        loops=[f"d/d {quantity}" for quantity in tape.quantities],
+    )
+
+
+def _copied(tape: Tape, graph: Graph) -> list[Node]:
+    """The nodes of a tape's operations in a graph."""
+    place: list[Node] = []
+    for name, payload in tape.operations:
+        if name in LEAVES:
+            place.append(graph.leaf(name, payload[0]))
+        else:
+            place.append(graph.apply(name, *(place[int(a)] for a in payload)))
+    return place
 
 
 def _reverse(graph: Graph, output: Node, inputs: Sequence[Node]) -> list[Node]:
