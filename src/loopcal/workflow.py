@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shlex import quote
 from types import MappingProxyType
 from typing import Any
 
@@ -15,6 +16,7 @@ from loopcal.estimation.calibrate import METHODS, calibrate
 from loopcal.estimation.result import Result
 from loopcal.estimation.solver import Progress
 from loopcal.files.atomic import write_files
+from loopcal.files.new_project import write_new_project
 from loopcal.files.project_data import load_dataset
 from loopcal.files.project_file import Project, read_project
 from loopcal.files.python_function import load_function
@@ -22,6 +24,7 @@ from loopcal.files.readings_file import readings_table
 from loopcal.files.result_file import WrittenResult, result_schema, write_result
 from loopcal.files.simulation_entries import SimulationSpec
 from loopcal.files.table_writer import check_ending
+from loopcal.files.templates import TEMPLATES
 from loopcal.files.truth_file import read_truth, truth_json
 from loopcal.measurements.noise import resolve_noise
 from loopcal.simulation.poses import grid_poses, random_poses, stream
@@ -187,6 +190,35 @@ def _true_parameters(project: Project, seed: int) -> dict[str, float]:
         if sd is not None:
             truth[parameter.name] = truth.get(parameter.name, parameter.nominal) + sd * z
     return truth
+
+
+@dataclass(frozen=True)
+class NewProject:
+    """A project to start from: its files, the project file, and what to type next."""
+
+    files: tuple[Path, ...]
+    project: Path
+    commands: tuple[str, ...]
+
+
+def new_project(name: str, kind: str) -> NewProject:
+    """Write a commented project with a mechanism of some type into a folder of this name.
+
+    Raises UsageError for a type that is none, InputError where files are in the way.
+    """
+    if kind not in TEMPLATES:
+        raise UsageError(f"there is no mechanism type {kind!r}", remedy=nearest(kind, TEMPLATES))
+    files = write_new_project(name, kind)
+    project = Path(name) / "project.toml"
+    code = [path for path in files if path.suffix == ".py"]
+    loops = f" --mechanism {quote(f'{code[0]}:loops')}" if code else ""
+    at, poses = quote(str(project)), Path(name) / "poses.csv"
+    truth = quote(str(poses.with_name("poses.truth.json")))
+    commands = (
+        f"loopcal simulate {at}{loops} --out {quote(str(poses))} --seed 1",
+        f"loopcal calibrate {at}{loops} --truth {truth}",
+    )
+    return NewProject(files, project, commands)
 
 
 def schema(name: str) -> dict[str, Any]:

@@ -138,13 +138,18 @@ def simulate(
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the project: NAME.toml.")],
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="Folder of the project, NAME/project.toml.")
+    ],
     mechanism: Annotated[str, typer.Option(metavar="TYPE", help="planar-two-link, serial, ... ")],
 ) -> None:
     """Write a commented project to start from."""
     from loopcal.workflow import new_project
 
-    print(new_project(name, mechanism))
+    made = new_project(name, mechanism)
+    print(f"written: {', '.join(map(str, made.files))}\n\nTo simulate readings and calibrate:")
+    for command in made.commands:
+        print(f"  {command}")
 
 
 @app.command()
