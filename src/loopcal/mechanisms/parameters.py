@@ -130,12 +130,13 @@ def declared(parameters: Mapping[str, object]) -> Parameters:
         if isinstance(given, Parameter):
             items.append(replace(given, name=name))
             continue
-        value, unit_name = given if isinstance(given, tuple) else (given, "1")
+        pair = given if isinstance(given, tuple) else (given, "1")
         try:
+            value, unit_name = pair
             number = float(value)
         except (TypeError, ValueError):
             raise InputError(
-                f"parameter {name!r} has the value {value!r}",
+                f"parameter {name!r} has the value {given!r}",
                 remedy="give (value, unit), for example (0.8, 'm')",
             ) from None
         its = unit(str(unit_name))

@@ -168,6 +168,7 @@ def serial_arm(
     joints = tuple(joints)
     if not joints:
         raise InputError("a serial arm has no joints", remedy="list at least one joint")
+    _check_distinct([*(joint.name for joint in joints), *point])
     tool = tool_names(joints)
     base = tool[0] == "tool_x" if base is None else base
     steps = chain_steps(joints, base)
@@ -207,3 +208,13 @@ def serial_arm(
         description=described,
         placement=placement,
     )
+
+
+def _check_distinct(names: Sequence[str]) -> None:
+    """Joints and coordinates are read apart, so no two of them may share a name."""
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"{name!r} names two readings of the arm (joints and measured coordinates)",
+                remedy="give every joint and every coordinate a name of its own",
+            )
