@@ -1,0 +1,125 @@
+"""Parameters and priors go by name: globs, nearest names, values that cannot be."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from loopcal.errors import InputError
+from loopcal.mechanisms.parameters import Parameter, Parameters, declared, matching
+from loopcal.mechanisms.prior import Prior
+
+LENGTHS = Parameters(
+    (
+        Parameter("l1", 0.5, "m"),
+        Parameter("l2", 0.6, "m", prior_sd=1e-3),
+        Parameter("phi1", 0.1, "rad", fixed=True),
+    )
+)
+
+
+def test_they_keep_their_order_and_tell_who_is_free() -> None:
+    assert LENGTHS.names == ("l1", "l2", "phi1")
+    assert LENGTHS.free == ("l1", "l2")
+    assert [p.name for p in LENGTHS] == ["l1", "l2", "phi1"]
+    assert len(LENGTHS) == 3
+    assert LENGTHS["l2"].nominal == 0.6
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        ("l1", ("l1",)),
+        ("l*", ("l1", "l2")),
+        ("l?", ("l1", "l2")),
+        ("*1", ("l1", "phi1")),
+        ("l[13]", ("l1",)),
+        ("*", ("l1", "l2", "phi1")),
+    ],
+)
+def test_globs_stand_for_names_in_their_order(pattern: str, names: tuple[str, ...]) -> None:
+    assert LENGTHS.matching(pattern) == names
+
+
+def test_a_glob_minds_upper_and_lower_case() -> None:
+    with pytest.raises(InputError, match="no parameter is called 'L\\*'"):
+        LENGTHS.matching("L*")
+
+
+def test_a_name_that_looks_like_a_glob_is_found_as_it_stands() -> None:
+    assert matching("a[1]", ["a[1]", "a1"], "thing") == ("a[1]",)
+
+
+def test_unknown_names_name_the_nearest() -> None:
+    with pytest.raises(InputError, match=r"(?s)no parameter 'phi'.*did you mean 'phi1'"):
+        LENGTHS["phi"]
+    with pytest.raises(InputError, match=r"(?s)'l3'.*known are 'l1'"):
+        LENGTHS.with_nominal({"l3": 0.1})
+    with pytest.raises(InputError, match="no parameter is called 'q\\*'"):
+        LENGTHS.with_prior({"q*": 0.1})
+    with pytest.raises(InputError, match="no parameter is called 'q'"):
+        LENGTHS.with_fixed(["q"])
+
+
+def test_changes_make_new_parameters_and_later_entries_win() -> None:
+    changed = LENGTHS.with_nominal({"l1": 0.7}).with_prior({"*": 0.01, "l2": 0.02})
+    assert changed["l1"].nominal == 0.7
+    assert [p.prior_sd for p in changed] == [0.01, 0.02, 0.01]
+    assert LENGTHS["l1"].nominal == 0.5
+    assert LENGTHS["l1"].prior_sd == math.inf
+
+
+def test_fixing_and_setting_free() -> None:
+    assert LENGTHS.with_fixed(["l*"]).free == ()
+    assert LENGTHS.with_fixed(["*"], fixed=False).free == ("l1", "l2", "phi1")
+
+
+def test_a_prior_sd_of_zero_fixes() -> None:
+    fixed = LENGTHS.with_prior({"l1": 0.0})
+    assert fixed["l1"].fixed
+    assert fixed.free == ("l2",)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Parameter("l", math.nan, "m"), "'l' has the nominal value nan"),
+        (lambda: Parameter("l", math.inf, "m"), "'l' has the nominal value inf"),
+        (lambda: Parameter("l", 1.0, "m", prior_sd=-1.0), "prior sd of 'l' is -1.0"),
+        (lambda: Parameter("l", 1.0, "m", prior_sd=math.nan), "prior sd of 'l' is nan"),
+        (lambda: Parameters((Parameter("l", 1.0, "m"),) * 2), "'l' is declared twice"),
+        (lambda: LENGTHS.with_nominal({"l1": math.nan}), "'l1' has the nominal value nan"),
+        (lambda: declared({"l": ("long", "m")}), "'l' has the value .'long', 'm'"),
+        (lambda: declared({"l": None}), "'l' has the value None"),
+        (lambda: declared({"l": (1.0, "metre")}), "metre"),
+        (lambda: declared({"l": (1.0, "m", "x")}), "'l' has the value"),
+    ],
+)
+def test_what_cannot_be_a_parameter_is_named(make: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_declared_values_become_si() -> None:
+    made = declared({"l": (800.0, "mm"), "a": (90.0, "deg"), "k": 2, "p": Parameter("?", 1.0, "m")})
+    assert [p.name for p in made] == ["l", "a", "k", "p"]
+    assert made["l"].nominal == pytest.approx(0.8)
+    assert (made["l"].unit, made["a"].unit, made["k"].unit) == ("m", "rad", "1")
+    assert made["a"].nominal == pytest.approx(math.pi / 2)
+
+
+def test_a_prior_takes_units_and_globs_and_applies_to_parameters() -> None:
+    prior = Prior({"*": math.inf, "l?": (2.0, "mm"), "phi1": (1.0, "deg")})
+    applied = prior.apply(LENGTHS)
+    assert applied["l1"].prior_sd == pytest.approx(2e-3)
+    assert applied["phi1"].prior_sd == pytest.approx(math.radians(1.0))
+    assert prior == Prior({"*": math.inf, "l?": 0.002, "phi1": math.radians(1.0)})
+    assert prior != Prior({"l?": 0.002, "*": math.inf, "phi1": math.radians(1.0)})
+
+
+@pytest.mark.parametrize("sd", [-1.0, math.nan, "wide", None, (-1.0, "mm")])
+def test_a_prior_that_is_no_sd_is_refused(sd: Any) -> None:
+    with pytest.raises(InputError, match="prior sd of 'l1'"):
+        Prior({"l1": sd})
