@@ -47,7 +47,7 @@ def close_by_newton(
     noise: BlockNoise,
     tolerance: float,
 ) -> Closed:
-    """The nearest closed points of some poses, from corrections (k, b), to steps of tolerance sds."""
+    """The nearest closed points of some poses, until steps are at most so many sds."""
     first = engine_for(tape, (), 256)
     second = engine_for(lagrangian_gradient(tape), (), 256)
     first.at(parameters)
@@ -81,7 +81,7 @@ def _scaling(noise: BlockNoise, part: slice) -> Array:
 
 @dataclass(frozen=True)
 class _Local:
-    """The loops at some y: f (b, m), scaled Jacobian by its singular values, curvature (b, k, k)."""
+    """The loops at some y: f (b, m) and the singular value decomposition of f_x T."""
 
     f: Array
     U: Array

@@ -86,7 +86,7 @@ def whiten(values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened
         reflections = eliminate(jacobian[list(noise.unmeasured)])
         f, J, D = (reflections.apply(part) for part in (f, J, D))
     skip = len(noise.unmeasured)
-    G = _loadings(J[:, skip:], noise)
+    G = loadings(J[:, skip:], noise)
     L, singular = orthonormalise(G)
     now = correction if len(measured) == len(correction) else correction[measured]
     misclosure = np.einsum("kmb,kb->mb", J[:, skip:], now) - f[skip:]
@@ -124,7 +124,7 @@ def unweighted(values: LoopValues, correction: Array, noise: BlockNoise) -> Whit
     return Whitened(rows, np.zeros((r, 0, b)), new, np.zeros(b, dtype=bool))
 
 
-def _loadings(J: Array, noise: BlockNoise) -> Array:
+def loadings(J: Array, noise: BlockNoise) -> Array:
     """G = J S for a block: (r, k', b), from J (k', r, b)."""
     sd = noise.sd if len(noise.measured) == len(noise.sd) else noise.sd[list(noise.measured)]
     G = scratch("loadings", J.shape[1], J.shape[0], J.shape[2])

@@ -17,7 +17,7 @@ _pool = threading.local()
 
 
 def scratch(name: str, *shape: int) -> NDArray[np.float64]:
-    """An uninitialised array of this shape, this thread's own; the next call by `name` reuses it."""
+    """An uninitialised array, this thread's own; the next call by the same `name` reuses it."""
     buffers: dict[str, NDArray[np.float64]] = _pool.__dict__
     size = int(np.prod(shape))
     buffer = buffers.get(name)

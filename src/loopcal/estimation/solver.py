@@ -33,8 +33,9 @@ RELATIVE_STEP = 1e-6
 """Converged when the next step is this small beside the sds that the residuals suggest; close to
 the solution every iteration gains several digits, so what is left is far smaller still."""
 _MOST_DAMPING = 1e6
-_FAR = 100.0
-"""Whitened residuals this large (mean square): the loops need not be closed yet."""
+_FAR, _EXPLAINED = 100.0, 0.9
+"""Where whitened residuals are this large (mean square) and parameters explain this share of
+them, the loops need not be closed yet."""
 _ONCE, _NEAR, _CLOSED = np.inf, 0.1, 1e-9
 """Loops are closed until the last correction was at most so many sds: a single correction on the
 way, where that does not do, and at the end."""
@@ -142,6 +143,9 @@ class _Solver:
         if point.sweep.singular.size:
             raise self._cannot_close(point.sweep)
         self.floor = self._rounding_floor(point)
+        assert point.spectrum is not None
+        if closing is None and not self._far(point, point.spectrum.decrement):
+            return self._evaluate(point.parameters, corrections, _NEAR)
         return point
 
     def _cannot_close(self, sweep: Sweep) -> InputError:
@@ -192,7 +196,7 @@ class _Solver:
 
     def _try(self, current: _Point, parameters: Array, predicted: float) -> _Point | None:
         """The point at these parameters if its merit falls as it should, else None."""
-        far = predicted > _FAR * self.problem.equations
+        far = self._far(current, predicted)
         # The last steps are taken with closed loops, so that the point they end at is final.
         last = predicted <= self._limit(current.merit, slack=1e10)
         start = current.sweep.corrections if far else current.sweep.proposal
@@ -202,6 +206,10 @@ class _Solver:
             if self._worth(current, trial, predicted):
                 return trial
         return None
+
+    def _far(self, point: _Point, predicted: float) -> bool:
+        """Whether parameters explain nearly all of a large misclosure: then readings can wait."""
+        return predicted > max(_EXPLAINED * point.merit, _FAR * self.problem.equations)
 
     def _worth(self, current: _Point, trial: _Point, predicted: float) -> bool:
         if not np.isfinite(trial.merit) or trial.spectrum is None:
