@@ -68,7 +68,7 @@ def mechanism_from_data(
         raise InputError(
             "the mechanism's type is missing" if kind is None else f"there is no type {kind!r}",
             place=str(place if kind is None else place.at("type")),
-            remedy=nearest(str(kind), schema.TYPES),
+            remedy=nearest(str(kind or ""), schema.TYPES),
         )
     model = validated(schema.TYPES[kind], dict(data), place)
     if isinstance(model, schema.Function):

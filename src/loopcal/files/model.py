@@ -74,8 +74,8 @@ Sd = Annotated[float, Field(ge=0), BeforeValidator(_sd)]
 NameOrNumber = Annotated[str | int, BeforeValidator(_name_or_number)]
 
 
-def plain_number_as(key: str) -> BeforeValidator:
-    """A validator that takes a bare number for a table with this one key."""
+def plain_number_as(key: str, model: type[BaseModel]) -> BeforeValidator:
+    """A validator that takes a bare number for a table of that model with this one key."""
 
     def table(value: Any) -> Any:
         number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -84,7 +84,7 @@ def plain_number_as(key: str) -> BeforeValidator:
             raise complaint(f"{_short(value)} is given", remedy)
         return {key: value} if number else value
 
-    return BeforeValidator(table)
+    return BeforeValidator(table, json_schema_input_type=float | model)
 
 
 def validated(model: type[Kind], data: Any, place: Place) -> Kind:

@@ -51,6 +51,12 @@ def load_dataset(project: Project) -> LoadedData:
     for _, columns in wide:
         wanted |= columns
     path = expanded(spec.file, project.folder, place.at("file"))
+    if project.simulation is not None and not path.exists():
+        raise InputError(
+            f"there is no file {str(path)!r} yet",
+            place=str(place.at("file")),
+            remedy=f"make it: loopcal simulate {project.path or '-'} --out {path} --seed 1",
+        )
     read = read_dataset(path, wanted, **spec.options)
     dataset = replace(
         read,

@@ -129,7 +129,7 @@ def expanded(path: str, folder: Path, place: Place) -> Path:
                 place=str(place),
                 remedy=f"set it to the folder that is meant: export {name}=/path/to/folder",
             )
-    return folder / Path(_VARIABLE.sub(lambda match: os.environ[match[1]], path)).expanduser()
+    return folder / Path(_VARIABLE.sub(lambda match: os.environ[match[1]], path))
 
 
 def _mechanism(

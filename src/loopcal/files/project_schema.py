@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
 
 from loopcal.files.mechanism_schema import (
     Function,
@@ -68,6 +70,11 @@ def _column(value: Any) -> Any:
     return {"column": value} if isinstance(value, str | int) else value
 
 
+_ColumnOrName = Annotated[
+    ColumnEntry, BeforeValidator(_column, json_schema_input_type=str | int | ColumnEntry)
+]
+
+
 class DataEntry(Model):
     """The readings: a file, and which of its columns is which quantity."""
 
@@ -80,7 +87,7 @@ class DataEntry(Model):
     exclude: list[NameOrNumber] = Field(default=[], description="Ids of poses to leave out.")
     every: Length = Field(default=1, description="Keep the 1st, (every + 1)th, ... row.")
     units: Units = Field(default=Units(), description="Units of the columns that state none.")
-    columns: dict[str, Annotated[ColumnEntry, BeforeValidator(_column)]] | None = Field(
+    columns: dict[str, _ColumnOrName] | None = Field(
         default=None,
         description="Quantity = its column; without this table each quantity has a column of "
         "its own name.",
@@ -116,7 +123,7 @@ class NoiseEntry(Model):
 
 
 NoiseEntries = Annotated[
-    dict[str, Annotated[NoiseEntry, plain_number_as("sd")]],
+    dict[str, Annotated[NoiseEntry, plain_number_as("sd", NoiseEntry)]],
     Field(
         description="By quantity, glob, the joined names of all outputs, or several of these "
         "with commas; later lines win.",
@@ -132,7 +139,7 @@ class SdEntry(Model):
     unit: UnitName | None = None
 
 
-Sds = dict[str, Annotated[SdEntry, plain_number_as("sd")]]
+Sds = dict[str, Annotated[SdEntry, plain_number_as("sd", SdEntry)]]
 
 
 class FitEntry(Model):
@@ -170,7 +177,7 @@ class SimulationEntry(Model):
         description="Of every quantity that is driven, and of known constants.",
         examples=[{"theta_1": {"from": -90, "to": 90, "unit": "deg"}}],
     )
-    truth: dict[str, Annotated[Value, plain_number_as("value")]] = Field(
+    truth: dict[str, Annotated[Value, plain_number_as("value", Value)]] = Field(
         default={}, description="True values of parameters, by name or glob; else the nominal ones."
     )
     perturb: Sds = Field(
@@ -193,14 +200,31 @@ class ProjectModel(Model):
     prior: Sds = Field(
         default={},
         description="Prior sds of parameters by name or glob, inf: flat; later lines win.",
-        examples=[{"*": {"sd": float("inf")}, "d_*": {"sd": 1.0, "unit": "mm"}}],
+        examples=[{"d_*": {"sd": 1.0, "unit": "mm"}}],
     )
     parameters: ParameterEntries = Field(default={})
     fit: FitEntry = FitEntry()
     simulation: SimulationEntry | None = None
 
 
+class _Toml(GenerateJsonSchema):
+    """TOML knows no null: a key that is not stated is absent. And keys are their own titles."""
+
+    def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
+        return self.generate_inner(schema["schema"])
+
+    def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
+        made = super().default_schema(schema)
+        if made.get("default", 0) is None:
+            del made["default"]
+        return made
+
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        return False
+
+
 def project_schema() -> dict[str, Any]:
     """The JSON Schema (draft 2020-12) of a project file."""
-    made = ProjectModel.model_json_schema(by_alias=True)
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | made
+    made = ProjectModel.model_json_schema(by_alias=True, schema_generator=_Toml)
+    made["title"] = "loopcal project"
+    return {"$schema": _Toml.schema_dialect} | made

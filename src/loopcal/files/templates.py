@@ -22,10 +22,11 @@ def template_files(kind: str, folder: str) -> Mapping[str, str]:
         raise InputError(
             f"there is no project of the type {kind!r}", remedy=nearest(kind, TEMPLATES)
         )
+    # a name that ends in .template keeps linters from taking an example for a module of ours
     shown = shlex.quote(" ".join(folder.split()))
     source = resources.files("loopcal.files").joinpath("template_files", kind)
     return {
-        entry.name: entry.read_text("utf-8").replace("NAME/", f"{shown}/")
+        entry.name.removesuffix(".template"): entry.read_text("utf-8").replace("NAME/", f"{shown}/")
         for entry in sorted(source.iterdir(), key=lambda entry: entry.name)
         if entry.is_file()
     }
