@@ -18,7 +18,6 @@ J Sigma J^T would lose where sensors differ by orders of magnitude.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +30,8 @@ from loopcal.measurements.noise import CovarianceBlock
 Array = NDArray[np.float64]
 SINGULAR = 1e-13
 """A loop whose uncertain part is this small beside its own row cannot be closed."""
+REORTHOGONAL = 1e-3
+"""A row of which projections left no more than this is made orthogonal once more."""
 
 
 @dataclass(frozen=True)
@@ -78,29 +79,35 @@ def whiten(values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened
 
     values at readings + correction, correction: (k, b) [SI].
     """
-    f, jacobian, D = values.f, values.by_quantity, values.by_parameter
-    measured = list(noise.measured)
-    J = jacobian if len(measured) == len(jacobian) else jacobian[measured]
+    f, D = values.f, values.by_parameter
+    J, now = _measured(values.by_quantity, noise), _measured(correction, noise)
     reflections = Elimination()
     if noise.unmeasured:
-        reflections = eliminate(jacobian[list(noise.unmeasured)])
+        reflections = eliminate(values.by_quantity[list(noise.unmeasured)])
         f, J, D = (reflections.apply(part) for part in (f, J, D))
     skip = len(noise.unmeasured)
     G = loadings(J[:, skip:], noise)
     L, singular = orthonormalise(G)
-    now = correction if len(measured) == len(correction) else correction[measured]
-    misclosure = np.einsum("kmb,kb->mb", J[:, skip:], now) - f[skip:]
+    inverse = inverse_triangle(L)
+    misclosure = np.einsum("kmb,kb->mb", J[:, skip:], now, out=scratch("misclosure", *L.shape[1:]))
+    misclosure -= f[skip:]
     rows = scratch("rows", len(D) + 1, *misclosure.shape)
-    forward(L, D[:, skip:], rows[:-1])
-    forward(L, misclosure[None], rows[-1:])
-    new = np.zeros_like(correction)
-    new[measured] = unload(G, rows[-1], noise)
+    for i in range(len(inverse)):
+        lower = inverse[i, : i + 1]
+        np.einsum("jb,njb->nb", lower, D[:, skip : skip + i + 1], out=rows[:-1, i])
+        np.einsum("jb,jb->b", lower, misclosure[: i + 1], out=rows[-1, i])
+    new = unload(G, rows[-1], noise)
     if skip:
-        step = new[measured] - now
-        remainder = f[:skip] + np.einsum("kmb,kb->mb", J[:, :skip], step)
-        unmeasured = list(noise.unmeasured)
-        new[unmeasured] = correction[unmeasured] - reflections.solve(remainder)
+        remainder = f[:skip] + np.einsum("kmb,kb->mb", J[:, :skip], new - now)
+        measured, new = new, correction.copy()
+        new[list(noise.measured)] = measured
+        new[list(noise.unmeasured)] -= reflections.solve(remainder)
     return Whitened(rows, G, new, singular)
+
+
+def _measured(rows: Array, noise: BlockNoise) -> Array:
+    """The rows of the measured quantities; no copy where all are."""
+    return rows[list(noise.measured)] if noise.unmeasured else rows
 
 
 def unweighted(values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened:
@@ -125,10 +132,9 @@ def unweighted(values: LoopValues, correction: Array, noise: BlockNoise) -> Whit
 
 
 def loadings(J: Array, noise: BlockNoise) -> Array:
-    """G = J S for a block: (r, k', b), from J (k', r, b)."""
-    sd = noise.sd if len(noise.measured) == len(noise.sd) else noise.sd[list(noise.measured)]
+    """G = J S for a block: (r, k', b), from J (k', r, b); overwritten by the next block."""
     G = scratch("loadings", J.shape[1], J.shape[0], J.shape[2])
-    np.multiply(J.transpose(1, 0, 2), sd, out=G)
+    np.multiply(J.transpose(1, 0, 2), _measured_sd(noise), out=G)
     for block in noise.blocks:
         rows = [noise.measured.index(i) for i in block.indices]
         subscripts = "crb,cd->rdb" if block.factor.ndim == 2 else "crb,bcd->rdb"
@@ -136,58 +142,66 @@ def loadings(J: Array, noise: BlockNoise) -> Array:
     return G
 
 
+def _measured_sd(noise: BlockNoise) -> Array:
+    return _measured(noise.sd, noise)
+
+
 def unload(G: Array, E: Array, noise: BlockNoise) -> Array:
     """correction = S Q E, (k', b), from orthonormal rows G = Q^T."""
-    normalised = np.einsum("rkb,rb->kb", G, E)
-    sd = noise.sd if len(noise.measured) == len(noise.sd) else noise.sd[list(noise.measured)]
-    correction = normalised * sd
+    normalised = np.einsum("rkb,rb->kb", G, E, out=scratch("normalised", *G.shape[1:]))
+    correction: Array = normalised * _measured_sd(noise)
     for block in noise.blocks:
         rows = [noise.measured.index(i) for i in block.indices]
         subscripts = "cd,db->cb" if block.factor.ndim == 2 else "bcd,db->cb"
         correction[rows] = np.einsum(subscripts, block.factor, normalised[rows])
-    result: Array = correction
-    return result
+    return correction
 
 
-def orthonormalise(G: Array) -> tuple[list[list[Array]], NDArray[np.bool_]]:
+def orthonormalise(G: Array) -> tuple[Array, NDArray[np.bool_]]:
     """L with G = L Q^T, leaving Q^T in G: modified Gram-Schmidt over the rows.
 
-    G: (r, k', b). L[i][j], j <= i: (b,). A row that loses length is swept a second time, which
-    makes Q orthonormal to rounding ("twice is enough", Parlett 1980, section 6.9). Rows that
-    lie in the span of the ones before are marked singular.
+    G: (r, k', b). L: (r, r, b), only entries [i, j], j <= i, are set; overwritten by the next
+    block. L is exact to rounding without more; a row left with less than REORTHOGONAL of its
+    length is swept a second time, so that Q^T is orthonormal to eps / REORTHOGONAL at worst
+    ("twice is enough", Parlett 1980, section 6.9). Rows that lie in the span of the ones before
+    are marked singular.
     """
-    L: list[list[Array]] = []
+    L = scratch("triangle", len(G), len(G), G.shape[2])
     singular = np.zeros(G.shape[2], dtype=bool)
     for i, row in enumerate(G):
-        before = length = np.einsum("kb,kb->b", row, row)
-        entries = [np.zeros_like(before) for _ in range(i)]
-        for _ in range(2 if i else 0):
-            for j in range(i):
-                overlap = np.einsum("kb,kb->b", row, G[j])
-                row -= np.multiply(overlap, G[j], out=scratch("projection", *row.shape))
-                entries[j] += overlap
-            length = np.einsum("kb,kb->b", row, row)
-            if not np.any(length < 0.25 * before):
-                break
-        bad = ~(length > SINGULAR**2 * before)
-        if bad.any():
+        _project(row, G[:i], L[i])
+        length = np.einsum("kb,kb->b", row, row, out=L[i, i])
+        before = length + np.einsum("jb,jb->b", L[i, :i], L[i, :i]) if i else length
+        if not np.all(length > REORTHOGONAL**2 * before):
+            again = scratch("again", i, G.shape[2])
+            _project(row, G[:i], again)
+            L[i, :i] += again
+            np.einsum("kb,kb->b", row, row, out=length)
+            bad = ~(length > SINGULAR**2 * before)
             singular |= bad
-            length = np.where(bad, 1.0, length)
-        length = np.sqrt(length)
-        row *= 1.0 / length
-        L.append([*entries, length])
+            length[bad] = 1.0
+        np.sqrt(length, out=length)
+        np.multiply(row, 1.0 / length, out=row)
     return L, singular
 
 
-def forward(L: Sequence[Sequence[Array]], right: Array, out: Array) -> None:
-    """L^-1 applied to the second axis of right, (c, r, b), written to out."""
-    term = scratch("forward", len(right), right.shape[2])
-    for i, row in enumerate(L):
-        rest = right[:, i]
+def _project(row: Array, basis: Array, overlaps: Array) -> None:
+    """Take from row (k', b) its part in the span of orthonormal rows; overlaps: (i, b) or more."""
+    part = scratch("projection", *row.shape)
+    for j, unit in enumerate(basis):
+        overlap = np.einsum("kb,kb->b", row, unit, out=overlaps[j])
+        np.subtract(row, np.multiply(overlap, unit, out=part), out=row)
+
+
+def inverse_triangle(L: Array) -> Array:
+    """L^-1 of lower triangles (r, r, b), only entries [i, j], j <= i; overwritten by the next."""
+    inverse = scratch("inverse", *L.shape)
+    for i in range(len(L)):
+        pivot = np.divide(1.0, L[i, i], out=inverse[i, i])
         for j in range(i):
-            np.multiply(row[j], out[:, j], out=term)
-            rest = np.subtract(rest, term, out=out[:, i])
-        np.multiply(rest, 1.0 / row[i], out=out[:, i])
+            total = np.einsum("kb,kb->b", L[i, j:i], inverse[j:i, j], out=inverse[i, j])
+            np.multiply(total, -pivot, out=total)
+    return inverse
 
 
 @dataclass(frozen=True)

@@ -66,8 +66,7 @@ def lagrangian_gradient(tape: Tape) -> Tape:
     Its outputs are the k derivatives; its known constants those of the tape, then one multiplier
     per loop. Linearised once more, it gives the second derivatives of the loops.
     """
-    graph = Graph()
-    place = _copied(tape, graph)
+    graph, place = rewritten(tape.operations, unchanged)
     total = graph.constant(0.0)
     for i, output in enumerate(tape.outputs):
         multiplier = graph.leaf("known", len(tape.known) + i)
@@ -81,17 +80,6 @@ def lagrangian_gradient(tape: Tape) -> Tape:
         parameters=tape.parameters,
         loops=[f"d/d {quantity}" for quantity in tape.quantities],
     )
-
-
-def _copied(tape: Tape, graph: Graph) -> list[Node]:
-    """The nodes of a tape's operations in a graph."""
-    place: list[Node] = []
-    for name, payload in tape.operations:
-        if name in LEAVES:
-            place.append(graph.leaf(name, payload[0]))
-        else:
-            place.append(graph.apply(name, *(place[int(a)] for a in payload)))
-    return place
 
 
 def _reverse(graph: Graph, output: Node, inputs: Sequence[Node]) -> list[Node]:
