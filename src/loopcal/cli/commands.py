@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import sys
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from loopcal.cli.output import log, print_json, print_out
 from loopcal.errors import NoTrustworthyResult
 
 app = typer.Typer(
@@ -41,7 +40,7 @@ def _version(asked: bool) -> None:
     if asked:
         from loopcal.files.versions import version
 
-        print(f"loopcal {version()}")
+        print_out(f"loopcal {version()}")
         raise typer.Exit
 
 
@@ -103,13 +102,13 @@ def calibrate(
             progress=progress,
         )
     for warning in done.warnings:
-        _log(f"warning: {warning}")
+        log(f"warning: {warning}")
     where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
     if as_json:
-        _print_json(done.written.document)
-        _log(where)
+        print_json(done.written.document)
+        log(where)
     else:
-        print(f"{done.written.document['title']}\n{done.result}\n\n{where}")
+        print_out(f"{done.written.document['title']}\n{done.result}\n\n{where}")
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
 
@@ -131,9 +130,11 @@ def simulate(
     poses = len(done.simulation.dataset)
     if as_json:
         paths = {"readings": str(done.file), "truth": str(done.truth_file)}
-        _print_json({**paths, "poses": poses, "seed": seed})
+        print_json({**paths, "poses": poses, "seed": seed})
     else:
-        print(f"{poses} poses written to {done.file} (seed {seed}), the truth to {done.truth_file}")
+        print_out(
+            f"{poses} poses written to {done.file} (seed {seed}), the truth to {done.truth_file}"
+        )
 
 
 @app.command()
@@ -147,9 +148,9 @@ def new(
     from loopcal.workflow import new_project
 
     made = new_project(name, mechanism)
-    print(f"written: {', '.join(map(str, made.files))}\n\nTo simulate readings and calibrate:")
-    for command in made.commands:
-        print(f"  {command}")
+    lines = [f"written: {', '.join(map(str, made.files))}", ""]
+    lines += ["To simulate readings and calibrate:", *(f"  {line}" for line in made.commands)]
+    print_out("\n".join(lines))
 
 
 @app.command()
@@ -159,12 +160,4 @@ def schema(
     """Print the JSON Schema of project files, or of result.json."""
     from loopcal import workflow
 
-    _print_json(workflow.schema(name))
-
-
-def _print_json(document: Any) -> None:
-    print(json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False))
-
-
-def _log(line: str) -> None:
-    print(f"loopcal: {line}", file=sys.stderr)
+    print_json(workflow.schema(name))

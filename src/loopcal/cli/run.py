@@ -6,10 +6,8 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 
 from typer.exceptions import Abort, TyperException
 
@@ -22,16 +20,6 @@ INTERRUPTED = 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `loopcal ARGUMENTS` (by default those of this process) and return its exit code."""
     try:
-        code = _run(arguments)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        _be_quiet()
-        return 0
-    return code
-
-
-def _run(arguments: Sequence[str] | None) -> int:
-    try:
         code = app(arguments, prog_name="loopcal", standalone_mode=False) or 0
     except LoopcalError as error:
         if type(error) is LoopcalError:
@@ -43,8 +31,6 @@ def _run(arguments: Sequence[str] | None) -> int:
         return error.exit_code
     except (KeyboardInterrupt, Abort):
         code = INTERRUPTED
-    except BrokenPipeError:
-        raise
     except MemoryError:
         print("loopcal: the memory does not suffice", file=sys.stderr)
         print("  What to do: use fewer poses (data.every thins them)", file=sys.stderr)
@@ -52,7 +38,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except Exception as error:
         return _fault(error)
     if code == INTERRUPTED:
-        print("loopcal: interrupted; nothing was written", file=sys.stderr)
+        print("loopcal: interrupted", file=sys.stderr)
     return int(code)
 
 
@@ -70,9 +56,3 @@ def _fault(error: Exception) -> int:
         file=sys.stderr,
     )
     return 1
-
-
-def _be_quiet() -> None:
-    """Whoever read our output has gone: nothing more shall be written, not even at the end."""
-    with suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
