@@ -124,7 +124,7 @@ def _flat_words(step: Step, own: Sequence[Step], steepness: float) -> str:
     return (
         f"The axis of {step.joint!r} meets the plane it should pierce at only "
         f"{math.degrees(math.asin(steepness)):.0f} degrees, so {names[0]} and {names[1]} grow out "
-        "of proportion and the fit is ill-conditioned. Give the first joint a fixed motion, such as "
+        "of proportion and the fit is ill-conditioned. Give the first joint a fixed motion, as "
         "before = { rz = 90 } in degrees, or describe the arm with a base."
     )
 
