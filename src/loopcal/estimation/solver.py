@@ -29,9 +29,13 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, float, float], None]
 """Called with iteration, chi-squared and the predicted decrease."""
 
-RELATIVE_STEP = 1e-6
-"""Converged when the next step is this small beside the sds that the residuals suggest; close to
-the solution every iteration gains several digits, so what is left is far smaller still."""
+RELATIVE_STEP = 1e-10
+"""Converged when the next step is this small beside the sds that the residuals suggest. The
+parameters then have ten digits: with large noise an iteration gains only two or three."""
+_NEGLIGIBLE_STEP = 1e-6
+"""Converged too when the next step is this small and no longer shrinks: what is left is rounding."""
+_LAST_STEP = 0.1
+"""Steps this small are taken with closed loops, so that the point they end at is final."""
 _MOST_DAMPING = 1e6
 _FAR, _EXPLAINED = 100.0, 0.9
 """Where whitened residuals are this large (mean square) and parameters explain this share of
@@ -99,6 +103,7 @@ class _Solver:
         self.triangular = False
         self.floor = 0.0
         self.iterations = 0
+        self.before = np.inf
 
     def run(self, max_iterations: int) -> Solution:
         current = first = self._first()
@@ -126,6 +131,7 @@ class _Solver:
             trial, damping = self._advance(current, damping)
             if trial is None:
                 return self._give_up(first, current, "stalled")
+            self.before = current.spectrum.decrement
             current = trial
 
     def _first(self) -> _Point:
@@ -197,8 +203,7 @@ class _Solver:
     def _try(self, current: _Point, parameters: Array, predicted: float) -> _Point | None:
         """The point at these parameters if its merit falls as it should, else None."""
         far = self._far(current, predicted)
-        # The last steps are taken with closed loops, so that the point they end at is final.
-        last = predicted <= self._limit(current.merit, slack=1e10)
+        last = predicted <= self._limit(current.merit, _LAST_STEP)
         start = current.sweep.corrections if far else current.sweep.proposal
         closings = [None, _NEAR] if far else [_CLOSED] if last else [_ONCE, _NEAR]
         for closing in closings:
@@ -223,13 +228,17 @@ class _Solver:
     def _settled(self, point: _Point) -> bool:
         """Whether the next step is nothing beside the sds that the residuals suggest."""
         assert point.spectrum is not None
-        return point.spectrum.decrement <= self._limit(point.merit)
+        decrement = point.spectrum.decrement
+        if decrement <= self._limit(point.merit, RELATIVE_STEP):
+            return True
+        shrinks = decrement < 0.25 * self.before
+        return decrement <= self._limit(point.merit, _NEGLIGIBLE_STEP) and not shrinks
 
-    def _limit(self, merit: float, slack: float = 1.0) -> float:
-        """The decrement at which a fit has converged: n steps of RELATIVE_STEP sds."""
+    def _limit(self, merit: float, step: float) -> float:
+        """The decrement of a step of so many sds in each of the n directions."""
         n = len(self.problem.free)
         variance = merit / max(self.problem.equations - n, 1)
-        return slack * max(RELATIVE_STEP**2 * n * variance, self.floor)
+        return max(step**2 * n * variance, self.floor)
 
     def _rounding_floor(self, point: _Point) -> float:
         """What rounding of the loop values alone adds to the decrement.
