@@ -33,7 +33,7 @@ RELATIVE_STEP = 1e-10
 """Converged when the next step is this small beside the sds that the residuals suggest. The
 parameters then have ten digits: with large noise an iteration gains only two or three."""
 _NEGLIGIBLE_STEP = 1e-6
-"""Converged too when the next step is this small and no longer shrinks: what is left is rounding."""
+"""Converged too when the next step is this small and no longer shrinks: rounding is left."""
 _LAST_STEP = 0.1
 """Steps this small are taken with closed loops, so that the point they end at is final."""
 _MOST_DAMPING = 1e6
