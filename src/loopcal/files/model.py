@@ -84,7 +84,7 @@ def plain_number_as(key: str, model: type[BaseModel]) -> BeforeValidator:
             raise complaint(f"{_short(value)} is given", remedy)
         return {key: value} if number else value
 
-    return BeforeValidator(table, json_schema_input_type=float | model)
+    return BeforeValidator(table, json_schema_input_type=(Sd if key == "sd" else float) | model)
 
 
 def validated(model: type[Kind], data: Any, place: Place) -> Kind:
@@ -145,6 +145,10 @@ def _words(detail: ErrorDetails, path: Sequence[str | int]) -> tuple[str, str]:
             least = context.get("ge", context.get("gt"))
             than = f"{least:g} or more" if "ge" in context else f"more than {least:g}"
             return f"{_short(given)} is given, which is too small", f"give {than}"
+        case "too_short":
+            return f"{_short(given)} has too few entries", f"give {context['min_length']} or more"
+        case "too_long":
+            return f"{_short(given)} has too many entries", f"give {context['max_length']} or fewer"
     expected = _EXPECTED.get(detail["type"])
     if expected is None:
         return f"{_short(given)} is given: {detail['msg']}", "see `loopcal schema project`"
@@ -163,8 +167,6 @@ _EXPECTED = {
     "model_type": "a table",
     "model_attributes_type": "a table",
     "mapping_type": "a table",
-    "too_short": "a longer list",
-    "too_long": "a shorter list",
 }
 
 

@@ -79,10 +79,10 @@ def _covariance_columns(number: int, block: CovarianceColumns) -> dict[str, Colu
 
 
 def _covariance(block: CovarianceColumns, values: Array, dataset: Dataset) -> Array:
-    """(N, b, b) [SI squared]; where no quantity of the block was read, any will do."""
-    matrices = block.matrices(values)
-    readings = np.array([dataset[q] for q in block.quantities])
-    matrices[np.isnan(readings).all(axis=0)] = np.eye(len(readings))
+    """(N, b, b) [SI squared]; any will do for what was not read."""
+    missing = np.isnan([dataset[q] for q in block.quantities]).T
+    either = missing[:, :, None] | missing[:, None, :]
+    matrices = np.where(either, np.eye(missing.shape[1]), block.matrices(values))
     gaps = np.isnan(matrices).any(axis=(1, 2))
     if gaps.any():
         first = int(np.argmax(gaps))
