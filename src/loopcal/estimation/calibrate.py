@@ -220,6 +220,8 @@ def _accuracy(
     for pattern in problem.patterns:
         if set(pattern.unmeasured) & set(rows):
             continue  # nothing was measured that the prediction could be compared with
+        if len(rows) + len(pattern.unmeasured) > len(mechanism.tape.loops):
+            continue  # the other readings do not say where the outputs are
         x = problem.readings[:, pattern.poses]
         if corrections is not None and pattern.unmeasured:
             x = x.copy()

@@ -66,7 +66,9 @@ def _state(result: Result) -> list[str]:
 def _accuracy(result: Result) -> list[str]:
     before, after = result.accuracy_before, result.accuracy_after
     if before is None or after is None:
-        return ["accuracy: the mechanism names no outputs that a model could predict"]
+        if not result.mechanism.outputs:
+            return ["accuracy: the mechanism names no outputs that a model could predict"]
+        return ["accuracy: unknown, for no pose measures all outputs and what predicts them"]
     unit = SHOWN.get(after.unit, after.unit)
     rows = [["accuracy", f"mean [{unit}]", "rms", "95 %", "max"]]
     for name, accuracy in (("nominal", before), ("calibrated", after)):

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from loopcal.errors import InputError, nearest
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, ReadingUncertainty, resolve_noise
+from loopcal.measurements.source import Source
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.simulation.closing import close_loops
 from loopcal.simulation.poses import stream
@@ -84,6 +85,7 @@ def simulate(
         driven.poses,
         # no sd beside a lost reading: it is lost in the simulation too
         {q: np.where(np.isnan(sd), np.inf, sd) for q, sd in driven.sds.items() if q in quantities},
+        Source(rows_read=len(driven)),
     )
     uncertainty = resolve_noise(noise, exact, mechanism.tape.quantities, mechanism.quantity_group)
     noisy = true + _draw(uncertainty, true.shape, seed)
