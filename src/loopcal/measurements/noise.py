@@ -17,6 +17,9 @@ from loopcal.errors import InputError
 from loopcal.measurements.dataset import Dataset
 
 Array = NDArray[np.float64]
+Entries = (  # a mapping's type of keys has to fit exactly, so each kind is named
+    Mapping[str, Any] | Mapping[tuple[str, ...], Any] | Mapping[str | tuple[str, ...], Any]
+)
 
 
 class Noise:
@@ -33,7 +36,7 @@ class Noise:
     for a matrix that is no covariance.
     """
 
-    def __init__(self, entries: Mapping[str | tuple[str, ...], Any]) -> None:
+    def __init__(self, entries: Entries) -> None:
         self.entries: dict[str | tuple[str, ...], Array] = {}
         for key, value in entries.items():
             self.entries[key] = _checked_entry(key, value)
