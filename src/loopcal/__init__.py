@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from loopcal.files.mechanism_file import read_mechanism
     from loopcal.files.project_data import LoadedData, load_dataset
     from loopcal.files.project_file import Project, read_project
-    from loopcal.files.result_file import read_result, write_result
+    from loopcal.files.result_file import WrittenResult, read_result, write_result
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.noise import Noise
     from loopcal.mechanisms.mechanism import Mechanism
@@ -55,7 +55,7 @@ _HOME = {
     "files.mechanism_file": ("read_mechanism",),
     "files.project_data": ("LoadedData", "load_dataset"),
     "files.project_file": ("Project", "read_project"),
-    "files.result_file": ("read_result", "write_result"),
+    "files.result_file": ("WrittenResult", "read_result", "write_result"),
     "measurements.dataset": ("Dataset",),
     "measurements.noise": ("Noise",),
     "mechanisms.mechanism": ("Mechanism",),
@@ -91,6 +91,7 @@ __all__ = [
     "Status",
     "TraceError",
     "Undetermined",
+    "WrittenResult",
     "__version__",
     "calibrate",
     "cross",
