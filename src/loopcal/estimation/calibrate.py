@@ -124,7 +124,7 @@ def _result(method: str, problem: Problem, solution: Solution, data: Dataset) ->
     if not exact:
         chi = ChiSquared(merit, freedom, _p_value(merit, freedom), _ratio(merit, freedom))
     quantities = mechanism.tape.quantities
-    corrections = solution.sweep.corrections
+    corrections = solution.corrections
     sds = np.broadcast_to(problem.uncertainty.sd, corrections.shape)
     result = Result(
         method=method,

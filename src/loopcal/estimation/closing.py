@@ -32,10 +32,11 @@ _MOST, _HALVINGS = 60, 25
 
 @dataclass(frozen=True)
 class Closed:
-    """Corrections (k, b) [SI], and the poses (b,) that did not settle."""
+    """Corrections (k, b) [SI], the poses (b,) that did not settle, the largest last step in sds."""
 
     corrections: Array
     open: NDArray[np.bool_]
+    step: float = np.inf
 
 
 def close_by_newton(

@@ -59,7 +59,7 @@ def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution
     end = spectrum(sweep.data, offset, problem.prior_sd)
     prior = float(np.square(offset / problem.prior_sd).sum())
     status = Status.of(reason, iteration, sweeper.evaluations / len(problem.poses))
-    return Solution(parameters, sweep, end, prior, status)
+    return Solution(parameters, corrections, sweep, end, prior, status)
 
 
 def _linearised(

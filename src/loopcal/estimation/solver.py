@@ -22,7 +22,7 @@ from loopcal.estimation.problem import Problem
 from loopcal.estimation.reduction import WELL_CONDITIONED, Spectrum, spectrum
 from loopcal.estimation.scratch import one_blas_thread
 from loopcal.estimation.status import Status
-from loopcal.estimation.sweep import Sweep, Sweeper
+from loopcal.estimation.sweep import NEGLIGIBLE, Sweep, Sweeper
 from loopcal.expressions.domain import explain_domain
 
 Array = NDArray[np.float64]
@@ -30,30 +30,32 @@ Progress = Callable[[int, float, float], None]
 """Called with iteration, chi-squared and the predicted decrease."""
 
 RELATIVE_STEP = 1e-10
-"""Converged when the next step is this small beside the sds that the residuals suggest. The
-parameters then have ten digits: with large noise an iteration gains only two or three."""
+"""Converged when what the next step leaves is this small beside the sds that the residuals
+suggest: parameters then have ten digits. With large noise a step gains only two or three."""
 _NEGLIGIBLE_STEP = 1e-6
-"""Converged too when the next step is this small and no longer shrinks: rounding is left."""
+"""The next step must be this small; if it no longer shrinks, only rounding is left."""
 _LAST_STEP = 0.1
 """Steps this small are taken with closed loops, so that the point they end at is final."""
 _MOST_DAMPING = 1e6
 _FAR, _EXPLAINED = 100.0, 0.9
 """Where whitened residuals are this large (mean square) and parameters explain this share of
 them, the loops need not be closed yet."""
-_ONCE, _NEAR, _CLOSED = np.inf, 0.1, 1e-9
-"""Loops are closed until the last correction was at most so many sds: a single correction on the
-way, where that does not do, and at the end."""
+_ONCE, _NEAR, _CLOSED = np.inf, 0.1, NEGLIGIBLE
+"""Loops are closed until what is left to correct is at most so many sds: after a single correction
+on the way, where that does not do, and at the end."""
 
 
 @dataclass(frozen=True)
 class Solution:
     """Where a fit ended.
 
-    parameters: (n_all,) [SI]; sweep: the last one, loops closed; spectrum: of data and prior;
-    prior_square: (p - nominal)^2 over prior variance, summed; status.
+    parameters: (n_all,) [SI]; corrections: (k, N) [SI] that close the loops there; sweep: the
+    last one; spectrum: of data and prior; prior_square: (p - nominal)^2 over prior variance,
+    summed; status.
     """
 
     parameters: Array
+    corrections: Array
     sweep: Sweep
     spectrum: Spectrum
     prior_square: float
@@ -115,8 +117,8 @@ class _Solver:
                 current = self._evaluate(current.parameters, current.sweep.corrections)
                 continue
             if self._settled(current):
-                if current.closed == _CLOSED:
-                    return self._solution(current, "converged")
+                if current.sweep.step <= NEGLIGIBLE or current.closed == _CLOSED:
+                    return self._converged(current)
                 current = self._evaluate(current.parameters, current.sweep.proposal, _CLOSED)
                 if current.spectrum is None:
                     return self._give_up(first, current, "cannot_close")
@@ -148,7 +150,9 @@ class _Solver:
             )
         if point.sweep.singular.size:
             raise self._cannot_close(point.sweep)
-        self.floor = self._rounding_floor(point)
+        assert self.sweeper.rounding is not None
+        # n directions, each with the square of what rounding does to whitened residuals
+        self.floor = len(self.problem.free) * self.sweeper.rounding**2
         assert point.spectrum is not None
         if closing is None and not self._far(point, point.spectrum.decrement):
             return self._evaluate(point.parameters, corrections, _NEAR)
@@ -163,10 +167,18 @@ class _Solver:
         )
 
     def _evaluate(
-        self, parameters: Array, corrections: Array, closing: float | None = None
+        self,
+        parameters: Array,
+        corrections: Array,
+        closing: float | None = None,
+        contraction: float = 1.0,
     ) -> _Point:
         sweep = self.sweeper.sweep(
-            parameters, corrections, triangular=self.triangular, closing=closing
+            parameters,
+            corrections,
+            triangular=self.triangular,
+            closing=closing,
+            contraction=contraction,
         )
         offset = self.problem.nominal - parameters[self.problem.free]
         prior = float(np.square(offset / self.prior_sd).sum())
@@ -207,7 +219,7 @@ class _Solver:
         start = current.sweep.corrections if far else current.sweep.proposal
         closings = [None, _NEAR] if far else [_CLOSED] if last else [_ONCE, _NEAR]
         for closing in closings:
-            trial = self._evaluate(parameters, start, closing)
+            trial = self._evaluate(parameters, start, closing, current.sweep.contraction)
             if self._worth(current, trial, predicted):
                 return trial
         return None
@@ -226,13 +238,14 @@ class _Solver:
         return bool(current.merit - trial.merit >= 1e-3 * predicted - wavering)
 
     def _settled(self, point: _Point) -> bool:
-        """Whether the next step is nothing beside the sds that the residuals suggest."""
+        """Whether the next step leaves nothing beside the sds that the residuals suggest."""
         assert point.spectrum is not None
         decrement = point.spectrum.decrement
-        if decrement <= self._limit(point.merit, RELATIVE_STEP):
-            return True
-        shrinks = decrement < 0.25 * self.before
-        return decrement <= self._limit(point.merit, _NEGLIGIBLE_STEP) and not shrinks
+        if decrement > self._limit(point.merit, _NEGLIGIBLE_STEP):
+            return False
+        rate = min(decrement / self.before, 1.0) if np.isfinite(self.before) else 1.0
+        stuck = np.isfinite(self.before) and rate > 0.25
+        return stuck or rate * decrement <= self._limit(point.merit, RELATIVE_STEP)
 
     def _limit(self, merit: float, step: float) -> float:
         """The decrement of a step of so many sds in each of the n directions."""
@@ -240,26 +253,19 @@ class _Solver:
         variance = merit / max(self.problem.equations - n, 1)
         return max(step**2 * n * variance, self.floor)
 
-    def _rounding_floor(self, point: _Point) -> float:
-        """What rounding of the loop values alone adds to the decrement.
+    def _converged(self, point: _Point) -> Solution:
+        """The end: the last step is taken, and the loops are closed there, without a new sweep.
 
-        A loop value of terms of size a carries a rounding of about eps * a; whitened and summed
-        over the n directions of the parameters that is n * mean |L^-1 eps a|^2.
+        The step is too small to change merit or spectrum by more than rounding.
         """
-        unmeasured, poses = next(iter(self.problem.blocks()))
-        some = np.arange(len(self.problem.poses), dtype=np.intp)[poses][:64]
-        readings = self.problem.readings[:, some]
-        engine = self.sweeper.closing_engine
-        engine.at(point.parameters)
-        values = engine.evaluate(
-            readings + point.sweep.corrections[:, some], self.problem.known[:, some]
-        )
-        slopes = np.abs(values.by_quantity)
-        terms = np.einsum("kmb,kb->mb", slopes, 1.0 + np.abs(readings))
-        noise = self.sweeper.noise(unmeasured, some)
-        whitened = self.sweeper.reduce(replace(values, f=terms), np.zeros_like(readings), noise)
-        square = float(np.square(whitened.E).sum(axis=0).mean())
-        return len(self.problem.free) * square * float(np.finfo(float).eps) ** 2
+        assert point.spectrum is not None
+        parameters = point.parameters.copy()
+        parameters[self.problem.free] += point.spectrum.step()
+        closed = self.sweeper.close(parameters, point.sweep.proposal, point.sweep.contraction)
+        if closed.open.any():
+            return self._solution(point, "converged")
+        end = replace(point, parameters=parameters)
+        return self._solution(end, "converged", closed.corrections)
 
     def _give_up(self, first: _Point, current: _Point, reason: str) -> Solution:
         end = self._evaluate(current.parameters, current.sweep.proposal, _CLOSED)
@@ -271,7 +277,7 @@ class _Solver:
             end = start if start.merit <= end.merit else end
         return self._solution(end, reason)
 
-    def _solution(self, end: _Point, reason: str) -> Solution:
+    def _solution(self, end: _Point, reason: str, corrections: Array | None = None) -> Solution:
         detail = ""
         if reason == "cannot_close" and end.sweep.open_poses.size:
             some = [self.problem.poses[i] for i in end.sweep.open_poses[:5]]
@@ -281,4 +287,8 @@ class _Solver:
         status = Status.of(
             reason, self.iterations, self.sweeper.evaluations / len(self.problem.poses), detail
         )
-        return Solution(end.parameters, end.sweep, end.spectrum, max(prior, 0.0), status)
+        if corrections is None:
+            near = end.sweep.step <= 1.0  # a longer step may lead anywhere
+            corrections = end.sweep.proposal if near else end.sweep.corrections
+        prior = max(prior, 0.0)
+        return Solution(end.parameters, corrections, end.sweep, end.spectrum, prior, status)

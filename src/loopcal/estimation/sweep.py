@@ -15,18 +15,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.closing import UNMEASURED_SCALE, close_by_newton
+from loopcal.estimation.closing import UNMEASURED_SCALE, Closed, close_by_newton
 from loopcal.estimation.kernel import BlockNoise, Whitened, unweighted, whiten
 from loopcal.estimation.problem import BLOCK, Problem
 from loopcal.estimation.reduction import Accumulator
-from loopcal.expressions.engine import LoopValues, engine_for
+from loopcal.estimation.scratch import scratch
+from loopcal.expressions.engine import LoopValues, NumpyEngine, engine_for
 from loopcal.measurements.noise import CovarianceBlock
 
 Array = NDArray[np.float64]
 MOST_CLOSINGS = 8
 """What Gauss-Newton has not closed by then is left to Newton, who knows the curvature."""
-_NEGLIGIBLE = 1e-6
+NEGLIGIBLE = 1e-6
 """A step of so many sds leaves a next one that only rounding sees."""
+_SAMPLE = 64
+"""Poses from which the rounding of loop values is estimated."""
 
 Reduce = Callable[[LoopValues, Array, BlockNoise], Whitened]
 
@@ -36,16 +39,16 @@ class Sweep:
     """What one sweep found.
 
     data: the parameter system; corrections: (k, N) where the loops were linearised; proposal:
-    (k, N) the corrections that close the linearised loops; closure_rms, closure_max: of the loop
-    values at `corrections` [SI]; singular, open_poses: poses whose loops cannot close at all, or
-    did not within the iterations allowed.
+    (k, N) the corrections that close the linearised loops; step: the largest move from the one to
+    the other in sds; contraction: what such a move was beside the one before; singular,
+    open_poses: poses whose loops cannot close at all, or did not within the iterations allowed.
     """
 
     data: Accumulator
     corrections: Array
     proposal: Array
-    closure_rms: float
-    closure_max: float
+    step: float
+    contraction: float
     singular: NDArray[np.intp]
     open_poses: NDArray[np.intp]
 
@@ -53,14 +56,6 @@ class Sweep:
     def finite(self) -> bool:
         """Whether every loop could be evaluated."""
         return bool(np.all(np.isfinite(self.data.total)))
-
-
-@dataclass(frozen=True)
-class _BlockFindings:
-    square: float
-    largest: float
-    singular: NDArray[np.intp]
-    late: NDArray[np.intp]
 
 
 class Sweeper:
@@ -79,6 +74,8 @@ class Sweeper:
         self.corrects = not exact or any(p.unmeasured for p in problem.patterns)
         self.parameters = problem.start
         self.evaluations = 0
+        self.rounding: float | None = None
+        """What rounding of the loop values does to whitened residuals, their length by pose."""
 
     def sweep(
         self,
@@ -87,11 +84,12 @@ class Sweeper:
         *,
         triangular: bool = False,
         closing: float | None = None,
+        contraction: float = 1.0,
     ) -> Sweep:
         """One sweep at parameters (n_all,) from corrections (k, N).
 
-        closing: first correct the readings until a step of at most this many sds was taken (the
-        next would be of second order); None: linearise where the corrections stand.
+        closing: first correct the readings until the next step will be at most this many sds;
+        None: linearise where the corrections stand. contraction: of steps, as far as known.
         """
         problem = self.problem
         closing = closing if self.corrects else None
@@ -102,77 +100,119 @@ class Sweeper:
         data = Accumulator(len(problem.free), triangular)
         used = corrections if closing is None else np.empty_like(corrections)
         proposal = np.empty_like(corrections) if self.corrects else corrections
-        found: list[_BlockFindings] = []
+        steps, ratios = [0.0], [0.0]
+        singular: list[NDArray[np.intp]] = []
+        late: list[NDArray[np.intp]] = []
         for unmeasured, poses in problem.blocks():
             noise = self.noise(unmeasured, poses)
             readings, known = problem.readings[:, poses], problem.known[:, poses]
-            start = corrections[:, poses]
-            late = np.zeros(readings.shape[1], dtype=bool)
+            start = Closed(corrections[:, poses], np.zeros(readings.shape[1], dtype=bool))
             if closing is not None:
-                start, late = self._close(readings, known, start, noise, closing)
-                used[:, poses] = start
-            values = self.engine.evaluate(readings + start, known)
-            self.evaluations += readings.shape[1]
-            whitened = self.reduce(values, start, noise)
+                start = self._close(readings, known, start.corrections, noise, closing, contraction)
+                used[:, poses] = start.corrections
+            values = self._values(self.engine, readings, start.corrections, known)
+            if self.rounding is None:
+                self.rounding = self._rounding(values, readings, noise)
+            whitened = self.reduce(values, start.corrections, noise)
             data.add(whitened)
+            singular.append(_numbers(poses, whitened.singular))
+            late.append(_numbers(poses, start.open))
             if self.corrects:
                 proposal[:, poses] = whitened.correction
-            numbers = np.arange(len(problem.poses), dtype=np.intp)[poses]
-            found.append(
-                _BlockFindings(
-                    float(np.square(values.f).sum()),
-                    float(np.abs(values.f).max()),
-                    numbers[whitened.singular],
-                    numbers[late],
-                )
-            )
-        count = len(problem.mechanism.tape.loops) * len(problem.poses)
+                move = whitened.correction - start.corrections
+                steps.append(float(_step_in_sds(move, noise).max()))
+                ratios.append(min(steps[-1] / start.step, 1.0) if start.step > 0.0 else 0.0)
         return Sweep(
             data,
             used,
             proposal,
-            float(np.sqrt(sum(f.square for f in found) / count)),
-            max(f.largest for f in found),
-            np.concatenate([f.singular for f in found]),
-            np.concatenate([f.late for f in found]),
+            max(steps),
+            max(ratios) if closing is not None else 1.0,
+            np.concatenate(singular),
+            np.concatenate(late),
         )
 
+    def close(self, parameters: Array, corrections: Array, contraction: float) -> Closed:
+        """Corrections (k, N) that close all loops at parameters (n_all,), found from near ones."""
+        if not self.corrects:
+            return Closed(corrections, np.zeros(corrections.shape[1], dtype=bool))
+        problem = self.problem
+        self.parameters = parameters
+        self.closing_engine.at(parameters)
+        done, late = np.empty_like(corrections), np.zeros(corrections.shape[1], dtype=bool)
+        for unmeasured, poses in problem.blocks():
+            noise = self.noise(unmeasured, poses)
+            readings, known = problem.readings[:, poses], problem.known[:, poses]
+            start = corrections[:, poses]
+            closed = self._close(readings, known, start, noise, NEGLIGIBLE, contraction)
+            done[:, poses], late[poses] = closed.corrections, closed.open
+        return Closed(done, late)
+
+    def _values(
+        self, engine: NumpyEngine, readings: Array, corrections: Array, known: Array
+    ) -> LoopValues:
+        self.evaluations += readings.shape[1]
+        x = np.add(readings, corrections, out=scratch("x", *readings.shape))
+        return engine.evaluate(x, known)
+
+    def _rounding(self, values: LoopValues, readings: Array, noise: BlockNoise) -> float:
+        """Root mean square of |L^-1 eps a|, a the size of the terms in a loop value."""
+        some = slice(0, _SAMPLE)
+        slopes = values.by_quantity[:, :, some]
+        sizes = np.einsum("kmb,kb->mb", np.abs(slopes), 1.0 + np.abs(readings[:, some]))
+        part = LoopValues(np.finfo(float).eps * sizes, slopes, np.empty((0, *slopes.shape[1:])))
+        whitened = self.reduce(part, np.zeros_like(readings[:, some]), _select(noise, some))
+        return float(np.sqrt(np.square(whitened.E).sum(axis=0).mean()))
+
     def _close(
-        self, readings: Array, known: Array, start: Array, noise: BlockNoise, tolerance: float
-    ) -> tuple[Array, NDArray[np.bool_]]:
+        self,
+        readings: Array,
+        known: Array,
+        start: Array,
+        noise: BlockNoise,
+        tolerance: float,
+        contraction: float,
+    ) -> Closed:
         """Corrections that close the loops of a block, and the poses where that failed."""
         count = readings.shape[1]
-        done, late = start.copy(), np.zeros(count, dtype=bool)
+        tolerance = max(tolerance, 8.0 * (self.rounding or 0.0))
+        done, late = start, np.zeros(count, dtype=bool)
         active: NDArray[np.intp] | None = None  # None: all poses, without copying them
-        base, step, length = start, np.zeros_like(start), np.ones(count)
+        at = base = start
+        step, length = np.zeros((1, 1)), np.ones(count)
         expected = np.full(count, np.inf)
+        last = 0.0
         for _ in range(MOST_CLOSINGS):
-            at = base + length * step if active is not None or step.any() else base
-            values = self.closing_engine.evaluate(
-                readings + at if active is None else readings[:, active] + at,
+            part = noise if active is None else _select(noise, active)
+            values = self._values(
+                self.closing_engine,
+                readings if active is None else readings[:, active],
+                at,
                 known if active is None else known[:, active],
             )
-            self.evaluations += at.shape[1]
-            part = noise if active is None else _select(noise, active)
             correction = self.reduce(values, at, part).correction
             move = correction - at
             size = _step_in_sds(move, part)
             # A step larger than the one before, or one that is no number, overshot: halve it.
-            allowed = np.maximum(2.0 * expected, max(tolerance, _NEGLIGIBLE))
+            allowed = np.maximum(2.0 * expected, max(tolerance, NEGLIGIBLE))
             overshot = ~(size <= allowed) & (length > 1e-3)
-            finished = ~overshot & ((size <= tolerance) | (expected <= _NEGLIGIBLE))
-            if active is None and finished.all():
-                return correction, late
-            active = np.arange(count) if active is None else active
+            following = size * np.where(np.isinf(expected), contraction, size / expected)
+            finished = ~overshot & ((following <= tolerance) | (expected <= NEGLIGIBLE))
+            last = max(last, float(size[finished].max(initial=0.0)))
+            if active is None:
+                if finished.all():
+                    return Closed(correction, late, last)
+                active, done = np.arange(count), start.copy()
             done[:, active[finished]] = correction[:, finished]
             rest = ~finished
             if not rest.any():
-                return done, late
+                return Closed(done, late, last)
             base = np.where(overshot, base, at)[:, rest]
             step = np.where(overshot, step, move)[:, rest]
             length = np.where(overshot, 0.5 * length, 1.0)[rest]
             expected = np.where(overshot, expected, size)[rest]
             active = active[rest]
+            at = base + length * step
         assert active is not None
         closed = close_by_newton(
             self.problem.mechanism.tape,
@@ -184,7 +224,7 @@ class Sweeper:
             min(tolerance, 1e-3),
         )
         done[:, active], late[active] = closed.corrections, closed.open
-        return done, late
+        return Closed(done, late, last)
 
     def noise(self, unmeasured: tuple[int, ...], poses: slice | NDArray[np.intp]) -> BlockNoise:
         """The uncertainty of one block of poses."""
@@ -216,7 +256,13 @@ def _without(
     return CovarianceBlock(tuple(block.indices[i] for i in keep), root)
 
 
-def _select(noise: BlockNoise, chosen: NDArray[np.intp]) -> BlockNoise:
+def _numbers(poses: slice | NDArray[np.intp], chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """The positions of chosen poses of a block among all."""
+    within = np.flatnonzero(chosen)
+    return poses[within] if not isinstance(poses, slice) else within + poses.start
+
+
+def _select(noise: BlockNoise, chosen: NDArray[np.intp] | slice) -> BlockNoise:
     """The noise of some poses of a block."""
     sd = noise.sd if noise.sd.shape[1] == 1 else noise.sd[:, chosen]
     blocks = tuple(
@@ -231,5 +277,7 @@ def _step_in_sds(step: Array, noise: BlockNoise) -> Array:
     sd = np.where(noise.sd > 0.0, noise.sd, 1.0)
     if noise.unmeasured:
         sd[list(noise.unmeasured)] = UNMEASURED_SCALE
-    result: Array = (np.abs(step) / sd).max(axis=0)
+    size = np.abs(step, out=scratch("step", *step.shape))
+    size /= sd
+    result: Array = size.max(axis=0)
     return result
