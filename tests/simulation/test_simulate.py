@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -82,7 +84,8 @@ def test_noise_has_the_stated_sds_and_is_independent() -> None:
 def test_a_full_covariance_is_drawn_as_stated() -> None:
     poses = random_poses({"phi2": (-3, 3), "phi3": (-3, 3)}, 200_000, seed=6)
     wanted = np.array([[4.0, 1.5], [1.5, 1.0]]) * 1e-8
-    noise = Noise({("xP", "yP"): wanted, "phi?": 0.0})
+    entries: dict[str | tuple[str, ...], Any] = {("xP", "yP"): wanted, "phi?": 0.0}
+    noise = Noise(entries)
     made = simulate(planar_two_link(), poses, noise=noise, seed=6)
     drawn = np.array([made.dataset[q] - made.quantities[q] for q in ("xP", "yP")])
     np.testing.assert_allclose(np.cov(drawn), wanted, atol=0.02 * 4e-8)
@@ -90,7 +93,8 @@ def test_a_full_covariance_is_drawn_as_stated() -> None:
 
 def test_a_covariance_per_pose_is_drawn_pose_by_pose() -> None:
     each = np.array([np.diag([s**2, 0.0]) for s in np.linspace(0, 1e-3, len(GRID["phi2"]))])
-    noise = Noise({("xP", "yP"): each, "phi?": 0.0})
+    entries: dict[str | tuple[str, ...], Any] = {("xP", "yP"): each, "phi?": 0.0}
+    noise = Noise(entries)
     made = simulate(planar_two_link(), GRID, noise=noise, seed=7)
     drawn = made.dataset["xP"] - made.quantities["xP"]
     assert drawn[0] == 0.0

@@ -1,0 +1,105 @@
+"""The Python interface as the contract shows it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pytest
+
+import loopcal as lc
+
+
+def two_link(x, p):
+    a = x.phi2 + p.phi20
+    b = a + x.phi3 + p.phi30
+    return (
+        p.xA + p.l2 * np.cos(a) + p.l3 * np.cos(b) - x.xP,
+        p.yA + p.l2 * np.sin(a) + p.l3 * np.sin(b) - x.yP,
+    )
+
+
+def arm() -> lc.Mechanism:
+    return lc.Mechanism.from_function(
+        two_link,
+        quantities={"xP": "m", "yP": "m", "phi2": "rad", "phi3": "rad"},
+        parameters={
+            **{"xA": (0.0, "m"), "yA": (0.0, "m"), "l2": (0.8, "m"), "l3": (0.6, "m")},
+            **{"phi20": (0.0, "rad"), "phi30": (0.0, "rad")},
+        },
+        outputs=("xP", "yP"),
+    )
+
+
+NOISE = lc.Noise({"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3})
+
+
+def readings() -> dict[str, np.ndarray]:
+    angles = np.radians(np.arange(0, 360, 20))
+    poses = lc.grid_poses({"phi2": angles, "phi3": angles})
+    made = lc.simulate(arm(), poses, noise=NOISE, seed=1, truth={"l2": 0.803})
+    return {name: made.dataset[name] for name in arm().quantities}
+
+
+def test_the_example_of_the_contract_runs_as_written() -> None:
+    data = lc.Dataset.from_arrays(readings())
+    prior = lc.Prior({"*": np.inf})
+    result = lc.calibrate(arm(), data, noise=NOISE, prior=prior)
+    basic = lc.calibrate(arm(), data, method="least-squares")
+    sd = result.sd["l2"]
+    assert sd is not None
+    assert abs(result.value["l2"] - 0.803) < 4 * sd
+    assert result.covariance.shape == (6, 6)
+    assert result.chi_squared is not None
+    assert 500 < result.chi_squared.value < 800
+    assert result.corrections["phi3"].shape == (324,)
+    assert result.status.converged
+    assert basic.status.converged
+    assert "l2" in str(result)
+    assert "<pre>" in result._repr_html_()
+
+
+KINDS: dict[str, Callable[[dict[str, np.ndarray]], Any]] = {
+    "dict": dict,
+    "pandas": pd.DataFrame,
+    "polars": pl.DataFrame,
+    "dataset": lc.Dataset.from_arrays,
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_readings_may_come_as_any_table(kind: str) -> None:
+    expected = lc.calibrate(arm(), lc.Dataset.from_arrays(readings()), noise=NOISE)
+    result = lc.calibrate(arm(), KINDS[kind](readings()), noise=NOISE)
+    assert dict(result.value) == dict(expected.value)
+
+
+def test_results_are_frozen() -> None:
+    result = lc.calibrate(arm(), readings(), noise=NOISE)
+    with pytest.raises(AttributeError):
+        result.method = "other"  # type: ignore[misc]
+    with pytest.raises(TypeError):
+        result.value["l2"] = 1.0  # type: ignore[index]
+    with pytest.raises(ValueError, match="read-only"):
+        result.corrections["phi2"][0] = 1.0
+
+
+def test_every_public_name_is_typed_where_it_lives(tmp_path: Path) -> None:
+    source = Path(lc.__file__).read_text("utf-8")
+    typed = source[source.index("if TYPE_CHECKING") : source.index("_HOME")]
+    for name in lc.__all__:
+        assert name == "__version__" or name in typed
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    code = (
+        "import sys, loopcal; loopcal.__all__, dir(loopcal)\n"
+        "assert not {'numpy', 'pydantic', 'typer', 'polars'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
