@@ -5,6 +5,7 @@ Fresh arrays cost more in page faults than a block costs in arithmetic.
 
 from __future__ import annotations
 
+import math
 import threading
 from contextlib import AbstractContextManager
 from functools import lru_cache
@@ -19,7 +20,7 @@ _pool = threading.local()
 def scratch(name: str, *shape: int) -> NDArray[np.float64]:
     """An uninitialised array, this thread's own; the next call by the same `name` reuses it."""
     buffers: dict[str, NDArray[np.float64]] = _pool.__dict__
-    size = int(np.prod(shape))
+    size = math.prod(shape)
     buffer = buffers.get(name)
     if buffer is None or buffer.size < size:
         buffer = buffers[name] = np.empty(size)

@@ -47,8 +47,10 @@ class NumpyEngine:
         self._linearisation = linearisation
         self._operations = tape.operations
         self._varies = varying(tape.operations)
-        self._fixed = np.zeros(len(tape.operations))
-        self._once = [o for o in enumerate(tape.operations) if not self._varies[o[0]]]
+        once = [i for i, varies in enumerate(self._varies) if not varies]
+        self._number = {position: number for number, position in enumerate(once)}
+        self._once = [_renumbered(tape.operations[position], self._number) for position in once]
+        self._numbers = np.zeros(len(once))
         self._inputs = np.zeros((len(tape.quantities) + len(tape.known), size))
         self._quantities = len(tape.quantities)
         self._outputs = np.zeros((len(tape.outputs), size))
@@ -60,18 +62,18 @@ class NumpyEngine:
 
     def at(self, parameters: Array) -> None:
         """Set the parameters, (n_all,) in the order of the tape [SI], for the blocks to come."""
-        values = [0.0] * len(self._operations)
-        for position, (name, payload) in self._once:
+        numbers: list[float] = []
+        for name, payload in self._once:
             if name == "constant":
-                values[position] = payload[0]
+                numbers.append(payload[0])
             elif name == "parameter":
-                values[position] = float(parameters[int(payload[0])])
+                numbers.append(float(parameters[int(payload[0])]))
             else:
-                values[position] = evaluate_scalar(name, *[values[int(a)] for a in payload])
-        self._fixed[:] = values
+                numbers.append(evaluate_scalar(name, *[numbers[int(a)] for a in payload]))
+        self._numbers[:] = numbers
         for row, output in enumerate(self._targets):
             if not self._varies[output]:
-                self._outputs[row] = values[output]
+                self._outputs[row] = numbers[self._number[output]]
 
     def evaluate(self, x: Array, known: Array | None = None) -> LoopValues:
         """f and its derivatives at x, (k_all, b) [SI], known constants (c, b); b <= size.
@@ -141,7 +143,8 @@ class NumpyEngine:
         """Where the value of an operation stands: one number, or one for each pose."""
         name, payload = self._operations[position]
         if not self._varies[position]:
-            return self._fixed[position : position + 1].reshape(())  # a view
+            number = self._number[position]
+            return self._numbers[number : number + 1].reshape(())  # a view
         if name in LEAVES:
             offset = self._quantities if name == "known" else 0
             return self._inputs[offset + int(payload[0]), :width]
@@ -167,3 +170,10 @@ def engine_for(tape: Tape, parameters: tuple[str, ...], size: int) -> NumpyEngin
             kept.clear()
         kept[key] = NumpyEngine(linearise(tape, tape.quantities, parameters), size)
     return kept[key]
+
+
+def _renumbered(
+    operation: tuple[str, tuple[float, ...]], number: dict[int, int]
+) -> tuple[str, tuple[float, ...]]:
+    name, payload = operation
+    return name, payload if name in LEAVES else tuple(number[int(a)] for a in payload)
