@@ -50,11 +50,11 @@ def table(results: dict[str, Result], truth: dict[str, float]) -> list[str]:
     if before is not None and all(after):
         unit = SHOWN.get(before.unit, before.unit)
         reached = [significant(from_si(a.rms, unit), 3) for a in after if a]
+        nominal = significant(from_si(before.rms, unit), 3)
+        listed = ", ".join(f"{r} {unit} by {n}" for r, n in zip(reached, results, strict=True))
         lines += [
-            f"\nEnd point computed minus measured, rms: {significant(from_si(before.rms, unit), 3)} "
-            + f"{unit} nominal, "
-            + ", ".join(f"{r} {unit} by {n}" for r, n in zip(reached, results, strict=True))
-            + ".\nPredicted from noisy readings, it says more of the sensors than of the parameters."
+            f"\nEnd point computed minus measured, rms: {nominal} {unit} nominal, {listed}.",
+            "It is predicted from noisy readings and says more of them than of the parameters.",
         ]
     return lines
 

@@ -68,7 +68,8 @@ def nearest(name: str, known: Iterable[str]) -> str:
     "did you mean 'columns'?"
     """
     choices = list(known)
-    close = get_close_matches(name, choices, n=1, cutoff=0.6)
+    folded = {choice.casefold(): choice for choice in reversed(choices)}
+    close = get_close_matches(name.casefold(), folded, n=1, cutoff=0.6)
     if close:
-        return f"did you mean {close[0]!r}?"
+        return f"did you mean {folded[close[0]]!r}?"
     return "known are " + ", ".join(repr(c) for c in choices) if choices else "none is known here"
