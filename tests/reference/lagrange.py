@@ -155,5 +155,5 @@ def _solve(K: Array, right: Array) -> Array:
         largest = np.max(abs(K * scale * scale[:, None]), axis=0, initial=1e-300)
         np.divide(scale, np.sqrt(largest), out=scale)
     scaled = right * (scale[:, None] if right.ndim == 2 else scale)
-    solved: Array = np.linalg.solve(K * scale * scale[:, None], scaled)
+    solved = np.asarray(np.linalg.solve(K * scale * scale[:, None], scaled), dtype=np.float64)
     return solved * (scale[:, None] if right.ndim == 2 else scale)
