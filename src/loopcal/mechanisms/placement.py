@@ -33,11 +33,13 @@ def rigid(rotation: Array, shift: Array) -> Array:
 
 def yaw_pitch_roll(rotation: Array) -> tuple[float, float, float]:
     """Angles [rad] with Rz(yaw) Ry(pitch) Rx(roll) = rotation, pitch within +-pi/2."""
-    pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
-    if abs(math.cos(pitch)) < 1e-12:  # yaw and roll turn about one axis: call it all yaw
-        return math.atan2(-rotation[0, 1], rotation[1, 1]), pitch, 0.0
+    # Pitch and roll are read behind the yaw found, so that they make good its rounding where
+    # yaw and roll turn about nearly the same axis.
     yaw = math.atan2(rotation[1, 0], rotation[0, 0])
-    return yaw, pitch, math.atan2(rotation[2, 1], rotation[2, 2])
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    along = cosine * rotation[0] + sine * rotation[1]
+    across = cosine * rotation[1] - sine * rotation[0]
+    return yaw, math.atan2(-rotation[2, 0], along[0]), math.atan2(-across[2], across[1])
 
 
 @dataclass(frozen=True)
