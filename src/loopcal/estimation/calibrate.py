@@ -25,6 +25,7 @@ from loopcal.estimation.result import (
     Undetermined,
     frozen,
 )
+from loopcal.estimation.scratch import one_blas_thread
 from loopcal.estimation.seed_iteration import iterate_undamped
 from loopcal.estimation.solver import Progress, Solution, solve
 from loopcal.expressions.engine import engine_for
@@ -80,12 +81,13 @@ def calibrate(
     if prior is not None:
         mechanism = mechanism.with_parameters(prior.apply(mechanism.parameters))
     exact = method == "least-squares"
-    problem = _started(mechanism, data, None if exact else noise, start)
-    if method == "implicit-loop-undamped":
-        solution = iterate_undamped(problem, max_iterations=max_iterations)
-    else:
-        solution = solve(problem, exact=exact, max_iterations=max_iterations, progress=progress)
-    return _result(method, problem, solution, data)
+    with one_blas_thread():
+        problem = _started(mechanism, data, None if exact else noise, start)
+        if method == "implicit-loop-undamped":
+            solution = iterate_undamped(problem, max_iterations=max_iterations)
+        else:
+            solution = solve(problem, exact=exact, max_iterations=max_iterations, progress=progress)
+        return _result(method, problem, solution, data)
 
 
 def _started(
@@ -136,9 +138,9 @@ def _result(method: str, problem: Problem, solution: Solution, data: Dataset) ->
         covariance=covariance,
         chi_squared=chi,
         noise=() if exact else _noise_entries(problem),
-        corrections=frozen({q: corrections[i].copy() for i, q in enumerate(quantities)}),
-        reading_sds=frozen({q: sds[i].copy() for i, q in enumerate(quantities)}),
-        residuals_before=_residuals(problem, problem.start, 0.0),
+        corrections=frozen(dict(zip(quantities, corrections, strict=True))),
+        reading_sds=frozen(dict(zip(quantities, sds, strict=True))),
+        residuals_before=_residuals(problem, problem.start),
         residuals_after=_residuals(problem, solution.parameters, corrections),
         accuracy_before=_accuracy(problem, problem.start),
         accuracy_after=_accuracy(problem, solution.parameters, corrections),
@@ -160,8 +162,10 @@ def _ratio(chi_squared: float, freedom: int) -> float | None:
 
 def _identifiability(problem: Problem, solution: Solution) -> Identifiability:
     system = solution.spectrum
-    flat = np.full(len(problem.free), np.inf)
-    alone = spectrum(solution.sweep.data, np.zeros(len(problem.free)), flat)
+    alone = system
+    if np.isfinite(problem.prior_sd).any():
+        flat = np.full(len(problem.free), np.inf)
+        alone = spectrum(solution.sweep.data, np.zeros(len(problem.free)), flat)
     directions = undetermined(system, problem.names)
     condition = system.condition
     return Identifiability(
@@ -184,7 +188,7 @@ def _in_words(combination: Mapping[str, float]) -> str:
 def _noise_entries(problem: Problem) -> tuple[NoiseEntry, ...]:
     entries = []
     for i, quantity in enumerate(problem.mechanism.tape.quantities):
-        row = np.broadcast_to(problem.uncertainty.sd[i], len(problem.poses))
+        row = problem.uncertainty.sd[i]
         measured = row[np.isfinite(row)]
         if measured.size:
             unit = problem.mechanism.quantities[quantity]
@@ -194,17 +198,19 @@ def _noise_entries(problem: Problem) -> tuple[NoiseEntry, ...]:
 
 
 def _residuals(
-    problem: Problem, parameters: Array, corrections: Array | float
+    problem: Problem, parameters: Array, corrections: Array | None = None
 ) -> Mapping[str, Array]:
     """Loop values with these corrections; unmeasured quantities stay where the fit left them."""
     tape = problem.mechanism.tape
     out = np.empty((len(tape.loops), len(problem.poses)))
-    engine = engine_for(tape, (), min(BLOCK, len(problem.poses)))
+    engine = engine_for(tape, (), min(BLOCK, len(problem.poses)), quantities=())
     engine.at(parameters)
-    x = problem.readings + corrections
     for _, poses in problem.blocks():
-        out[:, poses] = engine.evaluate(x[:, poses], problem.known[:, poses]).f
-    return frozen({loop: out[i].copy() for i, loop in enumerate(tape.loops)})
+        x = problem.readings[:, poses]
+        if corrections is not None:
+            x = x + corrections[:, poses]
+        out[:, poses] = engine.evaluate(x, problem.known[:, poses]).f
+    return frozen(dict(zip(tape.loops, out, strict=True)))
 
 
 def _accuracy(

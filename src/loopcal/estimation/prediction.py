@@ -30,7 +30,8 @@ def predict_outputs(
     wanted = [mechanism.tape.quantities.index(name) for name in mechanism.outputs]
     unknown = list(dict.fromkeys([*wanted, *also]))
     out = np.empty((len(wanted), readings.shape[1]))
-    engine = engine_for(mechanism.tape, (), min(BLOCK, max(readings.shape[1], 1)))
+    names = tuple(mechanism.tape.quantities[i] for i in unknown)
+    engine = engine_for(mechanism.tape, (), min(BLOCK, max(readings.shape[1], 1)), names)
     engine.at(parameters)
     for begin in range(0, readings.shape[1], BLOCK):
         part = slice(begin, begin + BLOCK)
@@ -38,7 +39,7 @@ def predict_outputs(
         before = np.inf
         for _ in range(_MOST):
             values = engine.evaluate(x, known[:, part])
-            reflections = eliminate(values.by_quantity[unknown])
+            reflections = eliminate(values.by_quantity)
             step = reflections.solve(reflections.apply(values.f)[: len(unknown)])
             x[unknown] -= step
             size = float(np.abs(step[np.isfinite(step)]).max(initial=0.0))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,19 +157,23 @@ class NumpyEngine:
 _engines = threading.local()
 
 
-def engine_for(tape: Tape, parameters: tuple[str, ...], size: int) -> NumpyEngine:
-    """This thread's engine for f, its derivatives by all quantities and the given parameters.
+def engine_for(
+    tape: Tape,
+    parameters: tuple[str, ...],
+    size: int,
+    quantities: tuple[str, ...] | None = None,
+) -> NumpyEngine:
+    """This thread's engine for f and its derivatives by the given parameters and quantities (all).
 
     Made once and kept, because binding the registers takes longer than a small block.
     """
-    kept: dict[tuple[Tape, tuple[str, ...], int], NumpyEngine] = _engines.__dict__.setdefault(
-        "kept", {}
-    )
-    key = (tape, parameters, size)
+    kept: dict[Any, NumpyEngine] = _engines.__dict__.setdefault("kept", {})
+    quantities = tape.quantities if quantities is None else quantities
+    key = (tape, parameters, size, quantities)
     if key not in kept:
         if len(kept) > 32:
             kept.clear()
-        kept[key] = NumpyEngine(linearise(tape, tape.quantities, parameters), size)
+        kept[key] = NumpyEngine(linearise(tape, quantities, parameters), size)
     return kept[key]
 
 
