@@ -338,6 +338,12 @@ BAD: dict[str, tuple[Callable[[Path], None], list[str], int, list[str]]] = {
         3,
         ["readings.xls", ".csv"],
     ),
+    "a folder where the truth belongs": (
+        make_folder("readings.truth.json"),
+        ["simulate", "project.toml", "--out", "readings.csv", "--seed", "5"],
+        3,
+        ["readings.truth.json", "folder"],
+    ),
     "negative seed": (
         nothing,
         ["simulate", "project.toml", "--out", "readings.csv", "--seed", "-1"],
