@@ -162,9 +162,9 @@ def orthonormalise(G: Array) -> tuple[Array, NDArray[np.bool_]]:
 
     G: (r, k', b). L: (r, r, b), only entries [i, j], j <= i, are set; overwritten by the next
     block. L is exact to rounding without more; a row left with less than REORTHOGONAL of its
-    length is swept a second time, so that Q^T is orthonormal to eps / REORTHOGONAL at worst
-    ("twice is enough", Parlett 1980, section 6.9). Rows that lie in the span of the ones before
-    are marked singular.
+    length is swept a second time ("twice is enough", Parlett 1980, section 6.9), so that Q^T is
+    orthonormal to eps / REORTHOGONAL, times that again where each of three rows nearly lies in
+    the span of the ones before. Rows that lie there altogether are marked singular.
     """
     L = scratch("triangle", len(G), len(G), G.shape[2])
     singular = np.zeros(G.shape[2], dtype=bool)
