@@ -30,7 +30,7 @@ from loopcal.measurements.noise import CovarianceBlock
 Array = NDArray[np.float64]
 SINGULAR = 1e-13
 """A loop whose uncertain part is this small beside its own row cannot be closed."""
-REORTHOGONAL = 1e-3
+REORTHOGONAL = 0.03
 """A row of which projections left no more than this is made orthogonal once more."""
 
 

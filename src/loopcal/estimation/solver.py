@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, float, float], None]
 """Called with iteration, chi-squared and the predicted decrease."""
 
-RELATIVE_STEP = 1e-10
+RELATIVE_STEP = 1e-11
 """Converged when what the next step leaves is this small beside the sds that the residuals
 suggest: parameters then have ten digits. With large noise a step gains only two or three."""
 _NEGLIGIBLE_STEP = 1e-6
@@ -261,7 +261,8 @@ class _Solver:
         assert point.spectrum is not None
         parameters = point.parameters.copy()
         parameters[self.problem.free] += point.spectrum.step()
-        closed = self.sweeper.close(parameters, point.sweep.proposal, point.sweep.contraction)
+        start, contraction = point.sweep.proposal, point.sweep.contraction
+        closed = self.sweeper.close(parameters, start, RELATIVE_STEP, contraction)
         if closed.open.any():
             return self._solution(point, "converged")
         end = replace(point, parameters=parameters)

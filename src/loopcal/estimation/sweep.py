@@ -132,8 +132,13 @@ class Sweeper:
             np.concatenate(late),
         )
 
-    def close(self, parameters: Array, corrections: Array, contraction: float) -> Closed:
-        """Corrections (k, N) that close all loops at parameters (n_all,), found from near ones."""
+    def close(
+        self, parameters: Array, corrections: Array, tolerance: float, contraction: float
+    ) -> Closed:
+        """Corrections (k, N) that close all loops at parameters (n_all,), found from near ones.
+
+        They are right to so many sds; contraction: of steps, as far as known.
+        """
         if not self.corrects:
             return Closed(corrections, np.zeros(corrections.shape[1], dtype=bool))
         problem = self.problem
@@ -144,7 +149,7 @@ class Sweeper:
             noise = self.noise(unmeasured, poses)
             readings, known = problem.readings[:, poses], problem.known[:, poses]
             start = corrections[:, poses]
-            closed = self._close(readings, known, start, noise, NEGLIGIBLE, contraction)
+            closed = self._close(readings, known, start, noise, tolerance, contraction)
             done[:, poses], late[poses] = closed.corrections, closed.open
         return Closed(done, late)
 
