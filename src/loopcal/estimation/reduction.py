@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from loopcal.estimation.kernel import Whitened
 
 Array = NDArray[np.float64]
-RANK_TOLERANCE = 1e-10
-"""Directions with a singular value this much below the largest are not determined."""
+RANK_TOLERANCE, SUMMED_TOLERANCE = 1e-10, 1e-6
+"""Directions with a singular value this much below the largest are not determined; from normal
+equations, whose rounding hides singular values up to the root of n eps, it shows only so far."""
 WELL_CONDITIONED = 1e4
 """Up to this scaled condition number normal equations lose nothing that iterating cannot mend."""
 
@@ -61,19 +62,20 @@ class Spectrum:
 
     The step dp = scale * (directions @ z) turns it into independent equations
     singular_values * z = components; scale: (n,) [SI], singular_values, components: (n,).
-    kept: which directions data and prior determine. unexplained: |E|^2 that no step removes.
+    kept: which directions data and prior determine, by `tolerance`.
     """
 
     scale: Array
     directions: Array
     singular_values: Array
     components: Array
+    tolerance: float = RANK_TOLERANCE
 
     @property
     def kept(self) -> NDArray[np.bool_]:
         """Directions that data and prior determine."""
         s = self.singular_values
-        kept: NDArray[np.bool_] = s > RANK_TOLERANCE * max(float(s.max(initial=0.0)), 1e-300)
+        kept: NDArray[np.bool_] = s > self.tolerance * max(float(s.max(initial=0.0)), 1e-300)
         return kept
 
     @property
@@ -129,7 +131,8 @@ def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
     values, vectors = np.linalg.eigh(H * scale * scale[:, None])
     s = np.sqrt(np.maximum(values, 0.0))
     b = vectors.T @ (scale * g)
-    return Spectrum(scale, vectors, s, np.where(s > 0, b / np.where(s > 0, s, 1.0), 0.0))
+    components = np.where(s > 0, b / np.where(s > 0, s, 1.0), 0.0)
+    return Spectrum(scale, vectors, s, components, SUMMED_TOLERANCE)
 
 
 def _triangle(above: Array, below: Array) -> Array:
