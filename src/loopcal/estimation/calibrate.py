@@ -242,8 +242,8 @@ def _warnings(result: Result) -> tuple[str, ...]:
     words = []
     for loose in result.identifiability.not_identifiable:
         words.append(
-            f"Not identifiable: {loose.words}. They were moved as little as possible; fix one of "
-            "them, give it a prior sd, or measure other poses."
+            f"Not identifiable: {loose.words}. The fit moves along such a direction as little as "
+            "it can; fix a parameter, give it a prior sd, or measure other poses."
         )
     if result.mechanism.placement is not None:
         words += result.mechanism.placement.advice(result.value)

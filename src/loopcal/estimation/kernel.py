@@ -34,6 +34,10 @@ REORTHOGONAL = 0.03
 """A row of which projections left no more than this is made orthogonal once more."""
 
 
+ROUNDED_AWAY = 1e-13
+"""Eliminating may leave this much of a derivative's length as rounding."""
+
+
 @dataclass(frozen=True)
 class BlockNoise:
     """Uncertainty of a block: sd (k, 1) or (k, b), full-covariance blocks, unmeasured rows."""
@@ -84,7 +88,7 @@ def whiten(values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened
     reflections = Elimination()
     if noise.unmeasured:
         reflections = eliminate(values.by_quantity[list(noise.unmeasured)])
-        f, J, D = (reflections.apply(part) for part in (f, J, D))
+        f, J, D = reflections.apply(f), reflections.apply(J), without_rounding(reflections, D)
     skip = len(noise.unmeasured)
     G = loadings(J[:, skip:], noise)
     L, singular = orthonormalise(G)
@@ -105,6 +109,17 @@ def whiten(values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened
     return Whitened(rows, G, new, singular)
 
 
+def without_rounding(reflections: Elimination, D: Array) -> Array:
+    """Reflected derivatives (n, m, b), what only rounding left of a column made zero.
+
+    A parameter that an unmeasured quantity makes up for would else seem determined, if badly.
+    """
+    length = np.sqrt(np.einsum("nmb,nmb->nb", D, D))[:, None, :]
+    reflected = reflections.apply(D)
+    reflected[np.abs(reflected) < ROUNDED_AWAY * length] = 0.0
+    return reflected
+
+
 def _measured(rows: Array, noise: BlockNoise) -> Array:
     """The rows of the measured quantities; no copy where all are."""
     return rows[list(noise.measured)] if noise.unmeasured else rows
@@ -120,7 +135,7 @@ def unweighted(values: LoopValues, correction: Array, noise: BlockNoise) -> Whit
     if noise.unmeasured:
         unmeasured = list(noise.unmeasured)
         reflections = eliminate(values.by_quantity[unmeasured])
-        f, D = reflections.apply(f), reflections.apply(D)
+        f, D = reflections.apply(f), without_rounding(reflections, D)
         new = correction.copy()
         new[unmeasured] -= reflections.solve(f[: len(unmeasured)])
     skip = len(noise.unmeasured)

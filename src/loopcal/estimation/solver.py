@@ -21,8 +21,9 @@ from loopcal.errors import InputError
 from loopcal.estimation.problem import Problem
 from loopcal.estimation.reduction import WELL_CONDITIONED, Spectrum, spectrum
 from loopcal.estimation.scratch import one_blas_thread
+from loopcal.estimation.starting import start_corrections
 from loopcal.estimation.status import Status
-from loopcal.estimation.sweep import NEGLIGIBLE, Sweep, Sweeper
+from loopcal.estimation.sweep import NEAR, NEGLIGIBLE, Sweep, Sweeper
 from loopcal.expressions.domain import explain_domain
 
 Array = NDArray[np.float64]
@@ -40,7 +41,7 @@ _MOST_DAMPING = 1e6
 _FAR, _EXPLAINED = 100.0, 0.9
 """Where whitened residuals are this large (mean square) and parameters explain this share of
 them, the loops need not be closed yet."""
-_ONCE, _NEAR, _CLOSED = np.inf, 0.1, NEGLIGIBLE
+_ONCE, _NEAR, _CLOSED = np.inf, NEAR, NEGLIGIBLE
 """Loops are closed until what is left to correct is at most so many sds: after a single correction
 on the way, where that does not do, and at the end."""
 
@@ -93,14 +94,23 @@ def solve(
     Raises InputError (DomainError) where the loops cannot be evaluated or closed at the start.
     """
     with one_blas_thread():
-        return _Solver(problem, exact, progress).run(max_iterations)
+        return solve_with(
+            Sweeper(problem, exact=exact), max_iterations=max_iterations, progress=progress
+        )
+
+
+def solve_with(
+    sweeper: Sweeper, *, max_iterations: int = 100, progress: Progress | None = None
+) -> Solution:
+    """The same for any sweeper: the solver knows no more of a method than its sweeps."""
+    return _Solver(sweeper, progress).run(max_iterations)
 
 
 class _Solver:
-    def __init__(self, problem: Problem, exact: bool, progress: Progress | None) -> None:
-        self.problem = problem
-        self.sweeper = Sweeper(problem, exact=exact)
-        self.prior_sd = np.full(len(problem.free), np.inf) if exact else problem.prior_sd
+    def __init__(self, sweeper: Sweeper, progress: Progress | None) -> None:
+        self.problem = sweeper.problem
+        self.sweeper = sweeper
+        self.prior_sd = sweeper.prior_sd
         self.progress = progress
         self.triangular = False
         self.floor = 0.0
@@ -137,7 +147,7 @@ class _Solver:
             current = trial
 
     def _first(self) -> _Point:
-        corrections = np.zeros_like(self.problem.readings)
+        corrections = start_corrections(self.sweeper, self.problem.start)
         closing = _NEAR if any(p.unmeasured for p in self.problem.patterns) else None
         point = self._evaluate(self.problem.start, corrections, closing)
         if not point.sweep.finite:

@@ -28,6 +28,8 @@ MOST_CLOSINGS = 8
 """What Gauss-Newton has not closed by then is left to Newton, who knows the curvature."""
 NEGLIGIBLE = 1e-6
 """A step of so many sds leaves a next one that only rounding sees."""
+NEAR = 0.1
+"""On the way, loops count as closed when the next correction will be at most so many sds."""
 _SAMPLE = 64
 """Poses from which the rounding of loop values is estimated."""
 
@@ -70,6 +72,7 @@ class Sweeper:
         tape, size = problem.mechanism.tape, min(BLOCK, len(problem.poses))
         self.engine = engine_for(tape, problem.names, size)
         self.closing_engine = engine_for(tape, (), size)
+        self.prior_sd = np.full(len(problem.free), np.inf) if exact else problem.prior_sd
         # The basic method corrects nothing; only unmeasured quantities have to be found.
         self.corrects = not exact or any(p.unmeasured for p in problem.patterns)
         self.parameters = problem.start
@@ -152,6 +155,23 @@ class Sweeper:
             closed = self._close(readings, known, start, noise, tolerance, contraction)
             done[:, poses], late[poses] = closed.corrections, closed.open
         return Closed(done, late)
+
+    def close_block(
+        self,
+        parameters: Array,
+        start: Array,
+        unmeasured: tuple[int, ...],
+        poses: slice | NDArray[np.intp],
+    ) -> tuple[Array, Array]:
+        """Corrections (k, b) that close the loops of a block, and what they cost: |E|^2, (b,)."""
+        self.parameters = parameters
+        self.closing_engine.at(parameters)
+        noise = self.noise(unmeasured, poses)
+        readings, known = self.problem.readings[:, poses], self.problem.known[:, poses]
+        closed = self._close(readings, known, start, noise, NEAR, 1.0)
+        values = self._values(self.closing_engine, readings, closed.corrections, known)
+        whitened = self.reduce(values, closed.corrections, noise)
+        return whitened.correction, np.square(whitened.E).sum(axis=0)
 
     def _values(
         self, engine: NumpyEngine, readings: Array, corrections: Array, known: Array
