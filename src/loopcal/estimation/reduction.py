@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 RANK_TOLERANCE, SUMMED_TOLERANCE = 1e-10, 1e-6
 """Directions with a singular value this much below the largest are not determined; from normal
 equations, whose rounding hides singular values up to the root of n eps, it shows only so far."""
+WEAK = 1e-6
+"""Directions with a singular value this far below the largest are determined, but hardly."""
 WELL_CONDITIONED = 1e4
 """Up to this scaled condition number normal equations lose nothing that iterating cannot mend."""
 
@@ -165,6 +167,16 @@ def undetermined(
         }
         combinations.append(combination)
     return tuple(combinations)
+
+
+def hardly_determined(spectrum: Spectrum, names: Sequence[str]) -> tuple[str, ...]:
+    """The parameters in the weakest of the determined directions, none if it is not weak."""
+    s = np.where(spectrum.kept, spectrum.singular_values, np.inf)
+    weakest = int(np.argmin(s))
+    if not s[weakest] < WEAK * float(spectrum.singular_values.max(initial=0.0)):
+        return ()
+    shares = np.abs(spectrum.directions[:, weakest])
+    return tuple(n for n, s in zip(names, shares, strict=True) if s >= 0.05 * shares.max())
 
 
 def _echelon(rows: Array) -> Array:

@@ -19,7 +19,12 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.problem import Problem
-from loopcal.estimation.reduction import WELL_CONDITIONED, Spectrum, spectrum
+from loopcal.estimation.reduction import (
+    WELL_CONDITIONED,
+    Spectrum,
+    hardly_determined,
+    spectrum,
+)
 from loopcal.estimation.scratch import one_blas_thread
 from loopcal.estimation.starting import start_corrections
 from loopcal.estimation.status import Status
@@ -142,7 +147,7 @@ class _Solver:
                 self.progress(self.iterations, current.merit, current.spectrum.decrement)
             trial, damping = self._advance(current, damping)
             if trial is None:
-                return self._give_up(first, current, "stalled")
+                return self._stalled(first, current)
             self.before = current.spectrum.decrement
             current = trial
 
@@ -251,11 +256,17 @@ class _Solver:
         """Whether the next step leaves nothing beside the sds that the residuals suggest."""
         assert point.spectrum is not None
         decrement = point.spectrum.decrement
-        if decrement > self._limit(point.merit, _NEGLIGIBLE_STEP):
+        if not self._negligible(point):
             return False
         rate = min(decrement / self.before, 1.0) if np.isfinite(self.before) else 1.0
         stuck = np.isfinite(self.before) and rate > 0.25
         return stuck or rate * decrement <= self._limit(point.merit, RELATIVE_STEP)
+
+    def _negligible(self, point: _Point) -> bool:
+        """Whether the loops close and the next step is too small to matter."""
+        if point.spectrum is None or not np.isfinite(point.merit):
+            return False
+        return point.spectrum.decrement <= self._limit(point.merit, _NEGLIGIBLE_STEP)
 
     def _limit(self, merit: float, step: float) -> float:
         """The decrement of a step of so many sds in each of the n directions."""
@@ -278,6 +289,13 @@ class _Solver:
         end = replace(point, parameters=parameters)
         return self._solution(end, "converged", closed.corrections)
 
+    def _stalled(self, first: _Point, current: _Point) -> Solution:
+        """The end where no step lowers the merit: given up, unless only rounding is in the way."""
+        end = self._evaluate(current.parameters, current.sweep.proposal, _CLOSED)
+        if self._negligible(end):
+            return self._converged(end)
+        return self._give_up(first, current, "stalled")
+
     def _give_up(self, first: _Point, current: _Point, reason: str) -> Solution:
         end = self._evaluate(current.parameters, current.sweep.proposal, _CLOSED)
         if end.sweep.open_poses.size or end.spectrum is None:
@@ -294,6 +312,8 @@ class _Solver:
             some = [self.problem.poses[i] for i in end.sweep.open_poses[:5]]
             detail = f"Poses: {', '.join(some)}."
         assert end.spectrum is not None
+        if reason in ("max_iterations", "stalled"):
+            detail = _weakness(hardly_determined(end.spectrum, self.problem.names))
         prior = end.merit - end.sweep.data.chi_squared
         status = Status.of(
             reason, self.iterations, self.sweeper.evaluations / len(self.problem.poses), detail
@@ -303,3 +323,13 @@ class _Solver:
             corrections = end.sweep.proposal if near else end.sweep.corrections
         prior = max(prior, 0.0)
         return Solution(end.parameters, corrections, end.sweep, end.spectrum, prior, status)
+
+
+def _weakness(names: tuple[str, ...]) -> str:
+    """What to do about a direction that the poses hardly determine; nothing if there is none."""
+    if not names:
+        return ""
+    return (
+        f"These poses hardly tell apart {', '.join(names)}: fix one of them or give it a prior sd, "
+        'and describe axes that are nearly parallel by the form "hayati" or by transitions.'
+    )
