@@ -61,7 +61,7 @@ def calibrate(
         str | None,
         typer.Option(
             metavar="METHOD",
-            help="implicit-loop, least-squares or implicit-loop-undamped, instead of the "
+            help="implicit-loop, least-squares, reweighted or implicit-loop-undamped, not the "
             "project's (fit.method).",
         ),
     ] = None,

@@ -25,6 +25,7 @@ from loopcal.estimation.result import (
     Undetermined,
     frozen,
 )
+from loopcal.estimation.reweighted import solve_reweighted
 from loopcal.estimation.scratch import one_blas_thread
 from loopcal.estimation.seed_iteration import iterate_undamped
 from loopcal.estimation.solver import Progress, Solution, solve
@@ -35,7 +36,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.prior import Prior
 
 Array = NDArray[np.float64]
-METHODS = ("implicit-loop", "least-squares", "implicit-loop-undamped")
+METHODS = ("implicit-loop", "least-squares", "reweighted", "implicit-loop-undamped")
 STARTS = ("auto", "align", "nominal")
 
 
@@ -56,8 +57,10 @@ def calibrate(
     minimise sum_i c_i^T Sigma^-1 c_i + (p - nominal)^T Sigma_p^-1 (p - nominal) over parameters
     p and corrections c_i subject to f(reading_i + c_i, p) = 0 (Wampler, Hollerbach and Arai
     1995; seed 3.7 to 3.30). "least-squares" takes the readings as exact and minimises the sum
-    of squared loop values (seed 3.1 to 3.6), without noise or prior. "implicit-loop-undamped"
-    is the seed's own iteration, for study.
+    of squared loop values (seed 3.1 to 3.6), without noise or prior. "reweighted"
+    weighs the readings as they are by their propagated noise J_x Sigma J_x^T, without letting
+    that noise say anything about the parameters: the robust choice where poses are alike and sds
+    guessed. "implicit-loop-undamped" is the seed's own iteration, for study.
 
     start: "nominal"; "align" moves the nominal machine rigidly to where the instrument sees it;
     "auto" aligns a spatial machine whose placement parameters are free with flat priors; or
@@ -85,6 +88,8 @@ def calibrate(
         problem = _started(mechanism, data, None if exact else noise, start)
         if method == "implicit-loop-undamped":
             solution = iterate_undamped(problem, max_iterations=max_iterations)
+        elif method == "reweighted":
+            solution = solve_reweighted(problem, max_iterations=max_iterations, progress=progress)
         else:
             solution = solve(problem, exact=exact, max_iterations=max_iterations, progress=progress)
         return _result(method, problem, solution, data)
@@ -146,6 +151,9 @@ def _result(method: str, problem: Problem, solution: Solution, data: Dataset) ->
         accuracy_after=_accuracy(problem, solution.parameters, corrections),
         identifiability=identifiability,
         dataset=data,
+        problem=problem,
+        spectrum=solution.spectrum,
+        information=solution.sweep.data,
     )
     return replace(result, warnings=_warnings(result))
 

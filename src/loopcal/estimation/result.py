@@ -9,6 +9,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.problem import Problem
+from loopcal.estimation.reduction import Accumulator, Spectrum
 from loopcal.estimation.status import Status
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
@@ -113,7 +115,9 @@ class Result:
     parameter (sd None if fixed, inf if not identifiable); covariance: (n, n) of the estimated
     ones in the order of `estimated`; corrections: quantity -> (N,) estimated true value minus
     reading; residuals_before, residuals_after: loop -> (N,) values of the loop equations;
-    accuracy is None where the mechanism has no outputs, or outputs of several units.
+    accuracy is None where the mechanism has no outputs, or outputs of several units. problem,
+    spectrum and information (the parameter system with and without the prior) are what further
+    statistics start from.
     """
 
     method: str
@@ -133,6 +137,9 @@ class Result:
     accuracy_after: Accuracy | None
     identifiability: Identifiability
     dataset: Dataset
+    problem: Problem
+    spectrum: Spectrum
+    information: Accumulator
     warnings: tuple[str, ...] = ()
     errors: Mapping[str, float] | None = None
 

@@ -17,6 +17,7 @@ SHOWN = {"m": "mm", "rad": "deg"}
 _METHODS = {
     "implicit-loop": "implicit loop (all sensors uncertain)",
     "implicit-loop-undamped": "implicit loop, the seed's undamped iteration",
+    "reweighted": "reweighted least squares (readings weighed by their propagated noise)",
     "least-squares": "least squares (sensors taken as exact)",
 }
 

@@ -145,7 +145,9 @@ Sds = dict[str, Annotated[SdEntry, plain_number_as("sd", SdEntry)]]
 class FitEntry(Model):
     """How to fit."""
 
-    method: Literal["implicit-loop", "least-squares", "implicit-loop-undamped"] = "implicit-loop"
+    method: Literal["implicit-loop", "least-squares", "reweighted", "implicit-loop-undamped"] = (
+        "implicit-loop"
+    )
     start: Literal["auto", "align", "nominal"] = Field(
         default="auto",
         description="align: the nominal machine is first moved to where the instrument sees it; "

@@ -144,7 +144,7 @@ class ResultDocument(Model):
     schema_: Literal[1] = Field(alias="schema")
     loopcal: str = Field(description="Version of loopcal that wrote this file.")
     title: str | None
-    method: Literal["implicit-loop", "least-squares", "implicit-loop-undamped"]
+    method: Literal["implicit-loop", "least-squares", "reweighted", "implicit-loop-undamped"]
     status: StatusEntry
     parameters: list[ParameterEntry]
     covariance: CovarianceEntry

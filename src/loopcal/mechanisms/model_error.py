@@ -1,0 +1,66 @@
+"""What no sensor is to blame for: a disturbance of the machine model, as a quantity of its own.
+
+A machine bends, its gears are not round. Such errors belong to the model, not to an encoder. They
+enter as further quantities, read as zero in every pose with an sd of their own, so that the same
+estimation weighs, corrects and learns them: the end point reached is the modelled one plus this
+disturbance, isotropic where its coordinates share one sd. A mechanism without outputs gets one
+disturbance for each loop equation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from loopcal.expressions.graph import Graph, Node
+from loopcal.expressions.operations import LEAVES
+from loopcal.expressions.tape import Tape
+from loopcal.mechanisms.mechanism import Mechanism
+
+PREFIX = "model_"
+
+
+def disturbances(mechanism: Mechanism) -> tuple[str, ...]:
+    """Names of the disturbances that the mechanism has, or would be given."""
+    return tuple(PREFIX + name for name in (mechanism.outputs or mechanism.tape.loops))
+
+
+def with_model_error(mechanism: Mechanism) -> Mechanism:
+    """The mechanism with a disturbance of each output, or of each loop equation without outputs.
+
+    Its units are those of the outputs; a loop's own disturbance is a plain number in the unit of
+    the loop. Their readings are zero in every pose.
+    """
+    names = disturbances(mechanism)
+    if names[0] in mechanism.quantities:
+        return mechanism
+    tape = mechanism.tape
+    graph = Graph()
+    offset = len(tape.quantities)
+    outputs = {tape.quantities.index(name): i for i, name in enumerate(mechanism.outputs)}
+    place: list[Node] = []
+    for name, payload in tape.operations:
+        if name not in LEAVES:
+            place.append(graph.apply(name, *(place[int(a)] for a in payload)))
+            continue
+        node = graph.leaf(name, payload[0])
+        if name == "quantity" and int(payload[0]) in outputs:
+            disturbance = graph.leaf("quantity", offset + outputs[int(payload[0])])
+            node = graph.apply("sub", node, disturbance)
+        place.append(node)
+    loops = [place[output] for output in tape.outputs]
+    if not mechanism.outputs:
+        loops = [
+            graph.apply("add", loop, graph.leaf("quantity", offset + i))
+            for i, loop in enumerate(loops)
+        ]
+    disturbed = Tape.from_graph(
+        graph,
+        loops,
+        quantities=[*tape.quantities, *names],
+        known=tape.known,
+        parameters=tape.parameters,
+        loops=tape.loops,
+    )
+    units = [mechanism.quantities[name] for name in mechanism.outputs] or ["1"] * len(names)
+    quantities = {**mechanism.quantities, **dict(zip(names, units, strict=True))}
+    return replace(mechanism, tape=disturbed, quantities=quantities)
