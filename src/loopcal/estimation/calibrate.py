@@ -29,7 +29,7 @@ from loopcal.estimation.reweighted import solve_reweighted
 from loopcal.estimation.scratch import one_blas_thread
 from loopcal.estimation.seed_iteration import iterate_undamped
 from loopcal.estimation.solver import Progress, Solution, solve
-from loopcal.expressions.engine import engine_for
+from loopcal.expressions.engine import Stage, engine_for
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -211,13 +211,13 @@ def _residuals(
     """Loop values with these corrections; unmeasured quantities stay where the fit left them."""
     tape = problem.mechanism.tape
     out = np.empty((len(tape.loops), len(problem.poses)))
-    engine = engine_for(tape, (), min(BLOCK, len(problem.poses)), quantities=())
+    engine = engine_for(tape, problem.names, min(BLOCK, len(problem.poses)))
     engine.at(parameters)
     for _, poses in problem.blocks():
         x = problem.readings[:, poses]
         if corrections is not None:
             x = x + corrections[:, poses]
-        out[:, poses] = engine.evaluate(x, problem.known[:, poses]).f
+        out[:, poses] = engine.evaluate(x, problem.known[:, poses], Stage.VALUES).f
     return frozen(dict(zip(tape.loops, out, strict=True)))
 
 

@@ -28,7 +28,7 @@ from loopcal.estimation.solver import Progress, Solution, solve_with
 from loopcal.estimation.starting import start_corrections
 from loopcal.estimation.status import Status
 from loopcal.estimation.sweep import NEAR, NEGLIGIBLE, Sweeper
-from loopcal.expressions.engine import LoopValues
+from loopcal.expressions.engine import LoopValues, Stage
 
 Array = NDArray[np.float64]
 _MOST, _STEP = 50, 1e-7
@@ -98,7 +98,7 @@ def _weights(sweeper: Sweeper, parameters: Array, corrections: Array) -> Weights
     problem = sweeper.problem
     m, N = len(problem.mechanism.tape.loops), len(problem.poses)
     T, c = np.zeros((m, m, N)), np.zeros((m, N))
-    engine = sweeper.closing_engine
+    engine = sweeper.engine
     engine.at(parameters)
     for unmeasured, poses in problem.blocks():
         noise = sweeper.noise(unmeasured, poses)
@@ -106,8 +106,9 @@ def _weights(sweeper: Sweeper, parameters: Array, corrections: Array) -> Weights
         b = start.shape[1]
         read = problem.readings[:, poses].copy()
         read[list(unmeasured)] += start[list(unmeasured)]
-        at_readings = engine.evaluate(read, known).f.copy()
-        values = engine.evaluate(problem.readings[:, poses] + start, known)
+        at_readings = engine.evaluate(read, known, Stage.VALUES).f.copy()
+        x = problem.readings[:, poses] + start
+        values = engine.evaluate(x, known, Stage.BY_QUANTITY)
         identity = np.repeat(np.eye(m)[:, :, None], b, axis=2)
         measured = list(noise.measured)
         lever = np.einsum("kmb,kb->mb", values.by_quantity[measured], start[measured])

@@ -20,7 +20,7 @@ from loopcal.estimation.kernel import BlockNoise, Whitened, unweighted, whiten
 from loopcal.estimation.problem import BLOCK, Problem
 from loopcal.estimation.reduction import Accumulator
 from loopcal.estimation.scratch import scratch
-from loopcal.expressions.engine import LoopValues, NumpyEngine, engine_for
+from loopcal.expressions.engine import LoopValues, Stage, engine_for
 from loopcal.measurements.noise import CovarianceBlock
 
 Array = NDArray[np.float64]
@@ -71,7 +71,6 @@ class Sweeper:
         self.reduce: Reduce = unweighted if exact else whiten
         tape, size = problem.mechanism.tape, min(BLOCK, len(problem.poses))
         self.engine = engine_for(tape, problem.names, size)
-        self.closing_engine = engine_for(tape, (), size)
         self.prior_sd = np.full(len(problem.free), np.inf) if exact else problem.prior_sd
         # The basic method corrects nothing; only unmeasured quantities have to be found.
         self.corrects = not exact or any(p.unmeasured for p in problem.patterns)
@@ -96,10 +95,7 @@ class Sweeper:
         """
         problem = self.problem
         closing = closing if self.corrects else None
-        self.engine.at(parameters)
-        self.parameters = parameters
-        if closing is not None:
-            self.closing_engine.at(parameters)
+        self._at(parameters)
         data = Accumulator(len(problem.free), triangular)
         used = corrections if closing is None else np.empty_like(corrections)
         proposal = np.empty_like(corrections) if self.corrects else corrections
@@ -113,7 +109,7 @@ class Sweeper:
             if closing is not None:
                 start = self._close(readings, known, start.corrections, noise, closing, contraction)
                 used[:, poses] = start.corrections
-            values = self._values(self.engine, readings, start.corrections, known)
+            values = self._values(readings, start.corrections, known, Stage.BY_PARAMETER)
             if self.rounding is None:
                 self.rounding = self._rounding(values, readings, noise)
             whitened = self.reduce(values, start.corrections, noise)
@@ -145,8 +141,7 @@ class Sweeper:
         if not self.corrects:
             return Closed(corrections, np.zeros(corrections.shape[1], dtype=bool))
         problem = self.problem
-        self.parameters = parameters
-        self.closing_engine.at(parameters)
+        self._at(parameters)
         done, late = np.empty_like(corrections), np.zeros(corrections.shape[1], dtype=bool)
         for unmeasured, poses in problem.blocks():
             noise = self.noise(unmeasured, poses)
@@ -164,21 +159,24 @@ class Sweeper:
         poses: slice | NDArray[np.intp],
     ) -> tuple[Array, Array]:
         """Corrections (k, b) that close the loops of a block, and what they cost: |E|^2, (b,)."""
-        self.parameters = parameters
-        self.closing_engine.at(parameters)
+        self._at(parameters)
         noise = self.noise(unmeasured, poses)
         readings, known = self.problem.readings[:, poses], self.problem.known[:, poses]
         closed = self._close(readings, known, start, noise, NEAR, 1.0)
-        values = self._values(self.closing_engine, readings, closed.corrections, known)
+        values = self._values(readings, closed.corrections, known, Stage.BY_QUANTITY)
         whitened = self.reduce(values, closed.corrections, noise)
         return whitened.correction, np.square(whitened.E).sum(axis=0)
 
+    def _at(self, parameters: Array) -> None:
+        self.parameters = parameters
+        self.engine.at(parameters)
+
     def _values(
-        self, engine: NumpyEngine, readings: Array, corrections: Array, known: Array
+        self, readings: Array, corrections: Array, known: Array, stage: Stage
     ) -> LoopValues:
         self.evaluations += readings.shape[1]
         x = np.add(readings, corrections, out=scratch("x", *readings.shape))
-        return engine.evaluate(x, known)
+        return self.engine.evaluate(x, known, stage)
 
     def _rounding(self, values: LoopValues, readings: Array, noise: BlockNoise) -> float:
         """Root mean square of |L^-1 eps a|, a the size of the terms in a loop value."""
@@ -210,14 +208,16 @@ class Sweeper:
         for _ in range(MOST_CLOSINGS):
             part = noise if active is None else _select(noise, active)
             values = self._values(
-                self.closing_engine,
                 readings if active is None else readings[:, active],
                 at,
                 known if active is None else known[:, active],
+                Stage.BY_QUANTITY,
             )
             correction = self.reduce(values, at, part).correction
             move = correction - at
             size = _step_in_sds(move, part)
+            if active is None and (last := float(size.max())) * contraction <= tolerance:
+                return Closed(correction, late, last)
             # A step larger than the one before, or one that is no number, overshot: halve it.
             allowed = np.maximum(2.0 * expected, max(tolerance, NEGLIGIBLE))
             overshot = ~(size <= allowed) & (length > 1e-3)

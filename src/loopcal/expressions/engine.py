@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from loopcal.expressions.derivative import Linearisation, linearise
 from loopcal.expressions.operations import LEAVES, OPERATIONS, evaluate_scalar
-from loopcal.expressions.rewriting import half_angles, varying
+from loopcal.expressions.rewriting import half_angles, in_stages, varying
 from loopcal.expressions.tape import Tape
 
 Array = NDArray[np.float64]
@@ -35,6 +36,17 @@ class LoopValues:
     by_parameter: Array
 
 
+class Stage(IntEnum):
+    """How far a tape is run: loop values alone, derivatives by quantities too, or all."""
+
+    VALUES = 0
+    BY_QUANTITY = 1
+    BY_PARAMETER = 2
+
+
+_Instructions = list[tuple[np.ufunc, tuple[Array, ...]]]
+
+
 class NumpyEngine:
     """Evaluates one linearised tape over blocks of at most `size` poses.
 
@@ -43,9 +55,11 @@ class NumpyEngine:
     """
 
     def __init__(self, linearisation: Linearisation, size: int) -> None:
-        tape = half_angles(linearisation.tape)
+        m, k = linearisation.loops, len(linearisation.quantities)
+        self._ends = (m, m + k * m, len(linearisation.tape.outputs))
+        tape = in_stages(half_angles(linearisation.tape), self._ends)
         self.size = size
-        self._linearisation = linearisation
+        self._loops = m
         self._operations = tape.operations
         self._varies = varying(tape.operations)
         once = [i for i, varies in enumerate(self._varies) if not varies]
@@ -59,7 +73,7 @@ class NumpyEngine:
         self._row = {o: row for row, o in reversed(list(enumerate(tape.outputs)))}
         self._register, count = self._allocate()
         self._registers = np.zeros((count, size))
-        self._bound: dict[int, list[tuple[np.ufunc, tuple[Array, ...]]]] = {}
+        self._bound: dict[int, list[_Instructions]] = {}
 
     def at(self, parameters: Array) -> None:
         """Set the parameters, (n_all,) in the order of the tape [SI], for the blocks to come."""
@@ -76,8 +90,12 @@ class NumpyEngine:
             if not self._varies[output]:
                 self._outputs[row] = numbers[self._number[output]]
 
-    def evaluate(self, x: Array, known: Array | None = None) -> LoopValues:
+    def evaluate(
+        self, x: Array, known: Array | None = None, stage: Stage = Stage.BY_PARAMETER
+    ) -> LoopValues:
         """f and its derivatives at x, (k_all, b) [SI], known constants (c, b); b <= size.
+
+        stage: how far to go; derivatives beyond it are left out, as if none were chosen.
 
         Values outside an operation's domain come out as NaN or infinity, without a warning:
         the caller knows whether that is a failed trial step or a mistake to report.
@@ -92,16 +110,15 @@ class NumpyEngine:
         if bound not in self._bound:
             self._bound[bound] = self._bind(bound)
         with np.errstate(all="ignore"):
-            for function, arrays in self._bound[bound]:
-                function(*arrays)
-        out = self._outputs[:, :width]
-        m = self._linearisation.loops
-        k, n = len(self._linearisation.quantities), len(self._linearisation.parameters)
-        return LoopValues(
-            out[:m],
-            out[m : m + k * m].reshape(k, m, width),
-            out[m + k * m :].reshape(n, m, width),
+            for instructions in self._bound[bound][: stage + 1]:
+                for function, arrays in instructions:
+                    function(*arrays)
+        values, by_quantity, by_parameter = (
+            self._outputs[begin : end if wanted <= stage else begin, :width]
+            for wanted, begin, end in zip(Stage, (0, *self._ends), self._ends, strict=False)
         )
+        shape = (-1, self._loops, width)
+        return LoopValues(values, by_quantity.reshape(shape), by_parameter.reshape(shape))
 
     def _allocate(self) -> tuple[dict[int, int], int]:
         """A register for every value that varies and is not itself an output; and how many."""
@@ -126,19 +143,36 @@ class NumpyEngine:
             register[position] = free.pop()
         return register, count
 
-    def _bind(self, width: int) -> list[tuple[np.ufunc, tuple[Array, ...]]]:
-        """The NumPy calls with their arrays, for blocks of `width` poses."""
-        instructions: list[tuple[np.ufunc, tuple[Array, ...]]] = []
-        for position, (name, payload) in enumerate(self._operations):
+    def _bind(self, width: int) -> list[_Instructions]:
+        """The NumPy calls of each stage with their arrays, for blocks of `width` poses."""
+        stages: list[_Instructions] = []
+        done = row = 0
+        for end in self._ends:
+            needed = max(self._targets[:end], default=-1) + 1
+            operations, rows = range(done, needed), range(row, end)
+            stages.append([*self._calls(operations, width), *self._copies(rows, width)])
+            done, row = needed, end
+        return stages
+
+    def _calls(self, positions: range, width: int) -> _Instructions:
+        calls: _Instructions = []
+        for position in positions:
+            name, payload = self._operations[position]
             function = OPERATIONS[name].array if name not in LEAVES else None
             if function is not None and self._varies[position]:
                 arrays = [self._place(int(a), width) for a in payload]
-                instructions.append((function, (*arrays, self._place(position, width))))
-        for row, output in enumerate(self._targets):
+                calls.append((function, (*arrays, self._place(position, width))))
+        return calls
+
+    def _copies(self, rows: range, width: int) -> _Instructions:
+        """The outputs that are readings, or are computed as another output."""
+        copies: _Instructions = []
+        for row in rows:
+            output = self._targets[row]
             source, target = self._place(output, width), self._outputs[row, :width]
             if self._varies[output] and source.ctypes.data != target.ctypes.data:
-                instructions.append((np.positive, (source, target)))
-        return instructions
+                copies.append((np.positive, (source, target)))
+        return copies
 
     def _place(self, position: int, width: int) -> Array:
         """Where the value of an operation stands: one number, or one for each pose."""

@@ -6,7 +6,8 @@ one tangent.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 from loopcal.expressions.graph import Graph, Node
 from loopcal.expressions.operations import LEAVES
@@ -67,6 +68,22 @@ def half_angles(tape: Tape) -> Tape:
         parameters=tape.parameters,
         loops=tape.loops,
     )
+
+
+def in_stages(tape: Tape, ends: Sequence[int]) -> Tape:
+    """The same tape, first all that outputs[:ends[0]] need, then what outputs[:ends[1]] do, ...
+
+    Whoever wants only the first outputs may stop after the last operation of theirs.
+    """
+    order: dict[int, int] = {}
+    for end in ends:
+        needed = set(tape.needed_by(tape.outputs[:end])) - order.keys()
+        order |= {position: len(order) + i for i, position in enumerate(sorted(needed))}
+    operations = tuple(
+        (name, payload if name in LEAVES else tuple(order[int(a)] for a in payload))
+        for name, payload in (tape.operations[position] for position in order)
+    )
+    return replace(tape, operations=operations, outputs=tuple(order[o] for o in tape.outputs))
 
 
 def _from_tangent(graph: Graph, name: str, arguments: tuple[Node, ...]) -> Node:

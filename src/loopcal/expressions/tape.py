@@ -77,6 +77,10 @@ class Tape:
                 names.append(frozenset().union(*(names[int(a)] for a in payload)))
         return tuple(frozenset(names[output]) for output in self.outputs)
 
+    def needed_by(self, outputs: Sequence[int]) -> list[int]:
+        """The positions of all operations that these are made of, and of these, in order."""
+        return _reachable(self.operations, outputs)
+
     def _input(self, kind: str, payload: tuple[float, ...]) -> str:
         table = {"quantity": self.quantities, "known": self.known, "parameter": self.parameters}
         return table[kind][int(payload[0])]
