@@ -201,8 +201,9 @@ class Sweeper:
         tolerance = max(tolerance, 8.0 * (self.rounding or 0.0))
         done, late = start, np.zeros(count, dtype=bool)
         active: NDArray[np.intp] | None = None  # None: all poses, without copying them
-        at = base = start
-        step, length = np.zeros((1, 1)), np.ones(count)
+        # the start is a step from the readings, halved where it leaves the domain of a loop
+        at, base = start, np.zeros((1, 1))
+        step, length = start, np.ones(count)
         expected = np.full(count, np.inf)
         last = 0.0
         for _ in range(MOST_CLOSINGS):
