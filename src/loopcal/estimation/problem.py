@@ -63,15 +63,22 @@ class Problem:
             count += poses * (m - len(pattern.unmeasured))
         return count
 
+    @property
+    def block(self) -> int:
+        """Poses in a block: at most BLOCK, and so many that all blocks are about as long."""
+        poses = len(self.poses)
+        return math.ceil(poses / math.ceil(poses / BLOCK))
+
     def blocks(self) -> Iterator[tuple[tuple[int, ...], slice | NDArray[np.intp]]]:
-        """The poses in blocks of at most BLOCK, each with its unmeasured quantities."""
+        """The poses in blocks, each with its unmeasured quantities."""
+        size = self.block
         for pattern in self.patterns:
             if isinstance(pattern.poses, slice):
-                for begin in range(0, len(self.poses), BLOCK):
-                    yield pattern.unmeasured, slice(begin, min(begin + BLOCK, len(self.poses)))
+                for begin in range(0, len(self.poses), size):
+                    yield pattern.unmeasured, slice(begin, min(begin + size, len(self.poses)))
             else:
-                for begin in range(0, len(pattern.poses), BLOCK):
-                    yield pattern.unmeasured, pattern.poses[begin : begin + BLOCK]
+                for begin in range(0, len(pattern.poses), size):
+                    yield pattern.unmeasured, pattern.poses[begin : begin + size]
 
 
 def build_problem(

@@ -35,7 +35,13 @@ class Linearisation:
 
 def linearise(tape: Tape, quantities: Iterable[str], parameters: Iterable[str]) -> Linearisation:
     """f, df/dx for the named quantities and df/dp for the named parameters, as one tape."""
-    quantities, parameters = tuple(quantities), tuple(parameters)
+    return _linearised(tape, tuple(quantities), tuple(parameters))
+
+
+@lru_cache(maxsize=64)
+def _linearised(
+    tape: Tape, quantities: tuple[str, ...], parameters: tuple[str, ...]
+) -> Linearisation:
     graph, place = rewritten(tape.operations, unchanged)
     loops = [place[output] for output in tape.outputs]
     inputs = [graph.leaf("quantity", tape.quantities.index(q)) for q in quantities]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -55,11 +56,10 @@ class NumpyEngine:
     """
 
     def __init__(self, linearisation: Linearisation, size: int) -> None:
-        m, k = linearisation.loops, len(linearisation.quantities)
-        self._ends = (m, m + k * m, len(linearisation.tape.outputs))
-        tape = in_stages(half_angles(linearisation.tape), self._ends)
         self.size = size
-        self._loops = m
+        self._loops = linearisation.loops
+        self._ends = _stage_ends(linearisation)
+        tape = _prepared(linearisation)
         self._operations = tape.operations
         self._varies = varying(tape.operations)
         once = [i for i, varies in enumerate(self._varies) if not varies]
@@ -186,6 +186,17 @@ class NumpyEngine:
         if position in self._row:
             return self._outputs[self._row[position], :width]
         return self._registers[self._register[position], :width]
+
+
+def _stage_ends(linearisation: Linearisation) -> tuple[int, int, int]:
+    """How many outputs there are at the end of each stage."""
+    m, k = linearisation.loops, len(linearisation.quantities)
+    return m, m + k * m, len(linearisation.tape.outputs)
+
+
+@lru_cache(maxsize=64)
+def _prepared(linearisation: Linearisation) -> Tape:
+    return in_stages(half_angles(linearisation.tape), _stage_ends(linearisation))
 
 
 _engines = threading.local()
