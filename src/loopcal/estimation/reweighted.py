@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.kernel import BlockNoise, Whitened
+from loopcal.estimation.loss import Loss
 from loopcal.estimation.problem import Problem
 from loopcal.estimation.scratch import one_blas_thread, scratch
 from loopcal.estimation.solver import Progress, Solution, solve_with
@@ -46,7 +47,11 @@ class Weights:
 
 
 def solve_reweighted(
-    problem: Problem, *, max_iterations: int = 100, progress: Progress | None = None
+    problem: Problem,
+    *,
+    loss: Loss | None = None,
+    max_iterations: int = 100,
+    progress: Progress | None = None,
 ) -> Solution:
     """The fixed point of reweighting, from the problem's start.
 
@@ -56,14 +61,14 @@ def solve_reweighted(
     Raises InputError as `solve` does.
     """
     with one_blas_thread():
-        likelihood = Sweeper(problem)
+        likelihood = Sweeper(problem, loss=loss)
         corrections = start_corrections(likelihood, problem.start)
         corrections = likelihood.sweep(problem.start, corrections, closing=NEAR).proposal
         parameters, iterations = problem.start, 0
         for _ in range(_MOST):
             weights = _weights(likelihood, parameters, corrections)
             held = _held(problem, parameters, corrections)
-            inner = _Reweighted(held, weights, likelihood.rounding)
+            inner = _Reweighted(held, weights, likelihood.rounding, loss)
             found = solve_with(inner, max_iterations=max_iterations, progress=progress)
             iterations += found.status.iterations
             step = found.parameters - parameters
@@ -123,8 +128,10 @@ def _weights(sweeper: Sweeper, parameters: Array, corrections: Array) -> Weights
 class _Reweighted(Sweeper):
     """Sweeps of plain least squares over T (c - f) at the readings."""
 
-    def __init__(self, problem: Problem, weights: Weights, rounding: float | None) -> None:
-        super().__init__(problem)
+    def __init__(
+        self, problem: Problem, weights: Weights, rounding: float | None, loss: Loss | None
+    ) -> None:
+        super().__init__(problem, loss=loss)
         self.rounding = rounding  # whitened as here, so that c, which is no rounding, stays out
         self.weights = weights
         self.corrects = False

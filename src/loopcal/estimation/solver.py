@@ -69,8 +69,8 @@ class Solution:
 
     @property
     def chi_squared(self) -> float:
-        """The merit: corrections and prior together."""
-        return self.sweep.data.chi_squared + self.prior_square
+        """The merit: corrections, or what the loss makes of them, and prior together."""
+        return self.sweep.cost + self.prior_square
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ class _Solver:
         )
         offset = self.problem.nominal - parameters[self.problem.free]
         prior = float(np.square(offset / self.prior_sd).sum())
-        merit = sweep.data.chi_squared + prior
+        merit = sweep.cost + prior
         bad = not np.isfinite(merit) or bool(sweep.open_poses.size) or bool(sweep.singular.size)
         system = spectrum(sweep.data, offset, self.prior_sd) if sweep.finite else None
         return _Point(parameters, sweep, np.inf if bad else merit, system, closing)
@@ -314,7 +314,7 @@ class _Solver:
         assert end.spectrum is not None
         if reason in ("max_iterations", "stalled"):
             detail = _weakness(hardly_determined(end.spectrum, self.problem.names))
-        prior = end.merit - end.sweep.data.chi_squared
+        prior = end.merit - end.sweep.cost
         status = Status.of(
             reason, self.iterations, self.sweeper.evaluations / len(self.problem.poses), detail
         )

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.closing import UNMEASURED_SCALE, Closed, close_by_newton
 from loopcal.estimation.kernel import BlockNoise, Whitened, unweighted, whiten
+from loopcal.estimation.loss import Loss
 from loopcal.estimation.problem import BLOCK, Problem
 from loopcal.estimation.reduction import Accumulator
 from loopcal.estimation.scratch import scratch
@@ -53,6 +54,13 @@ class Sweep:
     contraction: float
     singular: NDArray[np.intp]
     open_poses: NDArray[np.intp]
+    surplus: float = 0.0
+    """What the loss is above the weighted squares in `data`."""
+
+    @property
+    def cost(self) -> float:
+        """The loss summed over all poses; chi-squared where it is gaussian."""
+        return self.data.chi_squared + self.surplus
 
     @property
     def finite(self) -> bool:
@@ -63,11 +71,12 @@ class Sweep:
 class Sweeper:
     """Sweeps over the poses of one problem, with one of the two reductions.
 
-    exact: treat the sensors as exact (the basic method).
+    exact: treat the sensors as exact (the basic method); loss: None is the gaussian one.
     """
 
-    def __init__(self, problem: Problem, *, exact: bool = False) -> None:
+    def __init__(self, problem: Problem, *, exact: bool = False, loss: Loss | None = None) -> None:
         self.problem = problem
+        self.loss = loss
         self.reduce: Reduce = unweighted if exact else whiten
         tape, size = problem.mechanism.tape, min(BLOCK, len(problem.poses))
         self.engine = engine_for(tape, problem.names, size)
@@ -102,6 +111,7 @@ class Sweeper:
         steps, ratios = [0.0], [0.0]
         singular: list[NDArray[np.intp]] = []
         late: list[NDArray[np.intp]] = []
+        surplus = 0.0
         for unmeasured, poses in problem.blocks():
             noise = self.noise(unmeasured, poses)
             readings, known = problem.readings[:, poses], problem.known[:, poses]
@@ -113,6 +123,8 @@ class Sweeper:
             if self.rounding is None:
                 self.rounding = self._rounding(values, readings, noise)
             whitened = self.reduce(values, start.corrections, noise)
+            if self.loss is not None:
+                surplus += _weigh(whitened, self.loss, len(values.f) - len(unmeasured))
             data.add(whitened)
             singular.append(_numbers(poses, whitened.singular))
             late.append(_numbers(poses, start.open))
@@ -129,6 +141,7 @@ class Sweeper:
             max(ratios) if closing is not None else 1.0,
             np.concatenate(singular),
             np.concatenate(late),
+            surplus,
         )
 
     def close(
@@ -266,6 +279,16 @@ class Sweeper:
         split = [b for b in uncertainty.blocks if set(b.indices) & set(unmeasured)]
         blocks += tuple(p for b in split if (p := _without(b, unmeasured, poses)) is not None)
         return BlockNoise(sd, blocks, unmeasured, measured)
+
+
+def _weigh(block: Whitened, loss: Loss, equations: int) -> float:
+    """Scale the rows of each pose by the root of its weight; what the loss is above them."""
+    s = np.einsum("rb,rb->b", block.E, block.E)
+    weight = loss.weight(s, equations)
+    surplus = float((loss.rho(s, equations) - weight * s).sum())
+    rows = block.rows
+    rows *= np.sqrt(weight)
+    return surplus
 
 
 def _without(
