@@ -1,0 +1,62 @@
+"""What a calibration's own equations tell beyond the parameters: collected for file and summary."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from loopcal.estimation.result import Result
+from loopcal.estimation.rounding import significant
+from loopcal.estimation.summary import SHOWN
+from loopcal.statistics.identifiability import WhatDataSay, what_data_say
+from loopcal.statistics.observability import Observability, data_spectrum, observability
+from loopcal.statistics.predictor import Predictor, predictor
+from loopcal.units import from_si
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """identifiability: data beside prior; observability: of the poses; predictor: or None."""
+
+    identifiability: WhatDataSay
+    observability: Observability
+    predictor: Predictor | None
+
+    def document(self) -> dict[str, Any]:
+        """The fields of result.json that these figures fill or add to."""
+        return {
+            "identifiability": self.identifiability.document(),
+            "observability": self.observability.document(),
+            "prediction": self.predictor and self.predictor.document(),
+        }
+
+    def words(self) -> str:
+        """For the summary: one line each."""
+        lines = [self.observability.words(), self.identifiability.index.words()]
+        if self.predictor is not None:
+            for unit, sd in self.predictor.usual.items():
+                shown = SHOWN.get(unit, unit)
+                lines.append(
+                    f"sd of a predicted end point caused by the parameters: up to "
+                    f"{significant(float(from_si(sd, shown)), 3)} {shown} at 95 % of these poses; "
+                    "elsewhere ask loopcal predict"
+                )
+        return "\n".join(lines + self.identifiability.words())
+
+
+def findings(result: Result) -> Findings:
+    """Everything that follows from the result's parameter system."""
+    return Findings(
+        what_data_say(result.problem, result.information, result.sd, unit_sd=_unit_sd(result)),
+        observability(result.information, len(result.problem.poses)),
+        predictor(result),
+    )
+
+
+def _unit_sd(result: Result) -> float | None:
+    """Sd of a whitened equation: 1 by the stated sds, else from the residuals."""
+    if result.method != "least-squares":
+        return 1.0
+    freedom = result.problem.equations - data_spectrum(result.information).rank
+    return math.sqrt(result.information.chi_squared / freedom) if freedom > 0 else None

@@ -1,0 +1,261 @@
+"""What the poses say about the parameters, and what only the prior says.
+
+Three views of the same system: each parameter's sd beside what was known of it before; the
+directions in which parameters trade against each other, in words; and the count of equations,
+Hollerbach and Wampler's calibration index.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.problem import Problem
+from loopcal.estimation.reduction import Accumulator, Spectrum, undetermined
+from loopcal.estimation.rounding import significant
+from loopcal.estimation.summary import SHOWN
+from loopcal.statistics.observability import data_spectrum
+from loopcal.units import from_si
+
+Array = NDArray[np.float64]
+SCHROER = 100.0
+"""Condition number of the scaled system up to which poses are good. Schroer (1993)."""
+SAYS_NOTHING, SAYS_LITTLE = 0.95, 0.7
+"""Posterior over prior sd from which on the data said nothing, or little."""
+_LEADING, _MOST_NAMED = 0.3, 4
+
+
+@dataclass(frozen=True)
+class Learned:
+    """One parameter with a prior: its sd before and after [SI unit], and their ratio.
+
+    A ratio near 1 means that the value is the drawing's, not the data's.
+    """
+
+    parameter: str
+    unit: str
+    prior_sd: float
+    sd: float
+    ratio: float
+    words: str
+
+
+@dataclass(frozen=True)
+class WeakDirection:
+    """A combination of parameters that these poses hardly show, or not at all.
+
+    combination: {parameter: share}, of the leading ones, in scaled units, the largest 1;
+    one_sd: {parameter: change [SI]} that the data allow along it within one sd, empty where
+    nothing limits it; condition: the largest singular value over this direction's, inf if none.
+    """
+
+    combination: Mapping[str, float]
+    one_sd: Mapping[str, float]
+    condition: float
+    words: str
+
+
+@dataclass(frozen=True)
+class CalibrationIndex:
+    """C = sum over poses of (S - M), S the quantities sensed, M the mobility of the mechanism.
+
+    With k quantities and m independent loop equations a pose has the mobility M = k - m; with u
+    of the quantities unmeasured it senses S = k - u; so it yields S - M = m - u equations.
+    Hollerbach and Wampler (1996). value: C; needed: parameters without prior knowledge.
+    """
+
+    value: int
+    sensed: int
+    mobility: int
+    poses: int
+    parameters: int
+    needed: int
+
+    def words(self) -> str:
+        """One line."""
+        return (
+            f"calibration index {self.value} (sensed {self.sensed} - mobility {self.mobility}, "
+            f"over {self.poses} poses) for {self.parameters} parameters"
+        )
+
+
+@dataclass(frozen=True)
+class WhatDataSay:
+    """condition_number: of the data alone, column-scaled; None where singular."""
+
+    condition_number: float | None
+    learned: tuple[Learned, ...]
+    weak: tuple[WeakDirection, ...]
+    index: CalibrationIndex
+
+    def document(self) -> dict[str, object]:
+        """As the identifiability of result.json holds it."""
+        return {
+            "data_condition_number": self.condition_number,
+            "data_versus_prior": [
+                {"parameter": e.parameter, "ratio": e.ratio, "words": e.words} for e in self.learned
+            ],
+            "weak_directions": [
+                {
+                    "combination": dict(d.combination),
+                    "one_sd": dict(d.one_sd),
+                    "condition": d.condition if math.isfinite(d.condition) else None,
+                    "words": d.words,
+                }
+                for d in self.weak
+            ],
+            "calibration_index": {
+                "value": self.index.value,
+                "sensed": self.index.sensed,
+                "mobility": self.index.mobility,
+            },
+        }
+
+    def words(self, most: int = 3) -> list[str]:
+        """What a reader must know: the worst directions, and parameters the data left alone."""
+        lines = [direction.words for direction in self.weak[:most]]
+        if len(self.weak) > most:
+            lines.append(f"and {len(self.weak) - most} more such directions (result.json)")
+        silent = sorted((e for e in self.learned if e.ratio > SAYS_LITTLE), key=lambda e: -e.ratio)
+        lines += [entry.words for entry in silent[:most]]
+        if len(silent) > most:
+            lines.append(f"and {len(silent) - most} more such parameters (result.json)")
+        return lines
+
+
+def what_data_say(
+    problem: Problem,
+    information: Accumulator,
+    sds: Mapping[str, float | None],
+    *,
+    unit_sd: float | None = 1.0,
+) -> WhatDataSay:
+    """What these poses say.
+
+    information: the whitened equations of all poses, without the prior; sds: after the fit, or
+    to be expected [SI]; unit_sd: sd of one whitened equation, None where it is not known.
+    """
+    system = data_spectrum(information)
+    names = problem.names
+    units = [problem.mechanism.parameters[name].unit for name in names]
+    whole = system.rank == len(names)
+    return WhatDataSay(
+        system.condition if whole else None,
+        _learned(problem, units, sds),
+        (*_undetermined(problem, system), *_weak(system, names, units, unit_sd)),
+        calibration_index(problem),
+    )
+
+
+def calibration_index(problem: Problem) -> CalibrationIndex:
+    """Count the equations that the poses give, as Hollerbach and Wampler do."""
+    poses = len(problem.poses)
+    quantities, loops = problem.readings.shape[0], len(problem.mechanism.tape.loops)
+    mobility = (quantities - loops) * poses
+    return CalibrationIndex(
+        problem.equations,
+        problem.equations + mobility,
+        mobility,
+        poses,
+        len(problem.free),
+        int(np.isinf(problem.prior_sd).sum()),
+    )
+
+
+def _learned(
+    problem: Problem, units: Sequence[str], sds: Mapping[str, float | None]
+) -> tuple[Learned, ...]:
+    entries = []
+    for name, unit, prior in zip(problem.names, units, problem.prior_sd.tolist(), strict=True):
+        sd = sds[name]
+        if sd is None or not (math.isfinite(prior) and math.isfinite(sd) and prior > 0.0):
+            continue
+        ratio = sd / prior
+        shown = SHOWN.get(unit, unit)
+        both = f"sd {_in(sd, shown)} {shown} of {_in(prior, shown)} known beforehand"
+        verdict = f"the data tell {name!r}"
+        if ratio > 1.0 + 1e-6:  # only a method that leaves the prior unused gets here
+            verdict = f"{name!r} was better known before than these data tell by themselves"
+        elif ratio > SAYS_NOTHING:
+            verdict = f"the data say nothing about {name!r}"
+        elif ratio > SAYS_LITTLE:
+            verdict = f"the data say little about {name!r}"
+        entries.append(Learned(name, unit, prior, sd, ratio, f"{verdict}: {both}"))
+    return tuple(entries)
+
+
+def _undetermined(problem: Problem, system: Spectrum) -> list[WeakDirection]:
+    """Directions that the data leave open altogether."""
+    prior = dict(zip(problem.names, np.isfinite(problem.prior_sd).tolist(), strict=True))
+    found = []
+    for combination in undetermined(system, problem.names):
+        names = list(combination)
+        words = f"{_list(names)} cannot be told apart by these poses"
+        if len(names) == 1:
+            words = f"these poses say nothing about {_list(names)}"
+        if any(prior[name] for name in names):
+            words += "; only what was known beforehand holds " + ("them" if names[1:] else "it")
+        found.append(WeakDirection(MappingProxyType(combination), {}, math.inf, words))
+    return found
+
+
+def _weak(
+    system: Spectrum, names: Sequence[str], units: Sequence[str], unit_sd: float | None
+) -> list[WeakDirection]:
+    """Directions beyond Schroer's condition number that the data determine, the worst first."""
+    s, highest = system.singular_values, float(system.singular_values.max(initial=0.0))
+    weak = np.flatnonzero(system.kept & (s * SCHROER < highest))
+    return [
+        _weak_direction(system, int(i), names, units, highest / float(s[i]), unit_sd)
+        for i in weak[np.argsort(s[weak])]
+    ]
+
+
+def _weak_direction(
+    system: Spectrum,
+    which: int,
+    names: Sequence[str],
+    units: Sequence[str],
+    condition: float,
+    unit_sd: float | None,
+) -> WeakDirection:
+    direction = system.directions[:, which]
+    direction = direction / direction[int(np.argmax(np.abs(direction)))]
+    order = np.argsort(-np.abs(direction), kind="stable")[:_MOST_NAMED]
+    leading = [int(i) for i in order if abs(direction[i]) >= _LEADING]
+    shares = {names[i]: float(direction[i]) for i in leading}
+    steps: dict[str, float] = {}
+    words = f"{_list([names[i] for i in leading])} can hardly be told apart by these poses"
+    if len(leading) == 1:
+        words = f"{names[leading[0]]!r} is hardly shown by these poses"
+    words += f" (condition {significant(condition, 3)}"
+    if unit_sd is not None:
+        along = system.directions[:, which]
+        size = unit_sd / float(system.singular_values[which])
+        size = math.copysign(size, float(along[leading[0]]))
+        moves = system.scale * along * size
+        steps = {names[i]: float(moves[i]) for i in leading}
+        shown = [SHOWN.get(units[i], units[i]) for i in leading]
+        told = [
+            f"{names[i]} {_in(float(moves[i]), u, sign=True)} {u}"
+            for i, u in zip(leading, shown, strict=True)
+        ]
+        words += f"; one sd along it: {', '.join(told)}"
+    return WeakDirection(MappingProxyType(shares), MappingProxyType(steps), condition, words + ")")
+
+
+def _in(value: float, unit: str, *, sign: bool = False) -> str:
+    text = significant(float(from_si(value, unit)), 3)
+    return f"+{text}" if sign and value > 0 else text
+
+
+def _list(names: Sequence[str]) -> str:
+    quoted = [repr(name) for name in names]
+    if len(quoted) == 1:
+        return quoted[0]
+    return ", ".join(quoted[:-1]) + f" and {quoted[-1]}"

@@ -1,0 +1,204 @@
+"""Where the calibrated machine is, how sure that is, and whether it was ever asked that before.
+
+The end point y predicted from readings x with the parameters p has two independent uncertainties,
+
+    C_p = S_p Cov(p) S_p^T   and   C_x = S_x Sigma S_x^T,   S = dy/dp, dy/dx  (`sensitivity`),
+
+first order propagation of covariance (JCGM 102:2011, 6.2). C_p is the calibration's, and the same
+however often a pose is repeated; C_x comes with each reading. Poses unlike those of the
+calibration have a C_p that no residual there could show: that is what the alarm is for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.result import Result
+from loopcal.estimation.rounding import significant
+from loopcal.estimation.summary import SHOWN
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise, resolve_noise
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.model_error import PREFIX
+from loopcal.statistics.predictor import Predictor, by_parameters, predictor, trace_sd
+from loopcal.statistics.sensitivity import output_sensitivity
+from loopcal.units import from_si
+
+Array = NDArray[np.float64]
+ALARM = 3.0
+"""Extrapolation: the parameters' part of the sd is more than so many times that at 95 % of the
+calibration poses."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Outputs of N poses with their covariance [SI], in the order of `outputs`.
+
+    from_parameters, from_readings: (N, o, o), the latter None where the sds of the readings are
+    not known; inf where an undetermined direction moves the outputs, NaN where no loop closes.
+    ratio: (N,) the parameters' part of the sd over the usual at the calibration poses (the
+    largest over the units of outputs); NaN where that is not known.
+    """
+
+    poses: tuple[str, ...]
+    outputs: Mapping[str, Array]
+    units: Mapping[str, str]
+    from_parameters: Array
+    from_readings: Array | None
+    ratio: Array
+
+    @property
+    def covariance(self) -> Array:
+        """(N, o, o) of both parts together; of the parameters alone where the other is unknown."""
+        if self.from_readings is None:
+            return self.from_parameters
+        total: Array = self.from_parameters + self.from_readings
+        return total
+
+    @property
+    def sd(self) -> dict[str, Array]:
+        """Output -> (N,) sd [SI]."""
+        sds = np.sqrt(np.einsum("noo->on", self.covariance))
+        return dict(zip(self.outputs, sds, strict=True))
+
+    @property
+    def extrapolated(self) -> NDArray[np.bool_]:
+        """(N,) whether the parameters' part is far above that at the calibration poses."""
+        beyond: NDArray[np.bool_] = self.ratio > ALARM
+        return beyond
+
+    def words(self) -> str:
+        """What was predicted, how sure it is, and the alarm."""
+        found = np.isfinite(np.array(list(self.outputs.values()))).all(axis=0)
+        lines = [f"{int(found.sum())} of {len(self.poses)} poses predicted"]
+        parts = [("parameters", self.from_parameters), ("readings", self.from_readings)]
+        for name, covariance in parts:
+            if covariance is None:
+                lines.append("sd caused by readings: not known, for no sds of readings are")
+                continue
+            for unit in dict.fromkeys(self.units.values()):
+                lines.append(f"sd caused by {name}: {_spread(covariance, self.units, unit)}")
+        return "\n".join(lines + self._alarm())
+
+    def _alarm(self) -> list[str]:
+        beyond = self.extrapolated
+        if not beyond.any():
+            return []
+        finite = self.ratio[beyond & np.isfinite(self.ratio)]
+        times = f" (up to {significant(float(finite.max()), 2)} times)" if finite.size else ""
+        return [
+            f"EXTRAPOLATION  in {int(beyond.sum())} of {len(self.poses)} poses the calibration is "
+            f"far less sure than at its own poses{times}: the accuracy it states does not hold "
+            "there. Calibrate again with poses like these among the measured ones."
+        ]
+
+
+def _spread(covariance: Array, units: Mapping[str, str], unit: str) -> str:
+    sizes = trace_sd(covariance, units, unit)
+    sizes = sizes[~np.isnan(sizes)]
+    if not sizes.size:
+        return "unknown"
+    shown = SHOWN.get(unit, unit)
+    middle, most = (
+        significant(float(from_si(v, shown)), 3) for v in (np.median(sizes), sizes.max())
+    )
+    return f"median {middle} {shown}, largest {most} {shown}"
+
+
+def predict(
+    calibration: Result | Predictor, data: Dataset | Any, *, noise: Noise | None = None
+) -> Prediction:
+    """Where the calibrated machine is at these readings, with covariance and extrapolation alarm.
+
+    data: readings (N,) [SI] of the other quantities, as a Dataset, a dict or a DataFrame; readings
+    of outputs serve as start of the search only. noise: sds of these readings, else the
+    calibration's. Covariances are C_p + C_x of the module, by first order propagation (JCGM
+    102:2011). Raises InputError for a mechanism without outputs, and where readings are missing
+    that the loops cannot make up for.
+    """
+    known = calibration if isinstance(calibration, Predictor) else predictor(calibration)
+    if known is None:
+        raise InputError(
+            "the mechanism names no outputs, so there is nothing to predict",
+            remedy="name the quantities that its loops predict: outputs = (...)",
+        )
+    data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
+    names = known.mechanism.tape.quantities
+    also = [q for q in names if q not in data.readings and not q.startswith(PREFIX)]
+    also = [q for q in also if q not in known.mechanism.outputs]
+    _check_enough(known.mechanism, also)
+    found = replace(known.mechanism, outputs=(*known.mechanism.outputs, *also))
+    x = np.array([_readings(q, data, known) for q in names])
+    constants = np.array([data[q] for q in found.tape.known]).reshape(-1, len(data))
+    values = np.array([p.nominal for p in found.parameters])
+    y = predict_outputs(found, values, x, constants)
+    x[[names.index(q) for q in found.outputs]] = y
+    S = output_sensitivity(found, values, known.names, x, constants)
+    o = len(known.units)
+    from_parameters = by_parameters(known, S.by_parameter[:, :o])
+    return Prediction(
+        data.poses,
+        dict(zip(known.units, y[:o], strict=True)),
+        known.units,
+        from_parameters,
+        _by_readings(known, found, data, noise, S.by_reading[:, :o]),
+        _ratio(from_parameters, known),
+    )
+
+
+def _check_enough(mechanism: Mechanism, missing: Sequence[str]) -> None:
+    loops, outputs = len(mechanism.tape.loops), len(mechanism.outputs)
+    if len(missing) + outputs > loops:
+        raise InputError(
+            f"there are no readings of {', '.join(map(repr, missing))}, and {loops} loop "
+            f"equations have the {outputs} outputs to find already",
+            remedy="give the readings of every quantity but the outputs",
+        )
+
+
+def _readings(quantity: str, data: Dataset, known: Predictor) -> Array:
+    """Readings (N,), or a start for what is found; a disturbance of the model is zero."""
+    if quantity in known.units or quantity not in data.readings:
+        start = 0.0 if quantity.startswith(PREFIX) else known.typical.get(quantity, 0.0)
+        given = data.readings.get(quantity, np.full(len(data), np.nan))
+        return np.where(np.isnan(given), start, given)
+    return np.array(data.readings[quantity])
+
+
+def _by_readings(
+    known: Predictor, found: Mechanism, data: Dataset, noise: Noise | None, S: Array
+) -> Array | None:
+    """C_x = S_x Sigma S_x^T, (N, o, o); None where the sd of a reading is not known."""
+    names = found.tape.quantities
+    read = [q for q in names if q not in found.outputs]
+    if noise is None:
+        if any(q not in known.sds and q not in data.sds for q in read):
+            return None
+        noise = Noise({q: known.sds.get(q, 0.0) for q in read})
+    # What is found moves nothing by itself: any sd will do for it.
+    entries: dict[str | tuple[str, ...], Any] = dict.fromkeys(found.outputs, 0.0)
+    noise = Noise(entries | noise.entries)
+    zeros = {q: np.zeros(len(data)) for q in names if q not in data.readings}
+    readings = {q: np.nan_to_num(v) for q, v in data.readings.items()} | zeros
+    its = resolve_noise(noise, replace(data, readings=readings), names, found.quantity_group)
+    sd = np.where(np.isinf(its.sd), 0.0, its.sd)
+    G = S * np.broadcast_to(sd, (len(names), len(data))).T[:, None, :]
+    for block in its.blocks:
+        G[:, :, block.indices] = S[:, :, block.indices] @ block.factor
+    covariance: Array = G @ G.transpose(0, 2, 1)
+    return covariance
+
+
+def _ratio(from_parameters: Array, known: Predictor) -> Array:
+    ratios = [
+        trace_sd(from_parameters, known.units, unit) / max(usual, 1e-300)
+        for unit, usual in known.usual.items()
+    ]
+    return np.max(ratios, axis=0) if ratios else np.full(len(from_parameters), np.nan)

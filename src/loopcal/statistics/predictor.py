@@ -1,0 +1,145 @@
+"""What predictions need to know of a calibration, and how sure it is at its own poses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.problem import Pattern, Problem
+from loopcal.estimation.reduction import Spectrum
+from loopcal.estimation.result import Result
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.statistics.sensitivity import output_sensitivity
+
+Array = NDArray[np.float64]
+_MOST_POSES = 2000
+_UNSEEN = 1e-6
+"""An undetermined direction moves an output if more than this share of its single effects is
+left when they are added up."""
+
+
+@dataclass(frozen=True, eq=False)
+class Predictor:
+    """What predictions need to know of a calibration.
+
+    mechanism: with the calibrated values; names (n,) and covariance (n, n) [SI] of the estimated
+    parameters, over the directions that are determined; undetermined: (n, d) steps [SI] that
+    neither data nor prior limit; sds: quantity -> sd of a reading [SI], empty where not known;
+    usual: SI unit of outputs -> the sd that parameters alone cause, for all outputs of that unit
+    together (root of the trace), not exceeded at 95 % of the calibration poses; typical: quantity
+    -> a reading [SI] to start the search for outputs from.
+    """
+
+    mechanism: Mechanism
+    names: tuple[str, ...]
+    covariance: Array
+    undetermined: Array
+    sds: Mapping[str, float] = field(default_factory=dict)
+    usual: Mapping[str, float] = field(default_factory=dict)
+    typical: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Output -> SI unit."""
+        return {q: self.mechanism.quantities[q] for q in self.mechanism.outputs}
+
+    def document(self) -> dict[str, Any]:
+        """As result.json holds it; the covariance only where the result's is not the same."""
+        loose = self.undetermined.shape[1] > 0
+        return {
+            "sd_at_poses": dict(self.usual),
+            "typical": dict(self.typical),
+            "covariance": self.covariance.tolist() if loose else None,
+            "undetermined": self.undetermined.T.tolist(),
+        }
+
+
+def predictor(result: Result) -> Predictor | None:
+    """What predictions need of a calibration; None for a mechanism without outputs."""
+    if not result.mechanism.outputs:
+        return None
+    problem = result.problem
+    corrections = np.array([result.corrections[q] for q in problem.mechanism.tape.quantities])
+    sds = {q: entry.sd for entry in result.noise for q in entry.quantities}
+    machine = replace(result.calibrated, tape=problem.mechanism.tape)
+    machine = replace(machine, quantities=problem.mechanism.quantities)
+    return predictor_at(
+        problem, machine, result.covariance, result.spectrum, problem.readings + corrections, sds
+    )
+
+
+def predictor_at(
+    problem: Problem,
+    mechanism: Mechanism,
+    covariance: Array,
+    system: Spectrum,
+    x: Array,
+    sds: Mapping[str, float],
+) -> Predictor:
+    """The predictor of a parameter system, its usual sds taken at poses x (k, N) [SI]."""
+    quantities = mechanism.tape.quantities
+    typical = dict(zip(quantities, np.median(x, axis=1).tolist(), strict=True))
+    bare = Predictor(
+        mechanism,
+        problem.names,
+        covariance,
+        system.scale[:, None] * system.directions[:, ~system.kept],
+        sds,
+        typical={q: v for q, v in typical.items() if math.isfinite(v)},
+    )
+    return replace(bare, usual=_usual(bare, problem, x))
+
+
+def _usual(bare: Predictor, problem: Problem, x: Array) -> dict[str, float]:
+    """Unit -> the sd that parameters cause, not exceeded at 95 % of some thousand poses."""
+    mechanism = bare.mechanism
+    values = np.array([p.nominal for p in mechanism.parameters])
+    outputs = {mechanism.tape.quantities.index(q) for q in mechanism.outputs}
+    gathered = []
+    for pattern in problem.patterns:
+        poses = _some(pattern, len(problem.poses))
+        if not poses.size or len(outputs | set(pattern.unmeasured)) > len(mechanism.tape.loops):
+            continue  # the other readings do not say where the outputs are
+        at, known = x[:, poses], problem.known[:, poses]
+        S = output_sensitivity(mechanism, values, bare.names, at, known, pattern.unmeasured)
+        gathered.append(by_parameters(bare, S.by_parameter))
+    if not gathered:
+        return {}
+    covariance = np.concatenate(gathered)
+    usual = {}
+    for unit in dict.fromkeys(bare.units.values()):
+        sizes = trace_sd(covariance, bare.units, unit)
+        sizes = sizes[np.isfinite(sizes)]
+        if sizes.size:
+            usual[unit] = float(np.percentile(sizes, 95))
+    return usual
+
+
+def _some(pattern: Pattern, total: int) -> NDArray[np.intp]:
+    """The poses of a pattern, thinned."""
+    chosen = np.arange(0, total, max(1, -(-total // _MOST_POSES)))
+    return np.intersect1d(chosen, np.arange(total)[pattern.poses])
+
+
+def by_parameters(known: Predictor, S: Array) -> Array:
+    """C_p = S Cov S^T, (N, o, o); inf for outputs that an undetermined direction moves."""
+    covariance: Array = S @ known.covariance @ S.transpose(0, 2, 1)
+    for step in known.undetermined.T:
+        effect = np.abs(S @ step)
+        # measured by the largest single effect in the pose: an output may feel none of them
+        single = (np.abs(S) * np.abs(step)).max(axis=(1, 2))
+        pose, output = np.nonzero(effect > _UNSEEN * single[:, None])
+        covariance[pose, output, output] = np.inf
+    return covariance
+
+
+def trace_sd(covariance: Array, units: Mapping[str, str], unit: str) -> Array:
+    """(N,) root of the trace over the outputs of one unit [that unit]."""
+    rows = [i for i, u in enumerate(units.values()) if u == unit]
+    size: Array = np.sqrt(np.einsum("noo->no", covariance)[:, rows].sum(axis=1))
+    return size
