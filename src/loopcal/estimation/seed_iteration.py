@@ -12,6 +12,7 @@ from loopcal.estimation.reduction import Accumulator, spectrum
 from loopcal.estimation.solver import Solution
 from loopcal.estimation.status import Status
 from loopcal.estimation.sweep import Sweeper
+from loopcal.expressions.domain import explain_domain
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-10
@@ -36,14 +37,20 @@ def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution
     sweeper = Sweeper(problem)
     parameters = problem.start.copy()
     corrections = np.zeros_like(problem.readings)
-    reason, iteration = "max_iterations", 0
+    reason, iteration, first = "max_iterations", 0, np.inf
+    before = parameters, corrections
     while reason == "max_iterations" and iteration < max_iterations:
         iteration += 1
         offset = problem.nominal - parameters[problem.free]
         data, steps, proposals = _linearised(sweeper, parameters, corrections)
         if not np.all(np.isfinite(data.total)):
-            reason = "diverged"
+            if iteration == 1:
+                raise _outside(problem, parameters)
+            reason, (parameters, corrections) = "diverged", before
             break
+        before = parameters.copy(), corrections
+        if iteration == 1:
+            first = data.chi_squared + float(np.square(offset / problem.prior_sd).sum())
         system = spectrum(data, offset, problem.prior_sd)
         step = system.step()
         new = proposals - np.einsum("nkb,n->kb", steps, step)
@@ -58,8 +65,15 @@ def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution
     offset = problem.nominal - parameters[problem.free]
     end = spectrum(sweep.data, offset, problem.prior_sd)
     prior = float(np.square(offset / problem.prior_sd).sum())
+    if reason == "max_iterations" and not sweep.data.chi_squared + prior <= first:
+        reason = "diverged"
     status = Status.of(reason, iteration, sweeper.evaluations / len(problem.poses))
     return Solution(parameters, corrections, sweep, end, prior, status)
+
+
+def _outside(problem: Problem, parameters: Array) -> InputError:
+    tape, poses = problem.mechanism.tape, problem.poses
+    return explain_domain(tape, problem.readings, problem.known, parameters, poses)
 
 
 def _linearised(
@@ -77,6 +91,7 @@ def _linearised(
         values = sweeper.engine.evaluate(
             problem.readings[:, poses] + start, problem.known[:, poses]
         )
+        sweeper.evaluations += start.shape[1]
         whitened = sweeper.reduce(values, start, noise)
         data.add(whitened)
         proposals[:, poses] = whitened.correction
