@@ -1,0 +1,261 @@
+"""The solver never ends worse than it began, and claims convergence only where there is some."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from loopcal.errors import DomainError, InputError
+from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.result import Result
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.prior import Prior
+from tests.reference.optimality import diagonal, optimality
+from tests.reference.random_cases import cases
+from tests.reference.simulated import Simulated, ma1400, planar_arm
+
+EXPONENTS = st.floats(-6, -0.7)
+
+
+def chi_squared(result: Result) -> float:
+    assert result.chi_squared is not None
+    return result.chi_squared.value
+
+
+def check(
+    simulated: Simulated, start: Mechanism, sds: dict[str, float], seed: int, **more: Any
+) -> Result:
+    """Fit from a start, and hold the laws whatever comes out."""
+    data = simulated.read(sds, seed=seed)
+    noise = Noise(sds)
+    began = calibrate(start, data, noise=noise, start="nominal", max_iterations=0, **more)
+    result = calibrate(start, data, noise=noise, start="nominal", **more)
+    if began.status.reason != "cannot_close":
+        assert chi_squared(result) <= chi_squared(began) * (1 + 1e-9)
+    told = optimality(result, diagonal(result, sds), more["prior"].sds if more else None)
+    if result.status.converged:
+        # a step left over is measured in the sds that the residuals suggest
+        freedom = max(len(data) * len(start.tape.loops) - len(result.estimated), 1)
+        unit = math.sqrt(max(chi_squared(result) / freedom, 1e-20))
+        assert told.closure <= 1e-12
+        assert told.corrections <= 2e-6 * max(1.0, unit)
+        assert told.parameters <= 1e-5 * unit * math.sqrt(len(result.estimated)) + 1e-7
+        assert told.chi_squared == pytest.approx(chi_squared(result), rel=1e-7)
+    else:
+        assert result.status.reason != "converged"
+        assert len(result.status.message) > 50
+    return result
+
+
+@settings(max_examples=120)
+@given(
+    poses=st.integers(4, 40),
+    exponents=st.tuples(EXPONENTS, EXPONENTS, EXPONENTS, EXPONENTS),
+    off=st.tuples(st.floats(-4, 0.3), st.floats(-4, 0.5)),
+    seed=st.integers(0, 10**6),
+)
+def test_any_start_and_any_noise_of_a_planar_arm(
+    poses: int, exponents: tuple[float, ...], off: tuple[float, float], seed: int
+) -> None:
+    simulated = planar_arm(poses, seed=seed)
+    sds = {q: 10**e for q, e in zip(simulated.exact, exponents, strict=True)}
+    check(simulated, simulated.off(10 ** off[0], 10 ** off[1], seed=seed), sds, seed)
+
+
+@settings(max_examples=60)
+@given(
+    exponents=st.tuples(EXPONENTS, EXPONENTS, EXPONENTS, EXPONENTS),
+    priors=st.tuples(st.floats(-6, 0), st.floats(-6, 0)),
+    off=st.tuples(st.floats(-4, 0), st.floats(-4, 0)),
+    seed=st.integers(0, 10**6),
+)
+def test_any_prior_of_a_planar_arm(
+    exponents: tuple[float, ...],
+    priors: tuple[float, float],
+    off: tuple[float, float],
+    seed: int,
+) -> None:
+    simulated = planar_arm(20, seed=seed)
+    sds = {q: 10**e for q, e in zip(simulated.exact, exponents, strict=True)}
+    start = simulated.off(10 ** off[0], 10 ** off[1], seed=seed)
+    prior = Prior({p.name: 10 ** priors[p.unit == "rad"] for p in start.parameters})
+    check(simulated, start, sds, seed, prior=prior)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_any_start_and_any_noise_of_a_six_axis_arm(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    simulated = ma1400(int(rng.integers(12, 40)), seed=seed)
+    sds = {q: float(10 ** rng.uniform(-6, -1.5)) for q in simulated.exact}
+    start = simulated.off(float(10 ** rng.uniform(-3, -0.5)), float(10 ** rng.uniform(-3, 0)), seed)
+    check(simulated, start, sds, seed)
+
+
+@pytest.mark.parametrize("name", cases())
+def test_readings_as_uncertain_as_the_machine_is_large(name: str) -> None:
+    case = cases(0.1)[name]
+    result = calibrate(case.truth, case.draw(1), noise=case.noise, start="nominal")
+    if result.status.converged:
+        told = optimality(result, case.covariances)
+        assert told.closure <= 1e-12
+        assert told.parameters <= 1e-5
+        assert told.corrections <= 1e-5
+
+
+def test_the_iterations_allowed_may_run_out() -> None:
+    simulated = planar_arm(30)
+    sds = dict.fromkeys(simulated.exact, 1e-3)
+    data, start = simulated.read(sds, seed=1), simulated.off(0.05, 0.1)
+    result = calibrate(start, data, noise=Noise(sds), start="nominal", max_iterations=1)
+    assert not result.status.converged
+    assert result.status.reason == "max_iterations"
+    assert result.status.iterations == 1
+    assert "Allow more" in result.status.message
+    assert str(result).splitlines()[2].startswith("NOT CONVERGED (max_iterations)")
+    done = calibrate(start, data, noise=Noise(sds), start="nominal")
+    assert done.status.converged
+    assert chi_squared(done) < chi_squared(result)
+
+
+def test_a_start_outside_the_domain_names_operation_loop_and_pose() -> None:
+    machine = Mechanism.from_function(
+        lambda x, p: (x.b - p.k * np.sqrt(x.a + p.c),),
+        {"a": "m", "b": "m"},
+        {"k": (1.0, "1"), "c": (0.0, "m")},
+        loops=("reach",),
+    )
+    a = np.array([0.5, 1.0, -0.25, 2.0])
+    data = Dataset.from_arrays({"a": a, "b": np.sqrt(np.abs(a))}, poses=["p", "q", "r", "s"])
+    with pytest.raises(DomainError, match=r"sqrt of a negative number \(-0.25\)") as caught:
+        calibrate(machine, data, noise=Noise({"*": 1e-3}))
+    assert "loop equation 'reach' at pose 'r'" in str(caught.value)
+
+
+@pytest.mark.parametrize("start", [0.1, 0.2, 0.5, 1.0])
+@pytest.mark.parametrize("sd", [1e-4, 1e-2])
+def test_a_step_out_of_the_domain_is_shortened(sd: float, start: float) -> None:
+    """Undamped, the first step makes the argument of the logarithm negative in many poses."""
+    machine = Mechanism.from_function(
+        lambda x, p: (x.b - p.k * np.log(x.a + p.c),),
+        {"a": "m", "b": "m"},
+        {"k": (1.5, "1"), "c": (start, "m")},
+    )
+    a = np.linspace(0.0, 2.0, 30)
+    rng = np.random.default_rng(2)
+    exact = {"a": a, "b": 2.0 * np.log(a + 0.05)}
+    data = Dataset.from_arrays({q: v + sd * rng.normal(size=30) for q, v in exact.items()})
+    result = calibrate(machine, data, noise=Noise({"*": sd}))
+    assert result.status.converged
+    for name, true in (("c", 0.05), ("k", 2.0)):
+        estimated = result.sd[name]
+        assert estimated is not None
+        assert abs(result.value[name] - true) <= 4 * estimated
+
+
+def test_loops_that_no_correction_can_close_are_named() -> None:
+    """A crank of fixed length cannot reach a point that an exact sensor saw too far away."""
+    machine = Mechanism.from_function(
+        lambda x, p: (p.r * np.cos(x.a) - x.u, p.r * np.sin(x.a) + p.c - x.v),
+        {"a": "rad", "u": "m", "v": "m"},
+        {"r": (1.0, "m"), "c": (0.0, "m")},
+    )
+    machine = machine.with_parameters(machine.parameters.with_fixed(["r"]))
+    angle = np.linspace(0.2, 1.2, 10)
+    u = np.cos(angle)
+    u[4] = 3.0
+    data = Dataset.from_arrays({"a": angle, "u": u, "v": np.sin(angle)})
+    noise = Noise({"a": 1e-2, "u": 0.0, "v": 1e-3})
+    result = calibrate(machine, data, noise=noise)
+    assert not result.status.converged
+    assert result.status.reason == "cannot_close"
+    assert "Poses: 5." in result.status.message
+
+
+def test_progress_is_told_at_every_iteration() -> None:
+    simulated = planar_arm(30)
+    sds = dict.fromkeys(simulated.exact, 1e-3)
+    told: list[tuple[int, float, float]] = []
+    result = calibrate(
+        simulated.off(0.02, 0.02),
+        simulated.read(sds, seed=1),
+        noise=Noise(sds),
+        start="nominal",
+        progress=lambda iteration, merit, decrease: told.append((iteration, merit, decrease)),
+    )
+    assert [iteration for iteration, _, _ in told] == list(range(1, result.status.iterations + 1))
+    assert told[-1][1] == pytest.approx(chi_squared(result), rel=1e-3)
+
+
+@pytest.mark.parametrize("poses", [63, 4096, 4097, 9000])
+def test_the_number_of_blocks_is_nothing(poses: int) -> None:
+    """Each pose three times, in any number of blocks, is each pose once with sds less by root 3."""
+    simulated = planar_arm(poses, seed=3)
+    sds = dict.fromkeys(simulated.exact, 1e-3)
+    data = simulated.read(sds, seed=4)
+    result = calibrate(simulated.truth, data, noise=Noise(sds))
+    thrice = data.take(np.tile(np.arange(poses), 3))
+    again = calibrate(simulated.truth, thrice, noise=Noise({"*": 1e-3 * math.sqrt(3)}))
+    assert result.status.converged
+    assert again.status.converged
+    for name in result.estimated:
+        assert again.value[name] == pytest.approx(result.value[name], rel=1e-9, abs=1e-12)
+        assert again.sd[name] == pytest.approx(result.sd[name], rel=1e-9)
+
+
+def test_the_same_input_gives_the_same_bits() -> None:
+    simulated = ma1400(50)
+    sds = dict.fromkeys(simulated.exact, 1e-4)
+    data, start = simulated.read(sds, seed=1), simulated.off(0.01, 0.02)
+    first = calibrate(start, data, noise=Noise(sds), start="nominal")
+    second = calibrate(start, data, noise=Noise(sds), start="nominal")
+    assert dict(first.value) == dict(second.value)
+    assert first.covariance.tolist() == second.covariance.tolist()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"method": "implicit"}, "no method 'implicit'.*did you mean 'implicit-loop'"),
+        ({"noise": None}, "needs to know how uncertain.*least-squares"),
+        ({"start": "alined"}, "no start 'alined'.*did you mean 'align'"),
+        ({"start": {"l4": 0.1}}, "no parameter 'l4'"),
+        ({"start": "align", "prior": Prior({"*": 0.0})}, "no parameter is left"),
+        ({"noise": Noise({"xP": 1e-3})}, "no sd is stated for the quantity 'yP'"),
+        ({"noise": Noise({"theta": 1e-3})}, "no quantity is called 'theta'"),
+        ({"prior": Prior({"l9": 1.0})}, "no parameter is called 'l9'"),
+    ],
+)
+def test_what_cannot_be_fitted_is_named(arguments: dict[str, Any], message: str) -> None:
+    simulated = planar_arm(10)
+    given: dict[str, Any] = {"noise": Noise({"*": 1e-3}), **arguments}
+    with pytest.raises(InputError, match=f"(?s){message}"):
+        calibrate(simulated.truth, simulated.read(), **given)
+
+
+def test_a_column_in_another_unit_is_refused() -> None:
+    simulated = planar_arm(10)
+    data = Dataset.from_arrays(dict(simulated.exact), units={"phi2": "mm"})
+    with pytest.raises(InputError, match=r"(?s)'phi2'.*rad"):
+        calibrate(simulated.truth, data, noise=Noise({"*": 1e-3}))
+
+
+def test_a_known_constant_must_be_there_in_every_pose() -> None:
+    machine = Mechanism.from_function(
+        lambda x, p: (x.a * x.load * p.k - x.b,),
+        {"a": "m", "b": "m"},
+        {"k": (1.0, "1")},
+        known={"load": "1"},
+    )
+    readings = {"a": np.arange(5.0), "b": np.arange(5.0)}
+    with pytest.raises(InputError, match=r"known constant 'load'.*\(none\)"):
+        calibrate(machine, Dataset.from_arrays(readings), noise=Noise({"*": 1e-3}))
+    gap = np.array([1.0, 2.0, np.nan, 4.0, 5.0])
+    with pytest.raises(InputError, match="pose '3' lacks it"):
+        calibrate(machine, Dataset.from_arrays({**readings, "load": gap}), noise=Noise({"*": 1.0}))
