@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.alignment import can_be_placed, placed
+from loopcal.estimation.learning import components, entries, with_model, words
+from loopcal.estimation.noise_estimation import NoiseEstimate, estimate_noise
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem import BLOCK, Problem, build_problem
 from loopcal.estimation.reduction import spectrum, undetermined
@@ -20,7 +22,6 @@ from loopcal.estimation.result import (
     Accuracy,
     ChiSquared,
     Identifiability,
-    NoiseEntry,
     Result,
     Undetermined,
     frozen,
@@ -84,15 +85,25 @@ def calibrate(
     if prior is not None:
         mechanism = mechanism.with_parameters(prior.apply(mechanism.parameters))
     exact = method == "least-squares"
+    if noise is not None and not exact:
+        mechanism, data = with_model(mechanism, data, noise)
     with one_blas_thread():
         problem = _started(mechanism, data, None if exact else noise, start)
-        if method == "implicit-loop-undamped":
-            solution = iterate_undamped(problem, max_iterations=max_iterations)
-        elif method == "reweighted":
-            solution = solve_reweighted(problem, max_iterations=max_iterations, progress=progress)
-        else:
-            solution = solve(problem, exact=exact, max_iterations=max_iterations, progress=progress)
-        return _result(method, problem, solution, data)
+
+        def fit(problem: Problem) -> Solution:
+            if method == "implicit-loop-undamped":
+                return iterate_undamped(problem, max_iterations=max_iterations)
+            if method == "reweighted":
+                return solve_reweighted(problem, max_iterations=max_iterations, progress=progress)
+            return solve(problem, exact=exact, max_iterations=max_iterations, progress=progress)
+
+        if exact or noise is None or not noise.estimate:
+            return _result(method, problem, fit(problem), data)
+        estimate = estimate_noise(
+            problem, components(problem, noise), fit, at_readings=method == "reweighted"
+        )
+        learnt = replace(estimate.problem, start=problem.start)
+        return _result(method, learnt, estimate.solution, data, problem, estimate)
 
 
 def _started(
@@ -112,7 +123,14 @@ def _started(
     return problem
 
 
-def _result(method: str, problem: Problem, solution: Solution, data: Dataset) -> Result:
+def _result(
+    method: str,
+    problem: Problem,
+    solution: Solution,
+    data: Dataset,
+    stated: Problem | None = None,
+    estimate: NoiseEstimate | None = None,
+) -> Result:
     mechanism, exact = problem.mechanism, method == "least-squares"
     names = mechanism.parameters.names
     system = solution.spectrum
@@ -142,7 +160,7 @@ def _result(method: str, problem: Problem, solution: Solution, data: Dataset) ->
         estimated=problem.names,
         covariance=covariance,
         chi_squared=chi,
-        noise=() if exact else _noise_entries(problem),
+        noise=() if exact else entries(problem, estimate, stated or problem),
         corrections=frozen(dict(zip(quantities, corrections, strict=True))),
         reading_sds=frozen(dict(zip(quantities, sds, strict=True))),
         residuals_before=_residuals(problem, problem.start),
@@ -155,7 +173,12 @@ def _result(method: str, problem: Problem, solution: Solution, data: Dataset) ->
         spectrum=solution.spectrum,
         information=solution.sweep.data,
     )
-    return replace(result, warnings=_warnings(result))
+    learnt = () if estimate is None else words(estimate, result.noise, result.chi_squared_shares)
+    return replace(
+        result,
+        warnings=_warnings(result) + learnt,
+        restricted_criterion=None if estimate is None else estimate.criterion,
+    )
 
 
 def _p_value(chi_squared: float, freedom: int) -> float | None:
@@ -191,18 +214,6 @@ def _in_words(combination: Mapping[str, float]) -> str:
         return f"{names[0]} has no effect that these poses could show"
     listed = ", ".join(names[:-1]) + f" and {names[-1]}"
     return f"{listed} cannot be told apart by these poses"
-
-
-def _noise_entries(problem: Problem) -> tuple[NoiseEntry, ...]:
-    entries = []
-    for i, quantity in enumerate(problem.mechanism.tape.quantities):
-        row = problem.uncertainty.sd[i]
-        measured = row[np.isfinite(row)]
-        if measured.size:
-            unit = problem.mechanism.quantities[quantity]
-            source = problem.uncertainty.sources[i]
-            entries.append(NoiseEntry((quantity,), unit, float(np.median(measured)), None, source))
-    return tuple(entries)
 
 
 def _residuals(

@@ -7,7 +7,7 @@ new sds (`loopcal.estimation.variance_components`); both are repeated until neit
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,11 @@ from loopcal.estimation.variance_components import (
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
 Array = NDArray[np.float64]
-_MOST, _SETTLED = 60, 1e-4
+_MOST, _SETTLED, _BETTER = 60, 1e-4, 1e-6
+_FAR = 100.0
+"""A variance so many times the stated one, or less than it by as much, is checked again."""
+_ROUGHLY, _SLOWLY = 0.1, 100.0
+"""Variance ratios that change less than this are roughly right; early ones fall no faster."""
 _UNCERTAIN = 0.5
 """Relative sd of an sd from which on an upper bound says more than the estimate."""
 
@@ -78,38 +82,81 @@ def estimate_noise(
 
     fit: the method; at_readings: whether it weighs the readings where they are (reweighted).
     """
-    stated = problem
     positions = [component.quantities for component in components]
-    ratios = np.ones(len(components))
-    settled, before = False, math.inf
-    for _ in range(_MOST):
-        present = scaled(stated, positions, ratios)
-        solution = fit(present)
-        model = linear_model(
-            replace(stated, start=solution.parameters),
-            solution.parameters,
-            solution.corrections,
-            positions,
-            at_readings=at_readings,
-        )
-        found = estimate_ratios(model, ratios)
-        change = _change(ratios, found.ratios)
-        ratios = found.ratios
-        stated = replace(stated, start=solution.parameters)
-        if change <= _SETTLED or abs(before - found.criterion) <= 1e-7:
-            settled = found.converged
-            break
-        before = found.criterion
-    present = scaled(stated, positions, ratios)
-    solution = fit(present)
+    search = _Search(problem, positions, fit, at_readings)
+    best = search.run(np.ones(len(components)))
+    doubtful = list(search.doubtful(best))
+    while doubtful:
+        again = search.run(doubtful.pop(0))
+        if again.found.criterion < best.found.criterion - _BETTER:
+            best = again
+            doubtful = list(search.doubtful(best))
+    model, found = best.model, best.found
     return NoiseEstimate(
-        present,
-        solution,
+        best.present,
+        best.solution,
         tuple(_judged(model, found, i, c) for i, c in enumerate(components)),
         found.criterion,
         _alike(found, components),
-        settled,
+        best.settled,
     )
+
+
+@dataclass(frozen=True)
+class _Round:
+    """Where a search ended: the problem at its sds, its fit, the model linearised there."""
+
+    present: Problem
+    solution: Solution
+    model: LinearModel
+    found: Estimate
+    settled: bool
+
+
+@dataclass(frozen=True)
+class _Search:
+    stated: Problem
+    positions: Sequence[Sequence[int]]
+    fit: Callable[[Problem], Solution]
+    at_readings: bool
+
+    def doubtful(self, end: _Round) -> Iterator[Array]:
+        """Other ratios to begin from, where the end is far from what was stated.
+
+        At sds that are wrong by much the first fit may blame the wrong sensor and never get away
+        from it: each sensor that ended far from its stated sd gets a second chance there.
+        """
+        for i, ratio in enumerate(end.found.ratios):
+            if not 1.0 / _FAR < ratio < _FAR:
+                other = end.found.ratios.copy()
+                other[i] = 1.0
+                yield other
+
+    def run(self, ratios: Array) -> _Round:
+        """Fit and ratios in turn, from these ratios."""
+        start, before, vanish = self.stated.start, math.inf, False
+        for number in range(_MOST):
+            present = replace(scaled(self.stated, self.positions, ratios), start=start)
+            solution = self.fit(present)
+            start = solution.parameters
+            model = linear_model(
+                replace(self.stated, start=start),
+                start,
+                solution.corrections,
+                self.positions,
+                at_readings=self.at_readings,
+            )
+            found = estimate_ratios(model, ratios, vanish=vanish)
+            change = _change(ratios, found.ratios)
+            ended = change <= _SETTLED or abs(before - found.criterion) <= _BETTER
+            if ended and vanish:
+                return _Round(present, solution, model, found, found.converged)
+            # No component may vanish before the others are roughly right.
+            vanish = vanish or ended or change <= _ROUGHLY or number >= _MOST // 2
+            lowest = 0.0 if vanish else ratios / _SLOWLY
+            ratios = np.maximum(found.ratios, lowest)
+            before = found.criterion
+        return _Round(present, solution, model, found, False)
 
 
 def scaled(problem: Problem, components: Sequence[Sequence[int]], ratios: Array) -> Problem:

@@ -74,13 +74,22 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class NoiseEntry:
-    """The sd [SI unit] used for one or several quantities; median where it differs by reading."""
+    """The sd [SI unit] used for one or several quantities; median where it differs by reading.
+
+    source: "given", "reading", "datasheet" or "estimated". Of an estimated one: sd_of_sd, how
+    sure it is; upper: 95 % bound, where it is zero or unsure; likelihood_ratio: by how much
+    -2 log of the restricted likelihood rises without it (None where the loops need it), p_value:
+    of such a rise if there were no such noise.
+    """
 
     quantities: tuple[str, ...]
     unit: str
     sd: float
     sd_of_sd: float | None
     source: str
+    upper: float | None = None
+    likelihood_ratio: float | None = None
+    p_value: float | None = None
 
 
 @dataclass(frozen=True)
@@ -141,7 +150,25 @@ class Result:
     spectrum: Spectrum
     information: Accumulator
     warnings: tuple[str, ...] = ()
+    restricted_criterion: float | None = None
+    """-2 log of the restricted likelihood, up to a constant of the readings, where sds were
+    estimated: the difference between two models of the same readings is what counts."""
     errors: Mapping[str, float] | None = None
+
+    @property
+    def chi_squared_shares(self) -> Mapping[str, float]:
+        """What the corrections of each quantity contribute to chi-squared; they add up to 1.
+
+        A sensor that takes far more than its sd deserves is worse than stated, or takes the blame
+        for what the machine model lacks.
+        """
+        squares = {}
+        for quantity, corrections in self.corrections.items():
+            sds = self.reading_sds[quantity]
+            weighed = np.isfinite(sds) & (sds > 0.0)
+            squares[quantity] = float(np.square(corrections[weighed] / sds[weighed]).sum())
+        total = sum(squares.values()) or 1.0
+        return {quantity: square / total for quantity, square in squares.items()}
 
     @property
     def calibrated(self) -> Mechanism:

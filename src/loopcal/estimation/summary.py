@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 SHOWN = {"m": "mm", "rad": "deg"}
 """Units in which SI values are printed, because they are the ones drawings and controllers use."""
+FINE = {"m": "um", "rad": "urad"}
+"""Units in which sds of sensors are printed."""
 _METHODS = {
     "implicit-loop": "implicit loop (all sensors uncertain)",
     "implicit-loop-undamped": "implicit loop, the seed's undamped iteration",
@@ -26,7 +28,11 @@ def summary(result: Result) -> str:
     """Status, fit, accuracy, parameters with change and sd, and whatever needs a warning."""
     lines = [f"{result.mechanism.name}: {_METHODS[result.method]}", ""]
     lines += _state(result)
-    lines += ["", *_accuracy(result), "", *parameter_table(result)]
+    lines += ["", *_accuracy(result)]
+    rejected = result.chi_squared is not None and (result.chi_squared.p_value or 0.0) < 0.01
+    if rejected or any(entry.source == "estimated" for entry in result.noise):
+        lines += ["", *sensor_table(result)]
+    lines += ["", *parameter_table(result)]
     if result.errors is not None:
         lines.append("(error: true minus estimate)")
     for warning in result.warnings:
@@ -81,6 +87,27 @@ def _accuracy(result: Result) -> list[str]:
 def _distances(accuracy: Accuracy, unit: str) -> list[str]:
     values = (accuracy.mean, accuracy.rms, accuracy.p95, accuracy.max)
     return [significant(from_si(value, unit), 4) for value in values]
+
+
+def sensor_table(result: Result) -> list[str]:
+    """One line per sensor: its sd, how sure and from where, and its share in chi-squared."""
+    shares = result.chi_squared_shares
+    rows = [["sensor", "sd", "sd of sd", "at most", "chi-squared", "from", "unit"]]
+    for entry in result.noise:
+        unit = FINE.get(entry.unit, entry.unit)
+        first, last = entry.quantities[0], entry.quantities[-1]
+        rows.append(
+            [
+                first if first == last else f"{first} ... {last}",
+                significant(from_si(entry.sd, unit), 3),
+                "" if entry.sd_of_sd is None else significant(from_si(entry.sd_of_sd, unit), 2),
+                "" if entry.upper is None else significant(from_si(entry.upper, unit), 2),
+                f"{sum(shares.get(q, 0.0) for q in entry.quantities):.0%}",
+                entry.source,
+                unit,
+            ]
+        )
+    return columns(rows)
 
 
 def parameter_table(result: Result) -> list[str]:

@@ -46,8 +46,13 @@ class Estimate:
     converged: bool
 
 
-def estimate_ratios(model: LinearModel, start: Array | None = None) -> Estimate:
-    """The variance ratios of greatest restricted likelihood, none negative."""
+def estimate_ratios(
+    model: LinearModel, start: Array | None = None, *, vanish: bool = True
+) -> Estimate:
+    """The variance ratios of greatest restricted likelihood, none negative.
+
+    vanish: whether components may end at zero.
+    """
     count = model.components
     ratios = np.ones(count) if start is None else np.array(start)
     free = ratios > 0.0
@@ -58,7 +63,7 @@ def estimate_ratios(model: LinearModel, start: Array | None = None) -> Estimate:
     assert current is not None  # the present sds were good enough for the fit
     gain = math.inf
     for _ in range(_MOST):
-        vanished = _vanished(model, ratios, free, current)
+        vanished = _vanished(model, ratios, free, current) if vanish else None
         if vanished is not None:
             ratios[vanished], free[vanished] = 0.0, False
             current = _at(model, ratios)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.files.parameter_entries import in_si
 from loopcal.files.place import Place
-from loopcal.measurements.noise import Noise
+from loopcal.measurements.noise import MODEL, Noise
 from loopcal.units import unit
 
 if TYPE_CHECKING:
@@ -48,6 +48,8 @@ class NoiseSpec:
     """What is said about the sensors, in order: (quantities or quantity, sd or covariance [SI])."""
 
     entries: tuple[tuple[str | tuple[str, ...], Any], ...] = ()
+    estimate: tuple[tuple[str | tuple[str, ...], str], ...] = ()
+    """What is to be learnt: (key or quantities, "each" or "group")."""
 
     @property
     def columns(self) -> tuple[CovarianceColumns, ...]:
@@ -68,7 +70,7 @@ class NoiseSpec:
         """These entries and then the others, which win."""
         stated = {q for k, _ in other.entries for q in _names(k)}
         kept = [(k, v) for k, v in self.entries if not stated.issuperset(_names(k))]
-        return NoiseSpec((*kept, *other.entries))
+        return NoiseSpec((*kept, *other.entries), self.estimate + other.estimate)
 
     def noise(self, covariances: Mapping[tuple[str, ...], Array] | None = None) -> Noise:
         """The noise, with the covariances (N, b, b) of the columns that were read.
@@ -87,7 +89,7 @@ class NoiseSpec:
                 value = covariances[value.quantities]
             made.pop(key, None)  # the later line shall also stand later
             made[key] = value
-        return Noise(made)
+        return Noise(made, estimate=dict(self.estimate))
 
 
 def _names(key: str | tuple[str, ...]) -> tuple[str, ...]:
@@ -102,9 +104,16 @@ def noise_spec(
     Raises InputError for unknown quantities, units that do not fit, and matrices that are none.
     """
     found: list[tuple[str | tuple[str, ...], Any]] = []
+    learnt: list[tuple[str | tuple[str, ...], str]] = []
     for key, entry in entries.items():
         here = place.at(key)
-        names = _quantities(key, expand, here)
+        if key == MODEL:
+            names: tuple[str, ...] = (MODEL,)
+            units = {**units, MODEL: unit(entry.unit).si if entry.unit else "m"}
+        else:
+            names = _quantities(key, expand, here)
+        if entry.estimate is not None:
+            learnt.append((key if "," not in key else names, entry.estimate))
         given = [
             k for k in ("sd", "covariance", "covariance_columns") if getattr(entry, k) is not None
         ]
@@ -119,7 +128,7 @@ def noise_spec(
             found += [(n, in_si(entry.sd, entry.unit, units[n], at)) for n in names]
         else:
             found.append((names, _covariance(entry, names, units, here)))
-    return NoiseSpec(tuple(found))
+    return NoiseSpec(tuple(found), tuple(learnt))
 
 
 def _quantities(key: str, expand: Expand, place: Place) -> tuple[str, ...]:

@@ -120,6 +120,11 @@ class NoiseEntry(Model):
     unit: UnitName | None = Field(
         default=None, description="Of the sd; a covariance is in its square."
     )
+    estimate: Literal["each", "group"] | None = Field(
+        default=None,
+        description="Learn the sds from the calibration, beginning from those stated: one factor "
+        "for each quantity of the key, or one for all. Absent: taken as given.",
+    )
 
 
 NoiseEntries = Annotated[

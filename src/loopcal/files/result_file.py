@@ -35,16 +35,18 @@ def result_document(
     title: str | None = None,
     inputs: Mapping[str, Any] | None = None,
     warnings: tuple[str, ...] = (),
+    findings: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """The content of result.json: plain values, SI, null for what is unknown.
 
-    inputs: the project as it was read; warnings: more than those the result holds. The fields
-    are told by `result_schema`.
+    inputs: the project as it was read; warnings: more than those the result holds; findings:
+    fields, or parts of them, that further statistics fill. The fields are told by
+    `result_schema`.
     """
     known = versions()
     chi = result.chi_squared
     before, after = result.accuracy_before, result.accuracy_after
-    return {
+    document = {
         "schema": SCHEMA,
         "loopcal": known["loopcal"],
         "title": title,
@@ -64,9 +66,13 @@ def result_document(
                 "sd": entry.sd,
                 "sd_of_sd": entry.sd_of_sd,
                 "source": entry.source,
+                "upper": entry.upper,
+                "likelihood_ratio": entry.likelihood_ratio,
+                "p_value": entry.p_value,
             }
             for entry in result.noise
         ],
+        "restricted_criterion": result.restricted_criterion,
         "chi_squared": chi
         and {
             "value": chi.value,
@@ -84,12 +90,17 @@ def result_document(
         "validation": None,
         "identifiability": _identifiability(result),
         "observability": None,
+        "prediction": None,
         "outliers": None,
         "data": _data(result),
         "warnings": [*warnings, *result.warnings],
         "inputs": finite_only(inputs or {}),
         "versions": known,
     }
+    for key, found in (findings or {}).items():
+        own = document[key]
+        document[key] = {**own, **found} if isinstance(own, dict) else found
+    return document
 
 
 def result_json(document: Mapping[str, Any]) -> str:
@@ -104,13 +115,17 @@ def write_result(
     title: str | None = None,
     inputs: Mapping[str, Any] | None = None,
     warnings: tuple[str, ...] = (),
+    findings: Mapping[str, Any] | None = None,
 ) -> WrittenResult:
     """Write result.json, residuals.csv and mechanism.toml (calibrated), all or none.
 
-    The folder is made if need be; title, inputs and warnings go to result.json. Raises
-    InputError, naming the file, the reason and a remedy, where they cannot be written.
+    The folder is made if need be; all but the result goes to result.json as `result_document`
+    says. Raises InputError, naming the file, the reason and a remedy, where they cannot be
+    written.
     """
-    document = result_document(result, title=title, inputs=inputs, warnings=warnings)
+    document = result_document(
+        result, title=title, inputs=inputs, warnings=warnings, findings=findings
+    )
     files: dict[str, str | bytes] = {
         "result.json": result_json(document),
         "residuals.csv": residuals_csv(result),
@@ -209,6 +224,10 @@ def _identifiability(result: Result) -> dict[str, Any]:
         "not_identifiable": [
             {"combination": dict(u.combination), "words": u.words} for u in found.not_identifiable
         ],
+        "data_condition_number": None,
+        "data_versus_prior": None,
+        "weak_directions": None,
+        "calibration_index": None,
     }
 
 

@@ -62,6 +62,17 @@ class NoiseEntryOfFile(Model):
     sd: Sd = Field(description="The median where it differs from reading to reading.")
     sd_of_sd: Sd | None = Field(description="How sure the sd itself is, where that is known.")
     source: Literal["given", "estimated", "reading", "repeats", "datasheet"]
+    upper: Sd | None = Field(
+        default=None, description="95 % upper bound of an estimated sd that is zero or unsure."
+    )
+    likelihood_ratio: Finite | None = Field(
+        default=None,
+        description="By how much -2 log of the restricted likelihood rises without this noise; "
+        "null where it was not estimated, or the loops could not close without it.",
+    )
+    p_value: Finite | None = Field(
+        default=None, description="Of so large a rise if there were no such noise."
+    )
 
 
 class ChiSquaredEntry(Model):
@@ -113,6 +124,37 @@ class UndeterminedEntry(Model):
     words: str
 
 
+class LearnedEntry(Model):
+    """A parameter that had a prior: what the data added to it."""
+
+    parameter: str
+    ratio: Sd = Field(description="Its sd over its prior sd; near 1: the data say nothing.")
+    words: str
+
+
+class WeakEntry(Model):
+    """A direction in which these poses hardly tell parameters apart."""
+
+    combination: dict[str, Finite] = Field(
+        description="Leading parameters -> share in scaled units, the largest 1."
+    )
+    one_sd: dict[str, Finite] = Field(
+        description="The same -> change [SI] that the data allow within one sd; empty: any."
+    )
+    condition: Sd | None = Field(
+        description="Largest singular value over that of this direction; null: not determined."
+    )
+    words: str
+
+
+class IndexEntry(Model):
+    """Calibration index of Hollerbach and Wampler, summed over the poses."""
+
+    value: int = Field(description="Sensed minus mobility: equations that the poses give.")
+    sensed: Count
+    mobility: int
+
+
 class IdentifiabilityEntry(Model):
     """What can be told from these poses."""
 
@@ -124,6 +166,46 @@ class IdentifiabilityEntry(Model):
         "parameter Jacobian; null where it is singular."
     )
     not_identifiable: list[UndeterminedEntry]
+    data_condition_number: Sd | None = Field(
+        description="The same without the prior; null where singular, or not computed."
+    )
+    data_versus_prior: list[LearnedEntry] | None = Field(
+        description="What the data added to the prior; null: not computed."
+    )
+    weak_directions: list[WeakEntry] | None = Field(
+        description="By the data alone, the worst first; null: not computed."
+    )
+    calibration_index: IndexEntry | None = Field(description="Null: not computed.")
+
+
+class ObservabilityEntry(Model):
+    """Indices of the singular values s_1 >= ... >= s_n of the whitened parameter Jacobian.
+
+    Its columns are divided by their lengths; N poses. All are zero where it is singular.
+    """
+
+    O1: Sd = Field(description="(s_1 ... s_n)^(1/n) / sqrt(N).")
+    O2: Sd = Field(description="s_n / s_1.")
+    O3: Sd = Field(description="s_n.")
+    O4: Sd = Field(description="s_n^2 / s_1.")
+    O5: Sd = Field(description="1 / (1/s_1 + ... + 1/s_n).")
+
+
+class PredictionEntry(Model):
+    """What `loopcal predict` needs beside the covariance and the calibrated mechanism."""
+
+    sd_at_poses: dict[str, Sd] = Field(
+        description="SI unit of outputs -> the sd that the parameters cause in all outputs of "
+        "that unit together, not exceeded at 95 % of the calibration poses."
+    )
+    typical: dict[str, Finite] = Field(description="Quantity -> median reading [SI].")
+    covariance: list[list[Finite]] | None = Field(
+        description="Of the estimated parameters over the determined directions; null: the same "
+        "as `covariance`."
+    )
+    undetermined: list[list[Finite]] = Field(
+        description="Parameter steps [SI] that neither data nor prior limit."
+    )
 
 
 class DataEntry(Model):
@@ -149,6 +231,11 @@ class ResultDocument(Model):
     parameters: list[ParameterEntry]
     covariance: CovarianceEntry
     noise: list[NoiseEntryOfFile] = Field(description="Empty for least squares, which knows none.")
+    restricted_criterion: Finite | None = Field(
+        default=None,
+        description="-2 log of the restricted likelihood up to a constant of the readings, where "
+        "sds were estimated: compare models of the same readings by its difference.",
+    )
     chi_squared: ChiSquaredEntry | None = Field(description="Null for least squares.")
     closure: ClosureEntry
     accuracy: AccuracyEntry | None = Field(
@@ -156,7 +243,10 @@ class ResultDocument(Model):
     )
     validation: None = Field(description="Null: no validation was made.")
     identifiability: IdentifiabilityEntry
-    observability: None = Field(description="Null: no index was computed.")
+    observability: ObservabilityEntry | None = Field(description="Null: not computed.")
+    prediction: PredictionEntry | None = Field(
+        description="Null where the mechanism has no outputs, or it was not computed."
+    )
     outliers: None = Field(description="Null: no reading was tested.")
     data: DataEntry
     warnings: list[str] = Field(description="What the summary warns of.")

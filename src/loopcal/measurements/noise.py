@@ -13,13 +13,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, nearest
 from loopcal.measurements.dataset import Dataset
 
 Array = NDArray[np.float64]
 Entries = (  # a mapping's type of keys has to fit exactly, so each kind is named
-    Mapping[str, Any] | Mapping[tuple[str, ...], Any] | Mapping[str | tuple[str, ...], Any]
+    Mapping[str, Any]
+    | Mapping[tuple[str, ...], Any]
+    | Mapping[str | tuple[str, ...], Any]
+    | Mapping[Sequence[str], Any]
 )
+
+
+Estimates = Mapping[str, str] | Mapping[tuple[str, ...], str] | Mapping[str | tuple[str, ...], str]
+MODEL = "model"
+"""The key of the machine model's own sd."""
+ESTIMATES = ("each", "group")
 
 
 class Noise:
@@ -32,14 +41,30 @@ class Noise:
     Noise({'theta_*': 5e-05, ('x', 'y', 'z'): covariance (3, 3)})
 
     Readings that come with an sd of their own (`Dataset.sds`) keep it; an entry here serves the
-    readings that have none. Raises InputError for an sd that is negative or not a number, and
-    for a matrix that is no covariance.
+    readings that have none.
+
+    The key "model" states the sd of the machine model itself, isotropic at the end point (or of
+    every loop equation, where a mechanism has no outputs): what no sensor is to blame for.
+
+    estimate: for a name, glob, group, tuple of names, or "model": "each" or "group". Its sds are
+    not taken as given but learnt from the calibration, one factor for each quantity, or one for
+    all of them. The sds stated are where the search begins.
+
+    Raises InputError for an sd that is negative or not a number, and for a matrix that is no
+    covariance.
     """
 
-    def __init__(self, entries: Entries) -> None:
+    def __init__(self, entries: Entries, *, estimate: Estimates | None = None) -> None:
         self.entries: dict[str | tuple[str, ...], Array] = {}
         for key, value in entries.items():
             self.entries[key] = _checked_entry(key, value)
+        self.estimate: dict[str | tuple[str, ...], str] = dict((estimate or {}).items())
+        for key, how in self.estimate.items():
+            if how not in ESTIMATES:
+                raise InputError(
+                    f"the noise of {key!r} is to be estimated {how!r}",
+                    remedy=nearest(how, ESTIMATES),
+                )
 
     def __repr__(self) -> str:
         def text(value: Array) -> str:
@@ -48,11 +73,13 @@ class Noise:
             return f"{'sd' if value.ndim == 1 else 'covariance'} {value.shape}"
 
         inner = ", ".join(f"{key!r}: {text(value)}" for key, value in self.entries.items())
-        return f"Noise({{{inner}}})"
+        learnt = f", estimate={self.estimate!r}" if self.estimate else ""
+        return f"Noise({{{inner}}}{learnt})"
 
     def __eq__(self, other: object) -> bool:
         return (
             isinstance(other, Noise)
+            and self.estimate == other.estimate
             and list(self.entries) == list(other.entries)
             and all(np.array_equal(v, other.entries[k]) for k, v in self.entries.items())
         )

@@ -130,6 +130,9 @@ class Mechanism:
         """The quantities that a name, a glob, or the joined names of the outputs stand for."""
         if self.outputs and key == "".join(self.outputs):
             return self.outputs
+        model = tuple(q for q in self.quantities if q.startswith("model_"))
+        if key == "model" and model:
+            return model
         return matching(key, self.quantities, "quantity")
 
     def __repr__(self) -> str:
