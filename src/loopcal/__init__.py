@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from loopcal.files.mechanism_file import read_mechanism
     from loopcal.files.project_data import LoadedData, load_dataset
     from loopcal.files.project_file import Project, read_project
-    from loopcal.files.result_file import WrittenResult, read_result, write_result
+    from loopcal.files.result_file import WrittenResult, read_result
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.noise import Noise
     from loopcal.mechanisms.mechanism import Mechanism
@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.serial import Joint, serial_arm
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation, simulate
+    from loopcal.statistics.findings import Findings, findings
+    from loopcal.statistics.prediction import Prediction, predict
+    from loopcal.workflow import write_result
 
 _HOME = {
     "errors": ("InputError", "LoopcalError"),
@@ -55,7 +58,7 @@ _HOME = {
     "files.mechanism_file": ("read_mechanism",),
     "files.project_data": ("LoadedData", "load_dataset"),
     "files.project_file": ("Project", "read_project"),
-    "files.result_file": ("WrittenResult", "read_result", "write_result"),
+    "files.result_file": ("WrittenResult", "read_result"),
     "measurements.dataset": ("Dataset",),
     "measurements.noise": ("Noise",),
     "mechanisms.mechanism": ("Mechanism",),
@@ -66,6 +69,9 @@ _HOME = {
     "mechanisms.serial": ("Joint", "serial_arm"),
     "simulation.poses": ("grid_poses", "random_poses"),
     "simulation.simulate": ("Simulation", "simulate"),
+    "statistics.findings": ("Findings", "findings"),
+    "statistics.prediction": ("Prediction", "predict"),
+    "workflow": ("write_result",),
 }
 _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name in names}
 
@@ -74,6 +80,7 @@ __all__ = [
     "ChiSquared",
     "Closure",
     "Dataset",
+    "Findings",
     "Identifiability",
     "InputError",
     "Joint",
@@ -84,6 +91,7 @@ __all__ = [
     "NoiseEntry",
     "Parameter",
     "Parameters",
+    "Prediction",
     "Prior",
     "Project",
     "Result",
@@ -96,11 +104,13 @@ __all__ = [
     "calibrate",
     "cross",
     "dot",
+    "findings",
     "grid_poses",
     "load_dataset",
     "motoman_ma1400",
     "norm",
     "planar_two_link",
+    "predict",
     "random_poses",
     "read_dataset",
     "read_mechanism",

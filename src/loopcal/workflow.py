@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
@@ -15,13 +16,14 @@ from loopcal.errors import InputError, UsageError, nearest
 from loopcal.estimation.calibrate import METHODS, calibrate
 from loopcal.estimation.result import Result
 from loopcal.estimation.solver import Progress
+from loopcal.files import result_file
 from loopcal.files.atomic import write_files
 from loopcal.files.new_project import write_new_project
 from loopcal.files.project_data import load_dataset
 from loopcal.files.project_file import Project, read_project
 from loopcal.files.python_function import load_function
 from loopcal.files.readings_file import readings_table
-from loopcal.files.result_file import WrittenResult, result_schema, write_result
+from loopcal.files.result_file import WrittenResult
 from loopcal.files.simulation_entries import SimulationSpec
 from loopcal.files.table_writer import check_ending
 from loopcal.files.templates import TEMPLATES
@@ -29,6 +31,7 @@ from loopcal.files.truth_file import read_truth, truth_json
 from loopcal.measurements.noise import resolve_noise
 from loopcal.simulation.poses import grid_poses, random_poses, stream
 from loopcal.simulation.simulate import Simulation, simulate
+from loopcal.statistics.findings import Findings, findings
 
 Array = NDArray[np.float64]
 SCHEMAS = ("project", "result")
@@ -38,11 +41,13 @@ SCHEMAS = ("project", "result")
 class Calibration:
     """A calibration that was run and written.
 
-    written: where, and the content of result.json; warnings: about the readings; objection: why
-    the result cannot be trusted, None where it can.
+    written: where, and the content of result.json; findings: what its equations tell beyond the
+    parameters; warnings: about the readings; objection: why the result cannot be trusted, None
+    where it can.
     """
 
     result: Result
+    findings: Findings
     written: WrittenResult
     warnings: tuple[str, ...]
     objection: str | None
@@ -98,15 +103,38 @@ def run_calibration(
         errors = {name: value - result.value[name] for name, value in true.items()}
         result = replace(result, errors=MappingProxyType(errors))
     warnings = tuple(str(warning) for warning in loaded.warnings)
+    found = findings(result)
     written = write_result(
         result,
         default_folder(read) if out is None else out,
         title=read.title,
         inputs=read.inputs,
         warnings=warnings,
+        found=found,
     )
     asked = require_identifiable or read.fit.require_identifiable
-    return Calibration(result, written, warnings, _objection(result, asked))
+    return Calibration(result, found, written, warnings, _objection(result, asked))
+
+
+def write_result(
+    result: Result,
+    folder: str | Path,
+    *,
+    title: str | None = None,
+    inputs: Mapping[str, Any] | None = None,
+    warnings: tuple[str, ...] = (),
+    found: Findings | None = None,
+) -> WrittenResult:
+    """Write result.json, residuals.csv and mechanism.toml (calibrated), all or none.
+
+    The folder is made if need be; title, inputs (the project as it was read) and warnings go to
+    result.json, with what `findings` tells, or `found`. Raises InputError, naming the file, the
+    reason and a remedy, where they cannot be written.
+    """
+    fields = (found or findings(result)).document()
+    return result_file.write_result(
+        result, folder, title=title, inputs=inputs, warnings=warnings, findings=fields
+    )
 
 
 def default_folder(project: Project) -> Path:
@@ -228,7 +256,7 @@ def schema(name: str) -> dict[str, Any]:
 
         return project_schema()
     if name == "result":
-        return result_schema()
+        return result_file.result_schema()
     raise UsageError(f"there is no schema {name!r}", remedy=nearest(name, SCHEMAS))
 
 

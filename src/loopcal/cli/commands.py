@@ -108,7 +108,8 @@ def calibrate(
         print_json(done.written.document)
         log(where)
     else:
-        print_out(f"{done.written.document['title']}\n{done.result}\n\n{where}")
+        title, told = done.written.document["title"], done.findings.words()
+        print_out(f"{title}\n{done.result}\n\n{told}\n\n{where}")
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
 

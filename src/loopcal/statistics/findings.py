@@ -37,10 +37,10 @@ class Findings:
         if self.predictor is not None:
             for unit, sd in self.predictor.usual.items():
                 shown = SHOWN.get(unit, unit)
+                size = significant(float(from_si(sd, shown)), 3)
                 lines.append(
-                    f"sd of a predicted end point caused by the parameters: up to "
-                    f"{significant(float(from_si(sd, shown)), 3)} {shown} at 95 % of these poses; "
-                    "elsewhere ask loopcal predict"
+                    f"prediction: the parameters cause an sd of up to {size} {shown} at 95 % of "
+                    "these poses"
                 )
         return "\n".join(lines + self.identifiability.words())
 
