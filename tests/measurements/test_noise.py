@@ -42,7 +42,7 @@ def rows(uncertainty: ReadingUncertainty) -> list[list[float]]:
     return np.broadcast_to(uncertainty.sd, (len(QUANTITIES), POSES)).tolist()
 
 
-ALL = {"*": 1.0}
+ALL: dict[Any, Any] = {"*": 1.0}
 
 
 def test_names_globs_and_groups_say_one_sd() -> None:
