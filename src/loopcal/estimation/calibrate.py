@@ -15,6 +15,7 @@ from loopcal.errors import InputError, nearest
 from loopcal.estimation.alignment import can_be_placed, placed
 from loopcal.estimation.learning import components, entries, with_model, words
 from loopcal.estimation.noise_estimation import NoiseEstimate, estimate_noise
+from loopcal.estimation.loss import loss_named
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem import BLOCK, Problem, build_problem
 from loopcal.estimation.reduction import spectrum, undetermined
@@ -27,6 +28,7 @@ from loopcal.estimation.result import (
     frozen,
 )
 from loopcal.estimation.reweighted import solve_reweighted
+from loopcal.estimation.robust import robust_covariance, solve_robust
 from loopcal.estimation.scratch import one_blas_thread
 from loopcal.estimation.seed_iteration import iterate_undamped
 from loopcal.estimation.solver import Progress, Solution, solve
@@ -48,6 +50,7 @@ def calibrate(
     noise: Noise | None = None,
     prior: Prior | None = None,
     method: str = "implicit-loop",
+    loss: str = "gaussian",
     start: str | Mapping[str, float] = "auto",
     max_iterations: int = 100,
     progress: Progress | None = None,
@@ -62,6 +65,10 @@ def calibrate(
     weighs the readings as they are by their propagated noise J_x Sigma J_x^T, without letting
     that noise say anything about the parameters: the robust choice where poses are alike and sds
     guessed. "implicit-loop-undamped" is the seed's own iteration, for study.
+
+    loss: "huber" or "student-t" let poses that do not fit count less (`loopcal.estimation.loss`);
+    the covariance is then valid without normal errors, and there is no chi-squared. For the
+    methods "implicit-loop" and "reweighted" with stated sds.
 
     start: "nominal"; "align" moves the nominal machine rigidly to where the instrument sees it;
     "auto" aligns a spatial machine whose placement parameters are free with flat priors; or
@@ -80,6 +87,7 @@ def calibrate(
             remedy="give noise=Noise({...}) with an sd for every quantity, "
             'or use method="least-squares"',
         )
+    _check_loss(loss, method, noise)
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
     if prior is not None:
@@ -89,6 +97,17 @@ def calibrate(
         mechanism, data = with_model(mechanism, data, noise)
     with one_blas_thread():
         problem = _started(mechanism, data, None if exact else noise, start)
+
+        chosen = loss_named(loss)
+        if chosen is not None:
+            robust = solve_robust(
+                problem,
+                chosen,
+                reweighted=method == "reweighted",
+                max_iterations=max_iterations,
+                progress=progress,
+            )
+            return _result(method, problem, robust, data, loss=loss)
 
         def fit(problem: Problem) -> Solution:
             if method == "implicit-loop-undamped":
@@ -104,6 +123,24 @@ def calibrate(
         )
         learnt = replace(estimate.problem, start=problem.start)
         return _result(method, learnt, estimate.solution, data, problem, estimate)
+
+
+def _check_loss(loss: str, method: str, noise: Noise | None) -> None:
+    if loss_named(loss) is None:
+        return
+    if method not in ("implicit-loop", "reweighted"):
+        raise InputError(
+            f"the loss {loss!r} needs to know how far off a pose may be, which the method "
+            f"{method!r} does not",
+            remedy='use method = "implicit-loop" or "reweighted" with the sds of the readings',
+        )
+    if noise is not None and noise.estimate:
+        raise InputError(
+            f"sds cannot be estimated under the loss {loss!r}: how bad readings scatter would "
+            "become part of them",
+            remedy="find the outliers with this loss first and exclude them, then estimate; or "
+            'take the sds as given (leave out "estimate")',
+        )
 
 
 def _started(
@@ -130,8 +167,10 @@ def _result(
     data: Dataset,
     stated: Problem | None = None,
     estimate: NoiseEstimate | None = None,
+    loss: str = "gaussian",
 ) -> Result:
     mechanism, exact = problem.mechanism, method == "least-squares"
+    robust = loss_named(loss)
     names = mechanism.parameters.names
     system = solution.spectrum
     finite = 0 if exact else int(np.isfinite(problem.prior_sd).sum())
@@ -140,13 +179,15 @@ def _result(
     covariance = system.covariance()
     if exact:
         covariance = covariance * (merit / freedom if freedom > 0 else math.inf)
+    if robust is not None:
+        covariance = robust_covariance(problem, solution, robust, reweighted=method == "reweighted")
     identifiability = _identifiability(problem, solution)
     loose = {n for u in identifiability.not_identifiable for n in u.combination}
     sd: dict[str, float | None] = dict.fromkeys(names)
     for i, name in enumerate(problem.names):
         sd[name] = math.inf if name in loose else math.sqrt(max(float(covariance[i, i]), 0.0))
     chi = None
-    if not exact:
+    if not exact and robust is None:
         chi = ChiSquared(merit, freedom, _p_value(merit, freedom), _ratio(merit, freedom))
     quantities = mechanism.tape.quantities
     corrections = solution.corrections
@@ -172,6 +213,7 @@ def _result(
         problem=problem,
         spectrum=solution.spectrum,
         information=solution.sweep.data,
+        loss=loss,
     )
     learnt = () if estimate is None else words(estimate, result.noise, result.chi_squared_shares)
     return replace(

@@ -128,6 +128,32 @@ def build_problem(
     return problem
 
 
+def taken(problem: Problem, index: NDArray[np.intp]) -> Problem:
+    """The same problem on the poses at these positions, in this order; a pose may come twice."""
+    given = problem.uncertainty
+    shape = (len(problem.readings), len(index))
+    sd = given.sd if given.sd.shape[1] == 1 else given.sd[:, index]
+    blocks = tuple(
+        block if block.factor.ndim == 2 else replace(block, factor=block.factor[index])
+        for block in given.blocks
+    )
+    return replace(
+        problem,
+        readings=problem.readings[:, index],
+        known=problem.known[:, index],
+        uncertainty=replace(given, sd=sd, blocks=blocks),
+        poses=tuple(problem.poses[i] for i in index),
+        patterns=_patterns(np.isinf(np.broadcast_to(sd, shape))),
+    )
+
+
+def left_unmeasured(problem: Problem, without: NDArray[np.bool_]) -> Problem:
+    """The same problem as if the readings marked in `without`, (k, N), had not been taken."""
+    sd = np.where(without, np.inf, problem.uncertainty.sd)
+    uncertainty = replace(problem.uncertainty, sd=sd)
+    return replace(problem, uncertainty=uncertainty, patterns=_patterns(np.isinf(sd)))
+
+
 def _check_units(mechanism: Mechanism, dataset: Dataset) -> None:
     for name, unit in {**mechanism.quantities, **mechanism.known}.items():
         given = dataset.units.get(name)

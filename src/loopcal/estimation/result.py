@@ -149,6 +149,7 @@ class Result:
     problem: Problem
     spectrum: Spectrum
     information: Accumulator
+    loss: str = "gaussian"
     warnings: tuple[str, ...] = ()
     restricted_criterion: float | None = None
     """-2 log of the restricted likelihood, up to a constant of the readings, where sds were
