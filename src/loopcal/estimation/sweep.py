@@ -230,8 +230,8 @@ class Sweeper:
             correction = self.reduce(values, at, part).correction
             move = correction - at
             size = _step_in_sds(move, part)
-            if active is None and (last := float(size.max())) * contraction <= tolerance:
-                return Closed(correction, late, last)
+            if active is None and (longest := float(size.max())) * contraction <= tolerance:
+                return Closed(correction, late, longest)
             # A step larger than the one before, or one that is no number, overshot: halve it.
             allowed = np.maximum(2.0 * expected, max(tolerance, NEGLIGIBLE))
             overshot = ~(size <= allowed) & (length > 1e-3)
