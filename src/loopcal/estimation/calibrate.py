@@ -16,7 +16,7 @@ from loopcal.estimation.alignment import can_be_placed, placed
 from loopcal.estimation.learning import components, entries, with_model, words
 from loopcal.estimation.noise_estimation import NoiseEstimate, estimate_noise
 from loopcal.estimation.loss import loss_named
-from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem import BLOCK, Problem, build_problem
 from loopcal.estimation.reduction import spectrum, undetermined
 from loopcal.estimation.result import (
@@ -282,20 +282,7 @@ def _accuracy(
     units = {mechanism.quantities[q] for q in mechanism.outputs}
     if len(units) != 1:
         return None
-    rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
-    differences = np.full((len(rows), len(problem.poses)), np.nan)
-    for pattern in problem.patterns:
-        if set(pattern.unmeasured) & set(rows):
-            continue  # nothing was measured that the prediction could be compared with
-        if len(rows) + len(pattern.unmeasured) > len(mechanism.tape.loops):
-            continue  # the other readings do not say where the outputs are
-        x = problem.readings[:, pattern.poses]
-        if corrections is not None and pattern.unmeasured:
-            x = x.copy()
-            x[list(pattern.unmeasured)] += corrections[list(pattern.unmeasured)][:, pattern.poses]
-        known = problem.known[:, pattern.poses]
-        computed = predict_outputs(mechanism, parameters, x, known, pattern.unmeasured)
-        differences[:, pattern.poses] = computed - problem.readings[rows][:, pattern.poses]
+    differences = output_differences(problem, parameters, corrections)
     return Accuracy.of(differences, units.pop())
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.kernel import eliminate
-from loopcal.estimation.problem import BLOCK
+from loopcal.estimation.problem import BLOCK, Problem
 from loopcal.expressions.engine import engine_for
 from loopcal.mechanisms.mechanism import Mechanism
 
@@ -51,3 +51,29 @@ def predict_outputs(
         x[:, lost] = np.nan
         out[:, part] = x[wanted]
     return out
+
+
+def output_differences(
+    problem: Problem, parameters: Array, corrections: Array | None = None
+) -> Array:
+    """Computed minus measured outputs (o, N) [SI]; NaN where nothing can be compared.
+
+    Computed from the other readings as they are; unmeasured quantities come from the loops,
+    beginning at their corrections.
+    """
+    mechanism = problem.mechanism
+    rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
+    differences = np.full((len(rows), len(problem.poses)), np.nan)
+    for pattern in problem.patterns:
+        if set(pattern.unmeasured) & set(rows):
+            continue  # nothing was measured that the prediction could be compared with
+        if len(rows) + len(pattern.unmeasured) > len(mechanism.tape.loops):
+            continue  # the other readings do not say where the outputs are
+        x = problem.readings[:, pattern.poses]
+        if corrections is not None and pattern.unmeasured:
+            x = x.copy()
+            x[list(pattern.unmeasured)] += corrections[list(pattern.unmeasured)][:, pattern.poses]
+        known = problem.known[:, pattern.poses]
+        computed = predict_outputs(mechanism, parameters, x, known, pattern.unmeasured)
+        differences[:, pattern.poses] = computed - problem.readings[rows][:, pattern.poses]
+    return differences

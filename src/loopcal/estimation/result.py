@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.on_request import Interval, Validation
 from loopcal.estimation.problem import Problem
 from loopcal.estimation.reduction import Accumulator, Spectrum
 from loopcal.estimation.status import Status
@@ -155,6 +156,10 @@ class Result:
     """-2 log of the restricted likelihood, up to a constant of the readings, where sds were
     estimated: the difference between two models of the same readings is what counts."""
     errors: Mapping[str, float] | None = None
+    validation: Validation | None = None
+    """Accuracy on poses that were not used, where it was asked for."""
+    intervals: Mapping[str, Interval | None] = field(default_factory=dict)
+    """Confidence intervals of the parameters that were asked for."""
 
     @property
     def chi_squared_shares(self) -> Mapping[str, float]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from loopcal.estimation.rounding import rounded_by_sd, significant
 from loopcal.units import from_si
 
 if TYPE_CHECKING:
+    from loopcal.estimation.on_request import Validation
     from loopcal.estimation.result import Accuracy, Result
 
 SHOWN = {"m": "mm", "rad": "deg"}
@@ -35,6 +36,8 @@ def summary(result: Result) -> str:
     lines += ["", *parameter_table(result)]
     if result.errors is not None:
         lines.append("(error: true minus estimate)")
+    if result.intervals:
+        lines += ["", *interval_table(result)]
     for warning in result.warnings:
         lines += ["", f"WARNING  {warning}"]
     return "\n".join(lines)
@@ -77,11 +80,41 @@ def _accuracy(result: Result) -> list[str]:
             return ["accuracy: the mechanism names no outputs that a model could predict"]
         return ["accuracy: unknown, for no pose measures all outputs and what predicts them"]
     unit = SHOWN.get(after.unit, after.unit)
-    rows = [["accuracy", f"mean [{unit}]", "rms", "95 %", "max"]]
-    for name, accuracy in (("nominal", before), ("calibrated", after)):
-        rows.append([name, *_distances(accuracy, unit)])
+    shown = {"nominal": before, "calibrated": after}
     note = "(computed from the other readings minus measured, on the poses used for the fit)"
-    return [*columns(rows), note]
+    notes = [note]
+    if result.validation is not None:
+        if result.validation.accuracy is not None:
+            shown["on poses not used"] = result.validation.accuracy
+            notes = [note[:-1] + f"; poses not used: {result.validation.words})"]
+        notes += _likelihood(result.validation)
+    return [*_accuracy_table(shown, unit), *notes]
+
+
+def _accuracy_table(shown: Mapping[str, Accuracy], unit: str) -> list[str]:
+    rows = [["accuracy", f"mean [{unit}]", "rms", "95 %", "max"]]
+    rows += [[name, *_distances(accuracy, unit)] for name, accuracy in shown.items()]
+    return columns(rows)
+
+
+def _likelihood(validation: Validation) -> list[str]:
+    if validation.log_likelihood is None:
+        return []
+    value = significant(validation.log_likelihood, 6)
+    return [f"log-likelihood of poses not used: {value} (only differences count)"]
+
+
+def validation_table(validations: Mapping[str, Validation]) -> list[str]:
+    """One line for each method that was validated on the same poses: accuracy, log-likelihood."""
+    units = {v.accuracy.unit for v in validations.values() if v.accuracy is not None}
+    unit = SHOWN.get(one, one) if (one := next(iter(units), "")) else ""
+    head = ["on poses not used", f"mean [{unit}]", "rms", "95 %", "max", "log-likelihood"]
+    rows = [head]
+    for name, found in validations.items():
+        told = [""] * 4 if found.accuracy is None else _distances(found.accuracy, unit)
+        likely = found.log_likelihood
+        rows.append([name, *told, "" if likely is None else f"{likely:.1f}"])
+    return columns(rows)
 
 
 def _distances(accuracy: Accuracy, unit: str) -> list[str]:
@@ -134,6 +167,27 @@ def parameter_table(result: Result) -> list[str]:
             row.insert(4, _error(result.errors.get(parameter.name), its_sd, unit))
         rows.append(row)
     return columns(rows)
+
+
+def interval_table(result: Result) -> list[str]:
+    """Confidence intervals, by covariance and by profile; those that differ are marked."""
+    known = [i for i in result.intervals.values() if i is not None]
+    level = f"{known[0].level:.0%} " if known else ""
+    rows = [[f"{level}interval", "from", "to", "profile from", "to", "", "unit"]]
+    for name, its in result.intervals.items():
+        parameter = result.mechanism.parameters[name]
+        unit = SHOWN.get(parameter.unit, parameter.unit)
+        if its is None:
+            rows.append([name, "", "", "", "", "fixed" if parameter.fixed else "unbounded", unit])
+            continue
+        sd = from_si(result.sd[name] or 1.0, unit)
+        ends = (its.low, its.high, its.profile_low, its.profile_high)
+        told = ["none" if e is None else rounded_by_sd(from_si(e, unit), sd) for e in ends]
+        rows.append([name, *told, "differs" if its.differs else "", unit])
+    lines = columns(rows)
+    if any(i.differs for i in known):
+        lines.append("(differs: trust the profile; the covariance misses how the model curves)")
+    return lines
 
 
 def _error(error: float | None, sd: float | None, unit: str) -> str:

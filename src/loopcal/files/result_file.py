@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from loopcal.estimation.on_request import Interval
 from loopcal.estimation.result import Accuracy, Closure, Result
 from loopcal.files.atomic import write_files
 from loopcal.files.json_reader import read_json
@@ -87,7 +88,7 @@ def result_document(
         "accuracy": before
         and after
         and {"unit": before.unit, "before": _distances(before), "after": _distances(after)},
-        "validation": None,
+        "validation": _validation(result),
         "identifiability": _identifiability(result),
         "observability": None,
         "prediction": None,
@@ -174,9 +175,34 @@ def _parameters(result: Result) -> list[dict[str, Any]]:
                 "fixed": parameter.fixed,
                 "identifiable": None if sd is None else name not in _loose(result),
                 "error": errors.get(name),
+                "interval": _interval(result.intervals.get(name)),
             }
         )
     return entries
+
+
+def _interval(interval: Interval | None) -> dict[str, Any] | None:
+    if interval is None:
+        return None
+    return {
+        "level": interval.level,
+        "covariance": [interval.low, interval.high],
+        "profile": [interval.profile_low, interval.profile_high],
+        "differs": interval.differs,
+    }
+
+
+def _validation(result: Result) -> dict[str, Any] | None:
+    found = result.validation
+    if found is None:
+        return None
+    return {
+        "scheme": dict(found.scheme),
+        "words": found.words,
+        "poses": len(found.poses),
+        "accuracy": found.accuracy and _distances(found.accuracy),
+        "log_likelihood": found.log_likelihood,
+    }
 
 
 def _loose(result: Result) -> set[str]:

@@ -25,6 +25,15 @@ class StatusEntry(Model):
     iterations: Count = Field(description="Parameter steps tried.")
 
 
+class IntervalEntry(Model):
+    """Confidence interval of a parameter: from its covariance, and by profile likelihood."""
+
+    level: Probability
+    covariance: list[Finite] = Field(description="Lower and upper end.")
+    profile: list[Finite | None] = Field(description="The same; null: chi-squared never rises.")
+    differs: bool = Field(description="By more than a tenth of the half width at an end.")
+
+
 class ParameterEntry(Model):
     """One parameter of the mechanism."""
 
@@ -41,6 +50,9 @@ class ParameterEntry(Model):
     identifiable: bool | None = Field(description="By data and prior; null where fixed.")
     error: Finite | None = Field(
         description="True minus estimate, where the truth of a simulation was given."
+    )
+    interval: IntervalEntry | None = Field(
+        default=None, description="Null where it was not asked for, or nothing bounds it."
     )
 
 
@@ -115,6 +127,18 @@ class AccuracyEntry(Model):
     unit: str
     before: Distances = Field(description="With the nominal parameters.")
     after: Distances = Field(description="With the calibrated parameters.")
+
+
+class ValidationEntry(Model):
+    """How well poses were predicted that took no part in the fit."""
+
+    scheme: dict[str, Any] = Field(description="What was left out, as the project asks for it.")
+    words: str
+    poses: Count = Field(description="Poses that were predicted.")
+    accuracy: Distances | None = Field(description="In the unit of `accuracy`; null: no outputs.")
+    log_likelihood: Finite | None = Field(
+        description="Predictive, summed over the poses; null where the method has none."
+    )
 
 
 class UndeterminedEntry(Model):
@@ -241,7 +265,7 @@ class ResultDocument(Model):
     accuracy: AccuracyEntry | None = Field(
         description="Null where the mechanism has no outputs, or outputs of several units."
     )
-    validation: None = Field(description="Null: no validation was made.")
+    validation: ValidationEntry | None = Field(description="Null: no validation was made.")
     identifiability: IdentifiabilityEntry
     observability: ObservabilityEntry | None = Field(description="Null: not computed.")
     prediction: PredictionEntry | None = Field(

@@ -1,0 +1,102 @@
+"""What a comparison knows of a calibration: from a result, or from what was written of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.result import Result
+from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """A calibrated machine and how sure it is.
+
+    mechanism: with the calibrated values; covariance: (n_all, n_all) [SI], zero for fixed
+    parameters; undetermined: (n_all, d) steps [SI] that neither data nor prior limit; nominal,
+    prior_sd: (n_all,) what was known before; poses: its readings; data: what tells the readings
+    apart from others; p_value: of its own chi-squared.
+    """
+
+    name: str
+    mechanism: Mechanism
+    covariance: Array
+    undetermined: Array
+    nominal: Array
+    prior_sd: Array
+    poses: Dataset | None
+    data: str | None
+    p_value: float | None
+
+    @classmethod
+    def of(cls, result: Result, name: str) -> Calibrated:
+        """From a result."""
+        system, parameters = result.spectrum, result.mechanism.parameters
+        exact = result.method == "least-squares"
+        loose = system.scale[:, None] * system.directions[:, ~system.kept]
+        free = result.problem.free
+        return cls(
+            name,
+            result.calibrated,
+            _spread(result.covariance, free, len(parameters)),
+            _rows(loose, free, len(parameters)),
+            np.array([p.nominal for p in parameters]),
+            np.array([math.inf if exact else p.prior_sd for p in parameters]),
+            result.dataset,
+            result.dataset.source.sha256 or str(id(result.dataset)),
+            None if result.chi_squared is None else result.chi_squared.p_value,
+        )
+
+    @classmethod
+    def from_document(
+        cls, document: Mapping[str, Any], mechanism: Mechanism, poses: Dataset | None, name: str
+    ) -> Calibrated:
+        """From the content of result.json and the calibrated mechanism beside it."""
+        names = mechanism.parameters.names
+        entries = {entry["name"]: entry for entry in document["parameters"]}
+        estimated = document["covariance"]["names"]
+        free = np.array([names.index(n) for n in estimated], dtype=np.intp)
+        matrix = np.array(document["covariance"]["matrix"], dtype=float).reshape((len(free),) * 2)
+        known = document.get("prediction") or {}
+        if known.get("covariance") is not None:
+            covariance = np.array(known["covariance"], dtype=float)
+            loose = np.array(known["undetermined"], dtype=float).reshape(-1, len(free)).T
+        else:
+            # a parameter without covariance is one that nothing limits
+            open_ = np.isnan(np.diag(matrix))
+            covariance, loose = np.nan_to_num(matrix), np.eye(len(free))[:, open_]
+        prior = [entries[n]["prior_sd"] for n in names]
+        exact = document["method"] == "least-squares"
+        chi = document["chi_squared"]
+        return cls(
+            name,
+            mechanism.with_nominal({n: entries[n]["value"] for n in names}),
+            _spread(covariance, free, len(names)),
+            _rows(loose, free, len(names)),
+            np.array([entries[n]["nominal"] for n in names]),
+            np.array([math.inf if exact or sd is None else sd for sd in prior]),
+            poses,
+            document["data"]["sha256"],
+            chi and chi["p_value"],
+        )
+
+
+def _spread(covariance: Array, free: NDArray[np.intp], size: int) -> Array:
+    whole = np.zeros((size, size))
+    whole[np.ix_(free, free)] = covariance
+    return whole
+
+
+def _rows(part: Array, free: NDArray[np.intp], size: int) -> Array:
+    whole = np.zeros((size, part.shape[1]))
+    whole[free] = part
+    return whole

@@ -1,0 +1,207 @@
+"""What a comparison of two calibrations found, as values, a document and words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.rounding import rounded_by_sd, significant
+from loopcal.estimation.summary import SHOWN, columns
+from loopcal.units import from_si
+
+Array = NDArray[np.float64]
+SIGNIFICANT = 0.05
+_NAMED = 3
+
+
+@dataclass(frozen=True)
+class ParameterDifference:
+    """One parameter [SI]: of A, of B brought to A, B minus A with its sd, and their ratio z.
+
+    sd: None where one of the calibrations does not determine the parameter.
+    """
+
+    name: str
+    unit: str
+    a: float
+    b: float
+    difference: float
+    sd: float | None
+    z: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class PointDifference:
+    """B minus A at common poses: difference (N, o) and covariance (N, o, o) [SI].
+
+    rms, max: of the distances; worst: the pose of the largest, sd: of that distance; inside:
+    share of the poses whose difference lies in the 95 % region of its covariance.
+    """
+
+    poses: tuple[str, ...]
+    difference: Array
+    covariance: Array
+    rms: float
+    max: float
+    worst: str
+    sd: float
+    inside: float
+
+    @classmethod
+    def of(
+        cls,
+        ids: tuple[str, ...],
+        delta: Array,
+        covariance: Array,
+        distance: Array,
+        square: Array,
+        free: NDArray[np.bool_] | None,
+    ) -> PointDifference:
+        """From differences, their distances and squares in sds; free: without any bound."""
+        from scipy.special import chdtri
+
+        worst = int(np.argmax(distance))
+        direction = delta[worst] / max(float(distance[worst]), 1e-300)
+        limit = float(chdtri(delta.shape[1], 0.05))
+        within = square <= limit
+        if free is not None:
+            within = within | free
+        return cls(
+            ids,
+            delta,
+            covariance,
+            float(np.sqrt(np.square(distance).mean())),
+            float(distance[worst]),
+            ids[worst],
+            float(np.sqrt(max(direction @ covariance[worst] @ direction, 0.0))),
+            float(within.mean()),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """The comparison of calibrations A and B.
+
+    aligned: whether B was brought to A; points: None without outputs; chi_squared, with
+    degrees_of_freedom: of the difference between the machines; notes: what must be known.
+    """
+
+    a: str
+    b: str
+    aligned: bool
+    parameters: tuple[ParameterDifference, ...]
+    points: PointDifference | None
+    chi_squared: float
+    degrees_of_freedom: int
+    notes: tuple[str, ...]
+
+    @property
+    def p_value(self) -> float | None:
+        """Probability of a difference at least this large between two right calibrations."""
+        from scipy.special import chdtrc
+
+        if not self.degrees_of_freedom:
+            return None
+        return float(chdtrc(self.degrees_of_freedom, self.chi_squared))
+
+    def document(self) -> dict[str, Any]:
+        """Plain values, SI, for JSON."""
+        points = self.points
+        return {
+            "a": self.a,
+            "b": self.b,
+            "aligned": self.aligned,
+            "words": self.verdict(),
+            "chi_squared": {
+                "value": self.chi_squared,
+                "degrees_of_freedom": self.degrees_of_freedom,
+                "p_value": self.p_value,
+            },
+            "common_poses": points
+            and {
+                "poses": len(points.poses),
+                "rms": points.rms,
+                "max": points.max,
+                "worst_pose": points.worst,
+                "sd_of_max": points.sd,
+                "inside_95": points.inside,
+            },
+            "parameters": [asdict(parameter) for parameter in self.parameters],
+            "notes": list(self.notes),
+        }
+
+    def verdict(self) -> str:
+        """The answer in a sentence or two."""
+        p = self.p_value
+        if p is None:
+            return "Nothing that both calibrations determine could differ."
+        where = "" if self.points is None else _where(self.points)
+        told = f"p = {p:.2g}"
+        if p >= SIGNIFICANT:
+            return f"The two machines agree within their stated uncertainty: {where}{told}."
+        tested = [q for q in self.parameters if q.z is not None and abs(q.z) > 2.0]
+        most = sorted(tested, key=lambda q: -abs(q.z or 0.0))[:_NAMED]
+        named = ", ".join(f"{q.name} (z = {q.z:+.1f})" for q in most)
+        blame = f" Most: {named}." if named else " No single parameter shows it, together they do."
+        return (
+            "The two machines differ by more than their stated uncertainty explains: "
+            f"{where}{told}.{blame}"
+        )
+
+    def __str__(self) -> str:
+        head = f"A: {self.a}\nB: {self.b}"
+        head += ", moved to where it agrees best with A" if self.aligned else ""
+        fit = (
+            f"chi-squared of the difference {significant(self.chi_squared, 4)} at "
+            f"{self.degrees_of_freedom} degrees of freedom"
+        )
+        lines = [head, "", self.verdict(), fit]
+        if self.points is not None:
+            lines.append(
+                f"{self.points.inside:.0%} of {len(self.points.poses)} common poses differ by no "
+                "more than their own 95 % region"
+            )
+        lines += ["", *_table(self.parameters)]
+        for note in self.notes:
+            lines += ["", f"NOTE  {note}"]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        return f"<pre>{escape(str(self))}</pre>"
+
+
+def _where(points: PointDifference) -> str:
+    # outputs of several units have no one distance; those of an arm are all lengths
+    most, sd, rms = (
+        significant(from_si(v, SHOWN["m"]), 3) for v in (points.max, points.sd, points.rms)
+    )
+    return (
+        f"largest {most} mm (sd {sd} mm, pose {points.worst}), rms {rms} mm at "
+        f"{len(points.poses)} common poses, "
+    )
+
+
+def _table(parameters: Sequence[ParameterDifference]) -> list[str]:
+    rows = [["parameter", "A", "B", "B - A", "sd", "z", "unit"]]
+    for p in parameters:
+        unit = SHOWN.get(p.unit, p.unit)
+        a, b, change = (from_si(v, unit) for v in (p.a, p.b, p.difference))
+        if p.sd:
+            sd = from_si(p.sd, unit)
+            cells = [
+                rounded_by_sd(a, sd),
+                rounded_by_sd(b, sd),
+                rounded_by_sd(change, sd, sign=True),
+            ]
+            rows.append([p.name, *cells, significant(sd, 2), f"{p.z:+.1f}", unit])
+        else:
+            cells = [significant(v, 9) for v in (a, b)] + [significant(change, 3)]
+            sd_words = "unknown" if p.sd is None else "none"
+            rows.append([p.name, *cells, sd_words, "", unit])
+    return columns(rows)

@@ -1,0 +1,267 @@
+"""Two calibrations of one machine: do they say the same, and where do they not?
+
+With p_A, p_B the two parameter sets, B first moved to where it agrees best with A at common
+poses, d = p_B - p_A has the covariance
+
+    C = C_A + C_B - C_A L C_B - C_B L C_A,   L = diag(1 / prior_sd^2) of the priors both share,
+
+because what both took from the same drawing is no difference. Moving takes away the part of d
+that only says where the instrument stood: d' = P d, P = 1 - G (S G)^+ S, with S = dy/dp at the
+common poses and G the gauge (`gauge`). The test uses the contrasts K with K^T G = 0, and zero on
+everything that either calibration left undetermined:
+
+    chi^2 = (K^T d)^T (K^T C K)^+ (K^T d),   degrees of freedom: the rank of K^T C K
+
+(Rao and Mitra, Generalized Inverse of Matrices and its Applications, 1971, section 9.2). It does
+not depend on how the alignment was weighted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.alignment import align
+from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.result import Result
+from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.compared import Compared, ParameterDifference, PointDifference
+from loopcal.statistics.gauge import carried, difference, gauge, moved, values_of
+from loopcal.statistics.sensitivity import output_sensitivity
+
+Array = NDArray[np.float64]
+MOST_POSES = 500
+"""Common poses from each calibration, evenly thinned."""
+_RANK = 1e-12
+"""Variances this far below the largest, of contrasts in sds, are rounding."""
+
+
+def compare(
+    a: Result | Calibrated,
+    b: Result | Calibrated,
+    *,
+    poses: Dataset | None = None,
+    align: bool = True,
+) -> Compared:
+    """What differs between two calibrations of one machine, and whether that means anything.
+
+    poses: readings [SI] of the quantities that are not outputs, where the machines are compared;
+    by default those of both calibrations. align: B is first moved to where it agrees best with
+    A, as another place of the instrument demands; False: both stand in the same frame.
+
+    Raises InputError where the two are not the same machine, or no poses are known.
+    """
+    a = Calibrated.of(a, "A") if isinstance(a, Result) else a
+    b = Calibrated.of(b, "B") if isinstance(b, Result) else b
+    _check_same(a.mechanism, b.mechanism)
+    aligned = align and a.mechanism.placement is not None and len(a.mechanism.outputs) in (2, 3)
+    points = _points(a, b, poses) if a.mechanism.outputs else None
+    if aligned and points is not None:
+        b, motion = _brought(b, points)
+        points = replace(points, b=motion @ _extended(points.b))
+        G = gauge(a.mechanism, values_of(a.mechanism), points.a.mean(axis=1))
+    else:
+        aligned, G = False, np.zeros((len(a.nominal), 0))
+    d = difference(a.mechanism, values_of(a.mechanism), values_of(b.mechanism))
+    C = _covariance(a, b)
+    loose = np.hstack([a.undetermined, b.undetermined])
+    P = np.eye(len(d))
+    if G.shape[1] and points is not None:
+        stacked = points.S.reshape(-1, len(d))
+        P = P - G @ np.linalg.lstsq(stacked @ G, stacked, rcond=None)[0]
+    value, freedom = _statistic(d, C, np.hstack([G, loose]))
+    spread = P @ C @ P.T
+    return Compared(
+        a.name,
+        b.name,
+        aligned,
+        _parameters(a, b, d, spread, P @ loose),
+        None if points is None else _differences(points, spread, points.S @ (P @ loose)),
+        value,
+        freedom,
+        _notes(a, b, aligned),
+    )
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Predicted points (o, N) of both machines at common poses, and S (N, o, n_all) of A."""
+
+    a: Array
+    b: Array
+    S: Array
+    ids: tuple[str, ...]
+
+
+def _check_same(a: Mechanism, b: Mechanism) -> None:
+    if a.parameters.names != b.parameters.names or a.outputs != b.outputs:
+        own = [n for n in a.parameters.names if n not in b.parameters.names]
+        its = [n for n in b.parameters.names if n not in a.parameters.names]
+        words = f": only A has {', '.join(own) or 'none'}, only B {', '.join(its) or 'none'}"
+        raise InputError(
+            f"the two calibrations do not describe the same machine{words}",
+            remedy="compare results of one mechanism, with the same parameters and outputs",
+        )
+
+
+def _points(a: Calibrated, b: Calibrated, poses: Dataset | None) -> _Points | None:
+    sets = [poses] if poses is not None else [c.poses for c in (a, b) if c.poses is not None]
+    if not sets:
+        raise InputError(
+            "no common poses are known at which the machines could be compared",
+            remedy="give poses: the readings of the joints",
+        )
+    chosen = sets if poses is not None else [_thinned(s) for s in sets]
+    y_a, y_b = (np.hstack([_predicted(c.mechanism, s) for s in chosen]) for c in (a, b))
+    found = np.isfinite(y_a).all(axis=0) & np.isfinite(y_b).all(axis=0)
+    if not found.any():
+        return None
+    S = np.concatenate([_sensitivity(a.mechanism, s) for s in chosen])
+    ids = tuple(i for s in chosen for i in s.poses)
+    kept = np.flatnonzero(found)
+    return _Points(y_a[:, kept], y_b[:, kept], S[kept], tuple(ids[i] for i in kept))
+
+
+def _thinned(data: Dataset) -> Dataset:
+    return data.take(slice(None, None, -(-len(data) // MOST_POSES)))
+
+
+def _readings(mechanism: Mechanism, data: Dataset) -> tuple[Array, Array]:
+    """x (k, N) and known (c, N); a quantity that is not there, or an output, starts at zero."""
+    nothing = np.zeros(len(data))
+    found = [data.readings.get(q, nothing) for q in mechanism.tape.quantities]
+    outputs = [q in mechanism.outputs for q in mechanism.tape.quantities]
+    x = np.array([np.nan_to_num(v) if out else v for v, out in zip(found, outputs, strict=True)])
+    lacking = [
+        q
+        for q in (*mechanism.tape.quantities, *mechanism.tape.known)
+        if q not in data.readings and q not in mechanism.outputs and not q.startswith("model_")
+    ]
+    if lacking:
+        raise InputError(
+            f"the common poses have no readings of {', '.join(map(repr, lacking))}",
+            remedy="give poses with a column for each quantity that is not an output",
+        )
+    known = np.array([data.readings[q] for q in mechanism.tape.known])
+    return x, known.reshape(-1, len(data))
+
+
+def _predicted(mechanism: Mechanism, data: Dataset) -> Array:
+    x, known = _readings(mechanism, data)
+    return predict_outputs(mechanism, values_of(mechanism), x, known)
+
+
+def _sensitivity(mechanism: Mechanism, data: Dataset) -> Array:
+    x, known = _readings(mechanism, data)
+    values, rows = (
+        values_of(mechanism),
+        [mechanism.tape.quantities.index(q) for q in mechanism.outputs],
+    )
+    x[rows] = predict_outputs(mechanism, values, x, known)
+    return output_sensitivity(mechanism, values, mechanism.parameters.names, x, known).by_parameter
+
+
+def _extended(points: Array) -> Array:
+    return np.vstack([points, np.ones((1, points.shape[1]))])
+
+
+def _brought(b: Calibrated, points: _Points) -> tuple[Calibrated, Array]:
+    """B moved to A, and the motion as a matrix (o, o + 1)."""
+    motion = align(points.b, points.a)
+    machine, values = b.mechanism, values_of(b.mechanism)
+    M = carried(machine, values, motion.rotation, motion.shift)
+    new = moved(machine, values, motion.rotation, motion.shift)
+    named = dict(zip(machine.parameters.names, new.tolist(), strict=True))
+    brought = replace(
+        b,
+        mechanism=machine.with_nominal(named),
+        covariance=M @ b.covariance @ M.T,
+        undetermined=M @ b.undetermined,
+    )
+    return brought, np.column_stack([motion.rotation, motion.shift])
+
+
+def _covariance(a: Calibrated, b: Calibrated) -> Array:
+    """Of p_B - p_A; a prior that both share counts once."""
+    same = np.isfinite(a.prior_sd) & (a.prior_sd == b.prior_sd) & (a.prior_sd > 0.0)
+    close = np.abs(a.nominal - b.nominal) <= 1e-6 * np.where(same, a.prior_sd, 1.0)
+    precision = np.where(same & close, 1.0 / np.square(np.where(same, a.prior_sd, 1.0)), 0.0)
+    shared = a.covariance @ (precision[:, None] * b.covariance)
+    total: Array = a.covariance + b.covariance - shared - shared.T
+    return total
+
+
+def _statistic(d: Array, C: Array, left_out: Array) -> tuple[float, int]:
+    """chi^2 of the contrasts that feel nothing of these directions, and its rank."""
+    sd = np.sqrt(np.maximum(np.diag(C), 0.0))
+    fixed = sd == 0.0  # in both: not what the calibrations say
+    scale = np.where(fixed, 1.0, sd)
+    directions = left_out / scale[:, None]
+    directions = directions / np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
+    U, s, _ = np.linalg.svd(np.hstack([directions, np.zeros((len(d), 1))]))
+    K = U[:, int((s > 1e-9).sum()) :]
+    values, vectors = np.linalg.eigh(K.T @ (C / scale / scale[:, None]) @ K)
+    kept = values > _RANK * max(float(values.max(initial=0.0)), 1e-300)
+    z = vectors[:, kept].T @ (K.T @ (d / scale))
+    return float(np.square(z / np.sqrt(values[kept])).sum()), int(kept.sum())
+
+
+def _parameters(
+    a: Calibrated, b: Calibrated, d: Array, spread: Array, loose: Array
+) -> tuple[ParameterDifference, ...]:
+    sds = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    size = np.abs(loose).max(axis=1, initial=0.0)
+    unknown = size > 1e-6 * size.max(initial=0.0)
+    found = []
+    for i, parameter in enumerate(a.mechanism.parameters):
+        value = parameter.nominal
+        sd = None if unknown[i] else float(sds[i])
+        z = float(d[i]) / sd if sd else None
+        found.append(
+            ParameterDifference(
+                parameter.name, parameter.unit, value, value + float(d[i]), float(d[i]), sd, z
+            )
+        )
+    return tuple(found)
+
+
+def _differences(points: _Points, spread: Array, loose: Array) -> PointDifference:
+    delta = (points.b - points.a).T
+    covariance = points.S @ spread @ points.S.transpose(0, 2, 1)
+    distance = np.linalg.norm(delta, axis=1)
+    inverse = np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
+    square = np.einsum("no,nop,np->n", delta, inverse, delta)
+    size = np.abs(points.S).max() * np.abs(loose).max(initial=0.0)
+    free = np.abs(loose).max(axis=(1, 2), initial=0.0) > 1e-9 * size if size else None
+    return PointDifference.of(points.ids, delta, covariance, distance, square, free)
+
+
+def _notes(a: Calibrated, b: Calibrated, aligned: bool) -> tuple[str, ...]:
+    notes: list[str] = []
+    if not aligned:
+        notes.append(
+            "The parameters are compared as they stand: differences include where the "
+            "instrument stood, if it was moved in between."
+        )
+    if a.data is not None and a.data == b.data:
+        notes.append(
+            "Both come from the same readings, so they share the errors of these: the sds of the "
+            "differences, which take them as independent, are too large and p errs towards 1."
+        )
+    doubtful = [c.name for c in _rejected((a, b))]
+    if doubtful:
+        notes.append(
+            f"Chi-squared rejects the sds of {' and '.join(doubtful)} itself: the sds here are too "
+            "small, and a small p may say no more than that."
+        )
+    return tuple(notes)
+
+
+def _rejected(both: Sequence[Calibrated]) -> list[Calibrated]:
+    return [c for c in both if c.p_value is not None and c.p_value < 1e-3]

@@ -1,0 +1,226 @@
+"""Confidence intervals of parameters: from the covariance, and by profile likelihood.
+
+The profile of a parameter is chi-squared minimised over all others while it is held. Where it
+has risen by the quantile of chi-squared with one degree of freedom (3.84 for 95 %), there the
+interval ends: Venzon and Moolgavkar (1988); Bates and Watts, Nonlinear Regression Analysis and
+Its Applications (1988), section 6.1.2. It knows of curvature, of which the covariance, taken at
+one point, knows nothing. Least squares knows no sds: there the rise counts in residual variances,
+and its quantile is that of F with one and the residual degrees of freedom, the square of
+Student's t.
+
+Sds that were estimated are held at what the calibration of all poses found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.on_request import Interval
+from loopcal.estimation.problem import Problem
+from loopcal.estimation.result import Result
+from loopcal.estimation.scratch import one_blas_thread
+from loopcal.estimation.solver import Solution, solve
+from loopcal.mechanisms.parameters import matching
+
+Array = NDArray[np.float64]
+LIKELIHOODS = ("implicit-loop", "implicit-loop-undamped", "least-squares")
+"""Methods that minimise one function of the parameters."""
+DIFFERS = 0.1
+"""Share of the half width by which an end may differ before the interval is marked."""
+_CLOSE = 1e-3
+"""The root is found when the rise is right to this much of a standard deviation."""
+_MOST = 30
+_FARTHEST = 1e3
+"""Sds out to which a profile is followed."""
+
+
+def covariance_interval(result: Result, name: str, level: float = 0.95) -> Interval | None:
+    """The interval value +- quantile * sd; None where fixed or not identifiable.
+
+    quantile: of the normal distribution, for least squares of Student's t.
+    """
+    sd = result.sd[name]
+    if sd is None or not math.isfinite(sd):
+        return None
+    half = _quantile(result, level) * sd
+    value = result.value[name]
+    return Interval(level, value - half, value + half, None, None, False)
+
+
+def intervals(
+    result: Result, patterns: str | Iterable[str] = "*", *, level: float = 0.95
+) -> Mapping[str, Interval | None]:
+    """Confidence intervals of the parameters that match, both ways, by name.
+
+    None for a parameter that is fixed or not identifiable: nothing bounds it.
+
+    Raises InputError for a name that stands for none, a level that is none, a method without
+    likelihood (reweighted), and where a calibration did not converge.
+    """
+    if not 0.0 < level < 1.0:
+        raise InputError(f"{level:g} is no level", remedy="give a number below 1, say 0.95")
+    _check(result)
+    patterns = [patterns] if isinstance(patterns, str) else list(patterns)
+    everything = result.mechanism.parameters.names
+    wanted = {n for p in patterns for n in matching(p, everything, "parameter")}
+    found: dict[str, Interval | None] = {}
+    with one_blas_thread():
+        for name in everything:
+            if name in wanted:
+                found[name] = _both(result, name, level)
+    return MappingProxyType(found)
+
+
+def _check(result: Result) -> None:
+    if result.method not in LIKELIHOODS:
+        raise InputError(
+            f"the method {result.method!r} maximises no likelihood that could be profiled",
+            remedy='calibrate with method = "implicit-loop" or "least-squares"',
+        )
+    if not result.status.converged:
+        raise InputError(
+            f"the fit did not converge ({result.status.reason}), so there is nothing to profile",
+            remedy=result.status.message,
+        )
+
+
+def _quantile(result: Result, level: float) -> float:
+    from scipy.special import ndtri, stdtrit
+
+    if result.method == "least-squares":
+        freedom = result.problem.equations - result.spectrum.rank
+        return float(stdtrit(freedom, 0.5 + 0.5 * level))
+    return float(ndtri(0.5 + 0.5 * level))
+
+
+def _both(result: Result, name: str, level: float) -> Interval | None:
+    plain = covariance_interval(result, name, level)
+    if plain is None:
+        return None
+    quantile = _quantile(result, level)
+    profile = _Profile.of(result, name)
+    low, high = (_root(profile, side * quantile) for side in (-1.0, 1.0))
+    half = 0.5 * (plain.high - plain.low)
+    off = [
+        end is None or abs(end - straight) > DIFFERS * half
+        for end, straight in ((low, plain.low), (high, plain.high))
+    ]
+    return replace(plain, profile_low=low, profile_high=high, differs=any(off))
+
+
+@dataclass(frozen=True)
+class _Profile:
+    """The signed root of the rise of chi-squared over a parameter, in its own sds."""
+
+    value: float
+    sd: float
+    root: Callable[[float], float | None]
+
+    @classmethod
+    def of(cls, result: Result, name: str) -> _Profile:
+        whole, exact = result.problem, result.method == "least-squares"
+        j = whole.names.index(name)
+        held = _held(whole, j)
+        position = int(whole.free[j])
+        best = np.array([result.value[n] for n in whole.mechanism.parameters.names])
+        covariance = result.covariance
+        slope = np.delete(covariance[:, j], j) / covariance[j, j]
+        variance, sd = 1.0, result.sd[name]
+        assert sd is not None
+        least = _merit(result, whole, best, exact)
+        if exact:
+            variance = least / (whole.equations - result.spectrum.rank)
+        nominal, prior_sd = float(whole.nominal[j]), float(whole.prior_sd[j])
+        last = [(0.0, best[held.free])]
+
+        def root(z: float) -> float | None:
+            """The signed root at value + z sd; None where the others find no place."""
+            # along the straight line from the nearest point known, as the covariance has it
+            known = sorted(last, key=lambda point: abs(point[0] - z))
+            for near, others in (*known[:1], last[0], *known[1:2]):
+                for share in (1.0, 0.0):
+                    start = best.copy()
+                    start[position] += z * sd
+                    start[held.free] = others + share * slope * (z - near) * sd
+                    found = _found(replace(held, start=start), exact)
+                    if found is None:
+                        continue
+                    last.append((z, found.parameters[held.free]))
+                    merit = found.chi_squared
+                    if not exact:
+                        merit += ((start[position] - nominal) / prior_sd) ** 2
+                    return math.copysign(math.sqrt(max(merit - least, 0.0) / variance), z)
+            return None
+
+        return cls(float(best[position]), sd, root)
+
+
+def _found(problem: Problem, exact: bool) -> Solution | None:
+    """The optimum from this start; None where the search does not reach one."""
+    try:
+        found = solve(problem, exact=exact)
+    except InputError:
+        return None  # beyond reach
+    return found if found.status.converged else None
+
+
+def _held(problem: Problem, j: int) -> Problem:
+    """The problem with its j-th estimated parameter held."""
+    return replace(
+        problem,
+        free=np.delete(problem.free, j),
+        nominal=np.delete(problem.nominal, j),
+        prior_sd=np.delete(problem.prior_sd, j),
+    )
+
+
+def _merit(result: Result, problem: Problem, best: Array, exact: bool) -> float:
+    """Chi-squared at the solution (the sum of squared loop values for least squares)."""
+    if not exact:
+        assert result.chi_squared is not None
+        return result.chi_squared.value
+    return solve(replace(problem, start=best), exact=True).chi_squared
+
+
+def _root(profile: _Profile, target: float) -> float | None:
+    """The parameter's value where the signed root reaches the target; None where it never does.
+
+    The root is nearly straight, so secants from the covariance's answer come close at once; they
+    are kept within the bracket found so far.
+    """
+    side = math.copysign(1.0, target)
+    inner, outer = 0.0, math.inf  # in sds, on this side of the value
+    inner_rise, outer_rise = 0.0, math.inf
+    z = abs(target)
+    for _ in range(_MOST):
+        found = profile.root(side * z)
+        rise = math.inf if found is None else abs(found)
+        if abs(rise - abs(target)) <= _CLOSE:
+            return profile.value + side * z * profile.sd
+        if rise < abs(target):
+            inner, inner_rise = z, rise
+        else:
+            outer, outer_rise = z, rise
+        z = _next(inner, inner_rise, outer, outer_rise, abs(target))
+        if z > _FARTHEST or outer - inner < 1e-9 * max(outer, 1.0):
+            return None
+    return None
+
+
+def _next(inner: float, inner_rise: float, outer: float, outer_rise: float, target: float) -> float:
+    if math.isinf(outer):
+        if inner_rise <= 0.0:
+            return 2.0 * inner
+        return min(inner * target / inner_rise, 4.0 * inner)
+    if math.isinf(outer_rise):
+        return 0.5 * (inner + outer)
+    z = inner + (outer - inner) * (target - inner_rise) / (outer_rise - inner_rise)
+    margin = 0.01 * (outer - inner)
+    return min(max(z, inner + margin), outer - margin)

@@ -1,0 +1,132 @@
+"""How probable readings are that a fit has not seen.
+
+Linearised where the readings stand, the misclosure of a pose has the covariance
+
+    W + J_p Cov_p J_p^T,   W = J_x Sigma J_x^T,
+
+the noise of its own readings and what the fit does not know of its parameters. Least squares
+knows no Sigma; its residual variance, the same for every loop equation, stands for W.
+"""
+
+from __future__ import annotations
+
+import math
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.learning import with_model
+from loopcal.estimation.linear_model import ModelBlock, linear_model
+from loopcal.estimation.noise_estimation import scaled
+from loopcal.estimation.problem import Problem, build_problem
+from loopcal.estimation.result import Result
+from loopcal.estimation.starting import start_corrections
+from loopcal.estimation.sweep import NEGLIGIBLE, Sweeper
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise
+
+Array = NDArray[np.float64]
+_UNPREDICTABLE = 1e-6
+"""A direction that the fit left open moves a loop, beside the largest effect of any direction."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """Poses a fit has not seen, at its parameters: problem.start; corrections (k, N) [SI].
+
+    Only quantities that were not measured are corrected, to where their loops close.
+    """
+
+    problem: Problem
+    corrections: Array
+
+
+def taken(noise: Noise | None, index: NDArray[np.intp] | None) -> Noise | None:
+    """The noise of the poses at these positions."""
+    if noise is None or index is None:
+        return noise
+    part = copy(noise)
+    part.entries = {
+        key: value[index] if _by_pose(key, value) else value for key, value in noise.entries.items()
+    }
+    return part
+
+
+def _by_pose(key: object, value: object) -> bool:
+    return isinstance(value, np.ndarray) and value.ndim == (3 if isinstance(key, tuple) else 1)
+
+
+def held_problem(fit: Result, data: Dataset, noise: Noise | None) -> Held:
+    """The poses of a data set at the parameters and sds that a fit of others found."""
+    exact = fit.method == "least-squares"
+    if exact:
+        noise = None
+    mechanism = fit.mechanism
+    if noise is not None:
+        mechanism, data = with_model(mechanism, data, noise)
+    # Nothing is estimated here: with informative priors any number of poses will do.
+    known = mechanism.with_parameters(mechanism.parameters.with_prior({"*": 1.0}))
+    problem = build_problem(known, data, noise, fit.value)
+    problem = replace(problem, prior_sd=fit.problem.prior_sd)
+    if noise is not None and noise.estimate:
+        stated = np.median(problem.uncertainty.sd, axis=1)
+        problem = scaled(problem, [(i,) for i in range(len(stated))], _ratios(fit, stated))
+    corrections = np.zeros_like(problem.readings)
+    if any(pattern.unmeasured for pattern in problem.patterns):
+        sweeper = Sweeper(problem, exact=exact)
+        begun = start_corrections(sweeper, problem.start)
+        closed = sweeper.close(problem.start, begun, NEGLIGIBLE, 1.0).corrections
+        for pattern in problem.patterns:
+            for row in pattern.unmeasured:
+                corrections[row, pattern.poses] = closed[row, pattern.poses]
+    return Held(problem, corrections)
+
+
+def _ratios(fit: Result, stated: Array) -> Array:
+    """By how much the fit found the variances to be larger than stated."""
+    found = np.median(fit.problem.uncertainty.sd, axis=1)
+    usable = np.isfinite(found) & np.isfinite(stated) & (stated > 0.0)
+    return np.where(usable, np.square(found / np.where(usable, stated, 1.0)), 1.0)
+
+
+def log_densities(fit: Result, held: Held) -> Array | None:
+    """log N(misclosure; 0, W + J Cov_p J^T) of each pose (N,), None where it has no density."""
+    problem = held.problem
+    model = linear_model(problem, problem.start, held.corrections, ())
+    own = 0.0
+    if fit.method == "least-squares":
+        freedom = fit.problem.equations - fit.spectrum.rank
+        if freedom <= 0:
+            return None
+        own = fit.information.chi_squared / freedom
+    system = fit.spectrum
+    free = system.scale[:, None] * system.directions[:, ~system.kept]
+    limit = _UNPREDICTABLE * float(system.singular_values.max(initial=0.0))
+    scale = math.sqrt(own) if own else 1.0
+    out = np.empty(len(problem.poses))
+    for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):
+        found = _densities(block, own, fit.covariance, free, limit / scale)
+        if found is None:
+            return None
+        out[poses] = found
+    return out
+
+
+def _densities(
+    block: ModelBlock, own: float, covariance: Array, free: Array, limit: float
+) -> Array | None:
+    r = block.e.shape[1]
+    W = block.fixed + own * np.eye(r)
+    try:
+        L = np.linalg.cholesky(W)
+        if np.any(np.abs(np.linalg.solve(L, block.J @ free)) > limit):
+            return None  # the fit cannot say where these loops are
+        L = np.linalg.cholesky(W + block.J @ covariance @ np.swapaxes(block.J, -1, -2))
+    except np.linalg.LinAlgError:
+        return None  # a loop without any uncertainty
+    z = np.linalg.solve(L, block.e[:, :, None])[:, :, 0]
+    volume = np.log(np.einsum("brr->br", L)).sum(axis=1)
+    density: Array = -0.5 * np.square(z).sum(axis=1) - volume - 0.5 * r * math.log(2.0 * math.pi)
+    return density

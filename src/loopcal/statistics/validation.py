@@ -1,0 +1,213 @@
+"""Validation without truth: poses that took no part in a fit, predicted by it.
+
+Each part of the data is left out once, the rest is calibrated anew by the same method (its sds
+estimated anew, where they are estimated at all), and the outputs of the poses left out are
+computed from their other readings. Stone (1974), cross-validatory choice and assessment of
+statistical predictions. The refits begin at the solution of all poses, which saves iterations
+and gives nothing away: the optimum does not depend on where the search began. Where a part
+leaves a direction undetermined, it would; there the refit begins where the first fit did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, NoTrustworthyResult
+from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.on_request import Validation
+from loopcal.estimation.prediction import output_differences
+from loopcal.estimation.result import Accuracy, Result
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.prior import Prior
+from loopcal.statistics.folds import Index, grouped, held_out
+from loopcal.statistics.folds import folds as in_folds
+from loopcal.statistics.predictive import held_problem, log_densities, taken
+
+Array = NDArray[np.float64]
+
+
+def validate(
+    mechanism: Mechanism,
+    data: Dataset | Any,
+    *,
+    noise: Noise | None = None,
+    prior: Prior | None = None,
+    method: str = "implicit-loop",
+    loss: str = "gaussian",
+    start: str | Mapping[str, float] = "auto",
+    max_iterations: int = 100,
+    folds: int = 10,
+    hold_out: float | None = None,
+    other: Dataset | None = None,
+    other_noise: Noise | None = None,
+    seed: int = 0,
+    groups: Sequence[object] | None = None,
+    full: Result | None = None,
+) -> Validation:
+    """How well this calibration predicts poses that it has not seen.
+
+    folds: in how many parts the poses are cut, each left out once; hold_out: instead leave out
+    this share once; other: instead calibrate on all and predict these readings (other_noise:
+    their noise where it is not the same). seed: of the choice. groups: one per pose, never split;
+    by default poses with the same driven readings. full: the calibration of all poses, if it is
+    at hand. The rest is as in `calibrate`.
+
+    Raises InputError as `calibrate` does and for a choice that cannot be made, and
+    NoTrustworthyResult where a refit does not converge.
+    """
+    if not isinstance(data, Dataset):
+        data = Dataset.from_arrays(data)
+    given = _Given(mechanism, data, noise, prior, method, loss, start, max_iterations)
+    whole = full or given.fit(None)
+    if other is not None:
+        known = noise if other_noise is None else other_noise
+        scheme: dict[str, Any] = {"file": other.source.name or "other readings"}
+        part = _Part(whole, other, known, np.arange(len(other)))
+        return _pooled(given, [part], scheme, f"{len(other)} poses of {scheme['file']}", other)
+    chosen = grouped(mechanism, data, groups)
+    if hold_out is not None:
+        parts: tuple[Index, ...] = (held_out(chosen, hold_out, seed),)
+        scheme = {"hold_out": hold_out, "seed": seed}
+        words = f"{len(parts[0])} of {len(data)} poses held out"
+    else:
+        parts = in_folds(chosen, folds, seed)
+        scheme = {"folds": folds, "seed": seed}
+        words = f"{folds} folds of {len(data)} poses"
+    different = len(np.unique(chosen))
+    if different < len(data):
+        scheme["groups"] = different
+        words += f", {different} of them different"
+    made = [given.part(index, whole) for index in parts]
+    return _pooled(given, made, scheme, words, data)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A fit, and the poses it has not seen: their readings, noise and positions."""
+
+    fit: Result
+    data: Dataset
+    noise: Noise | None
+    index: Index
+
+
+@dataclass(frozen=True)
+class _Given:
+    """A calibration as it was asked for."""
+
+    mechanism: Mechanism
+    data: Dataset
+    noise: Noise | None
+    prior: Prior | None
+    method: str
+    loss: str
+    start: str | Mapping[str, float]
+    max_iterations: int
+
+    def fit(self, index: Index | None) -> Result:
+        """The calibration of these poses, as asked for."""
+        data = self.data if index is None else self.data.take(index)
+        return calibrate(
+            self.mechanism,
+            data,
+            noise=taken(self.noise, index),
+            prior=self.prior,
+            method=self.method,
+            loss=self.loss,
+            start=self.start,
+            max_iterations=self.max_iterations,
+        )
+
+    def part(self, left_out: Index, whole: Result) -> _Part:
+        """The fit without some poses, beginning at the fit of the whole."""
+        rest = np.setdiff1d(np.arange(len(self.data)), left_out)
+        found = calibrate(
+            whole.mechanism,
+            self.data.take(rest),
+            noise=taken(self.noise, rest),
+            method=self.method,
+            loss=self.loss,
+            start=whole.value,
+            max_iterations=self.max_iterations,
+        )
+        if found.spectrum.rank < len(found.estimated) or not found.status.converged:
+            found = self.fit(rest)
+        if not found.status.converged:
+            raise NoTrustworthyResult(
+                f"the fit without {len(left_out)} of {len(self.data)} poses did not converge "
+                f"({found.status.reason}), so they cannot be predicted",
+                remedy="use fewer parts, or look at what the summary says of the fit of all poses",
+            )
+        return _Part(found, self.data.take(left_out), taken(self.noise, left_out), left_out)
+
+
+def _pooled(
+    given: _Given, parts: Sequence[_Part], scheme: Mapping[str, Any], words: str, data: Dataset
+) -> Validation:
+    mechanism = parts[0].fit.mechanism
+    units = {mechanism.quantities[q] for q in mechanism.outputs}
+    differences = np.full((len(mechanism.outputs), len(data)), np.nan)
+    terms: Array | None = np.full(len(data), np.nan)
+    for part in parts:
+        held = held_problem(part.fit, part.data, part.noise)
+        if len(units) == 1:
+            differences[:, part.index] = output_differences(
+                held.problem, held.problem.start, held.corrections
+            )
+        densities = log_densities(part.fit, held)
+        if densities is None or terms is None:
+            terms = None
+        else:
+            terms[part.index] = densities
+    predicted = np.unique(np.concatenate([part.index for part in parts]))
+    return Validation(
+        MappingProxyType(dict(scheme)),
+        words,
+        Accuracy.of(differences, units.pop()) if len(units) == 1 else None,
+        None if terms is None else float(terms[predicted].sum()),
+        tuple(data.poses[i] for i in predicted),
+        np.sqrt(np.square(differences[:, predicted]).sum(axis=0)) if mechanism.outputs else None,
+        None if terms is None else terms[predicted],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class MethodComparison:
+    """Several ways to calibrate, each validated on the very same poses, by name."""
+
+    validations: Mapping[str, Validation]
+
+    def __str__(self) -> str:
+        from loopcal.estimation.summary import validation_table
+
+        return "\n".join(validation_table(self.validations))
+
+
+def compare_methods(
+    mechanism: Mechanism,
+    data: Dataset | Any,
+    methods: Mapping[str, Mapping[str, Any]],
+    **validation: Any,
+) -> MethodComparison:
+    """Several methods, noises or priors validated on the same folds.
+
+    methods: a name for each, with what `validate` shall take for it, such as
+    {"basic": {"method": "least-squares"}, "new": {"noise": noise}}; validation: folds, hold_out,
+    other, seed, groups, the same for all.
+
+    Raises InputError as `validate` does, and without any method.
+    """
+    if not methods:
+        raise InputError("no method is given to compare", remedy="name one or more")
+    if not isinstance(data, Dataset):
+        data = Dataset.from_arrays(data)
+    found = {name: validate(mechanism, data, **how, **validation) for name, how in methods.items()}
+    return MethodComparison(MappingProxyType(found))
