@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.alignment import can_be_placed, placed
 from loopcal.estimation.learning import components, entries, with_model, words
-from loopcal.estimation.noise_estimation import NoiseEstimate, estimate_noise
 from loopcal.estimation.loss import loss_named
+from loopcal.estimation.noise_estimation import NoiseEstimate, estimate_noise
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem import BLOCK, Problem, build_problem
 from loopcal.estimation.reduction import spectrum, undetermined
