@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.files.datasheet_entries import sd_of, tracker_of
 from loopcal.files.parameter_entries import in_si
 from loopcal.files.place import Place
 from loopcal.measurements.noise import MODEL, Noise
@@ -114,21 +115,37 @@ def noise_spec(
             names = _quantities(key, expand, here)
         if entry.estimate is not None:
             learnt.append((key if "," not in key else names, entry.estimate))
-        given = [
-            k for k in ("sd", "covariance", "covariance_columns") if getattr(entry, k) is not None
-        ]
-        if len(given) != 1:
-            raise InputError(
-                f"{' and '.join(given) or 'no sd'} is stated",
-                place=str(here),
-                remedy="give either sd, or covariance, or covariance_columns",
-            )
-        if entry.sd is not None:
-            at = here.at("unit")
-            found += [(n, in_si(entry.sd, entry.unit, units[n], at)) for n in names]
+        kind = _kind(entry, here)
+        if kind == "scalar":
+            found += [(n, sd_of(entry, units[n], here)) for n in names]
+        elif kind == "tracker":
+            found.append((names, tracker_of(entry, names, units, here)))
         else:
             found.append((names, _covariance(entry, names, units, here)))
     return NoiseSpec(tuple(found), tuple(learnt))
+
+
+def _kind(entry: NoiseEntry, place: Place) -> str:
+    """The one kind of noise that is stated: scalar, tracker, covariance, covariance_columns."""
+    given = [k for k in ("sd", "encoder", "rounded_to") if getattr(entry, k) is not None]
+    kinds = ["scalar"] if given else []
+    if entry.tracker is not None:
+        given, kinds = ["tracker", *given], ["tracker"]  # which says what it cannot go with
+    elif entry.station is not None:
+        raise InputError(
+            "a station is stated without a tracker",
+            place=str(place.at("station")),
+            remedy='name the tracker, say tracker = "leica-at500"',
+        )
+    wide = [k for k in ("covariance", "covariance_columns") if getattr(entry, k) is not None]
+    if len(kinds + wide) != 1:
+        raise InputError(
+            f"{' and '.join(given + wide) or 'no sd'} is stated",
+            place=str(place),
+            remedy="give sd, encoder, rounded_to or tracker, or else covariance or "
+            "covariance_columns",
+        )
+    return (kinds + wide)[0]
 
 
 def _quantities(key: str, expand: Expand, place: Place) -> tuple[str, ...]:

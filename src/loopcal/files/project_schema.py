@@ -18,7 +18,15 @@ from loopcal.files.mechanism_schema import (
     Units,
     Value,
 )
-from loopcal.files.model import Finite, Model, NameOrNumber, Sd, UnitName, plain_number_as
+from loopcal.files.model import (
+    Finite,
+    Model,
+    NameOrNumber,
+    Sd,
+    UnitName,
+    complaint,
+    plain_number_as,
+)
 
 Length = Annotated[int, Field(ge=1)]
 
@@ -104,6 +112,59 @@ class DataEntry(Model):
 Row = list[Finite]
 
 
+Kind = Literal["mpe", "sd"]
+Coverage = Annotated[float, Field(gt=0, allow_inf_nan=False)] | Literal["uniform"]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class TrackerEntry(Model):
+    """A tracker by its name, or by figures as its maker prints them."""
+
+    name: str | None = Field(default=None, examples=["leica-at500"])
+    range: str | None = Field(
+        default=None, description="Along the line of sight.", examples=["10 um + 0.3 um/m"]
+    )
+    transverse: str | None = Field(
+        default=None,
+        description="Across the line of sight, in each of the two directions.",
+        examples=["15 um + 6 um/m", "2 arcsec"],
+    )
+    kind: Kind | None = Field(
+        default=None, description="mpe: maximum permissible error (unless stated); or sd."
+    )
+    coverage: Coverage | None = Field(
+        default=None, description='Maximum permissible error over sd: 2, or "uniform" (sqrt 3).'
+    )
+
+
+def _tracker(value: Any) -> Any:
+    if isinstance(value, bool | int | float | list):
+        raise complaint(f"{value!r} is given", 'give a name, say "leica-at500", or a table')
+    return {"name": value} if isinstance(value, str) else value
+
+
+_TrackerOrName = Annotated[
+    TrackerEntry, BeforeValidator(_tracker, json_schema_input_type=str | TrackerEntry)
+]
+
+
+class EncoderEntry(Model):
+    """Figures of an encoder; what is stated adds in quadrature."""
+
+    bits: Annotated[int, Field(ge=1, le=64)] | None = Field(
+        default=None, description="It tells 2^bits positions per turn."
+    )
+    counts: Positive | None = Field(default=None, description="Or so many positions per turn.")
+    accuracy: str | None = Field(default=None, examples=["5 arcsec"])
+    kind: Kind | None = Field(default=None, description="Of the accuracy; mpe unless stated.")
+    coverage: Coverage | None = Field(
+        default=None, description='Maximum permissible error over sd: 2, or "uniform" (sqrt 3).'
+    )
+    gear: Positive = Field(
+        default=1.0, description="Turns of the encoder per turn of the joint, which divide all."
+    )
+
+
 class NoiseEntry(Model):
     """How uncertain readings are: an sd, or a covariance of several quantities together."""
 
@@ -117,8 +178,21 @@ class NoiseEntry(Model):
         description="Columns of the data with the covariance in each pose: all of it row by row, "
         "or from the diagonal to the right (xx, xy, xz, yy, yz, zz).",
     )
+    tracker: _TrackerOrName | None = Field(
+        default=None,
+        description="Of the coordinates of a point together: a tracker by name, or its figures.",
+        examples=["leica-at500", {"range": "10 um + 0.3 um/m", "transverse": "15 um + 6 um/m"}],
+    )
+    station: list[Finite] | None = Field(
+        default=None, description="Where the tracker stands in the frame of its readings."
+    )
+    encoder: EncoderEntry | None = Field(default=None, examples=[{"bits": 20}])
+    rounded_to: Positive | None = Field(
+        default=None, description="Step of the readings: an sd of step / sqrt(12), in quadrature."
+    )
     unit: UnitName | None = Field(
-        default=None, description="Of the sd; a covariance is in its square."
+        default=None,
+        description="Of sd, rounded_to and station; a covariance is in its square.",
     )
     estimate: Literal["each", "group"] | None = Field(
         default=None,

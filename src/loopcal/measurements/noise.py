@@ -15,14 +15,11 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, nearest
 from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.datasheet import DatasheetSd, Tracker
 
 Array = NDArray[np.float64]
-Entries = (  # a mapping's type of keys has to fit exactly, so each kind is named
-    Mapping[str, Any]
-    | Mapping[tuple[str, ...], Any]
-    | Mapping[str | tuple[str, ...], Any]
-    | Mapping[Sequence[str], Any]
-)
+Entries = Mapping[Any, Any]
+"""Keys are names or tuples of names; a narrower type would refuse a dict of one kind only."""
 
 
 Estimates = Mapping[str, str] | Mapping[tuple[str, ...], str] | Mapping[str | tuple[str, ...], str]
@@ -35,7 +32,8 @@ class Noise:
     """What is said about the sensors: sd [SI] by quantity, glob or group; later entries win.
 
     A value is one sd, an array (N,) with one sd per reading, or for several quantities together,
-    keyed by a tuple of names, a covariance (b, b) or one per pose (N, b, b) [SI squared].
+    keyed by a tuple of names, a covariance (b, b) or one per pose (N, b, b) [SI squared], or a
+    `Tracker`, which gives each reading the covariance of the place where it was taken.
 
     >>> Noise({"theta_*": 5e-5, ("x", "y", "z"): 1e-10 * np.eye(3)})
     Noise({'theta_*': 5e-05, ('x', 'y', 'z'): covariance (3, 3)})
@@ -55,9 +53,13 @@ class Noise:
     """
 
     def __init__(self, entries: Entries, *, estimate: Estimates | None = None) -> None:
-        self.entries: dict[str | tuple[str, ...], Array] = {}
+        self.entries: dict[str | tuple[str, ...], Any] = {}  # of arrays and trackers
         for key, value in entries.items():
             self.entries[key] = _checked_entry(key, value)
+        self.by_maker = frozenset(
+            key for key, value in entries.items() if isinstance(value, Tracker | DatasheetSd)
+        )
+        """Keys of the entries that follow from a maker's figure."""
         self.estimate: dict[str | tuple[str, ...], str] = dict((estimate or {}).items())
         for key, how in self.estimate.items():
             if how not in ESTIMATES:
@@ -67,7 +69,9 @@ class Noise:
                 )
 
     def __repr__(self) -> str:
-        def text(value: Array) -> str:
+        def text(value: Any) -> str:
+            if isinstance(value, Tracker):
+                return repr(value)
             if value.ndim == 0:
                 return f"{float(value):.6g}"
             return f"{'sd' if value.ndim == 1 else 'covariance'} {value.shape}"
@@ -104,7 +108,7 @@ class ReadingUncertainty:
 
     sd: (k, 1) where it is the same in all poses, else (k, N) [SI]; inf is unmeasured, 0 exact;
     blocks: quantities with a full covariance (their sd here is the square root of its diagonal);
-    sources: for each quantity "given" or "reading".
+    sources: for each quantity "given", "reading" or "datasheet".
     """
 
     sd: Array
@@ -127,11 +131,15 @@ def resolve_noise(
     sds: dict[str, Array] = {}
     in_block: dict[str, tuple[str, ...]] = {}
     blocks: dict[tuple[str, ...], Array] = {}
+    sources: dict[str, str] = {}
     for key, value in noise.entries.items():
         names = key if isinstance(key, tuple) else expand(key)
         for name in names:
             expand(name)  # a tuple may name a quantity that is not there
             blocks.pop(in_block.pop(name, ()), None)
+            sources[name] = "datasheet" if key in noise.by_maker else "given"
+        if isinstance(value, Tracker):
+            value = _where_taken(value, names, dataset)
         if isinstance(key, tuple):
             _check_length(key, value, poses, 3)
             blocks[names] = value
@@ -145,6 +153,7 @@ def resolve_noise(
         if name in dataset.sds and name not in in_block:
             own = dataset.sds[name]
             sds[name] = np.where(np.isnan(own), sds.get(name, np.nan), own)
+            sources[name] = "reading"
     rows = [_row(name, sds, dataset) for name in quantities]
     varying = any(row.ndim for row in rows)
     width = poses if varying else 1
@@ -154,8 +163,27 @@ def resolve_noise(
             CovarianceBlock(tuple(quantities.index(n) for n in names), _factor(value))
             for names, value in blocks.items()
         ),
-        tuple("reading" if n in dataset.sds and n not in in_block else "given" for n in quantities),
+        tuple(sources[name] for name in quantities),
     )
+
+
+def _where_taken(tracker: Tracker, names: Sequence[str], dataset: Dataset) -> Array:
+    """Covariances (N, b, b) of a tracker's readings; any will do for what was not read."""
+    nothing = np.full(len(dataset), np.nan)
+    points = np.array([dataset.readings.get(name, nothing) for name in names]).T
+    whole = ~np.isnan(points).any(axis=1)
+    if not whole.any():
+        return np.broadcast_to(np.eye(len(names)), (len(dataset), len(names), len(names)))
+    lost = tracker.at_station(points[whole])
+    if lost.size:
+        raise InputError(
+            f"{', '.join(names)} were read where the tracker itself stands",
+            place=dataset.place(int(np.flatnonzero(whole)[lost[0]])),
+            remedy="leave that pose out (a tracker writes 0, 0, 0 for a lost reflector), or give "
+            "the station of the tracker in the frame of its readings",
+        )
+    points[~whole] = points[whole][0]
+    return tracker.covariance(points)
 
 
 def _row(name: str, sds: Mapping[str, Array], dataset: Dataset) -> Array:
@@ -181,7 +209,17 @@ def _row(name: str, sds: Mapping[str, Array], dataset: Dataset) -> Array:
     return np.where(missing, np.inf, row) if missing.any() else row
 
 
-def _checked_entry(key: str | tuple[str, ...], value: Any) -> Array:
+def _checked_entry(key: str | tuple[str, ...], value: Any) -> Any:
+    if isinstance(value, Tracker):
+        size = len(key) if isinstance(key, tuple) else 1
+        if size not in (2, 3) or len(value.station or key) != size:
+            raise InputError(
+                f"a tracker measures points, and {key!r} are the coordinates of none"
+                if value.station is None or size not in (2, 3)
+                else f"the tracker's station has {len(value.station)} coordinates, {key!r} {size}",
+                remedy="name the coordinates in their order, say (x, y, z)",
+            )
+        return value
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
