@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from loopcal.files.project_file import Project, read_project
     from loopcal.files.result_file import WrittenResult, read_result
     from loopcal.measurements.dataset import Dataset
-    from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
     from loopcal.measurements.noise import Noise
     from loopcal.mechanisms.mechanism import Mechanism
     from loopcal.mechanisms.motoman import motoman_ma1400
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.serial import Joint, serial_arm
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation, simulate
+    from loopcal.statistics.check import Check, check
     from loopcal.statistics.findings import Findings, findings
     from loopcal.statistics.prediction import Prediction, predict
     from loopcal.workflow import write_result
@@ -61,7 +61,6 @@ _HOME = {
     "files.project_file": ("Project", "read_project"),
     "files.result_file": ("WrittenResult", "read_result"),
     "measurements.dataset": ("Dataset",),
-    "measurements.datasheet": ("Tracker", "encoder_sd", "tracker_covariance"),
     "measurements.noise": ("Noise",),
     "mechanisms.mechanism": ("Mechanism",),
     "mechanisms.motoman": ("motoman_ma1400",),
@@ -71,6 +70,7 @@ _HOME = {
     "mechanisms.serial": ("Joint", "serial_arm"),
     "simulation.poses": ("grid_poses", "random_poses"),
     "simulation.simulate": ("Simulation", "simulate"),
+    "statistics.check": ("Check", "check"),
     "statistics.findings": ("Findings", "findings"),
     "statistics.prediction": ("Prediction", "predict"),
     "workflow": ("write_result",),
@@ -79,6 +79,7 @@ _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name
 
 __all__ = [
     "Accuracy",
+    "Check",
     "ChiSquared",
     "Closure",
     "Dataset",
@@ -100,14 +101,13 @@ __all__ = [
     "Simulation",
     "Status",
     "TraceError",
-    "Tracker",
     "Undetermined",
     "WrittenResult",
     "__version__",
     "calibrate",
+    "check",
     "cross",
     "dot",
-    "encoder_sd",
     "findings",
     "grid_poses",
     "load_dataset",
@@ -126,7 +126,6 @@ __all__ = [
     "rotate",
     "serial_arm",
     "simulate",
-    "tracker_covariance",
     "vector",
     "write_result",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
@@ -14,24 +14,34 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, UsageError, nearest
 from loopcal.estimation.calibrate import METHODS, calibrate
+from loopcal.estimation.on_request import Validation
 from loopcal.estimation.result import Result
 from loopcal.estimation.solver import Progress
 from loopcal.files import result_file
 from loopcal.files.atomic import write_files
 from loopcal.files.new_project import write_new_project
+from loopcal.files.new_readings import read_new_readings
 from loopcal.files.project_data import load_dataset
 from loopcal.files.project_file import Project, read_project
 from loopcal.files.python_function import load_function
 from loopcal.files.readings_file import readings_table
 from loopcal.files.result_file import WrittenResult
+from loopcal.files.result_folder import read_result_folder
 from loopcal.files.simulation_entries import SimulationSpec
-from loopcal.files.table_writer import check_ending
+from loopcal.files.table_writer import check_ending, table_bytes
 from loopcal.files.templates import TEMPLATES
 from loopcal.files.truth_file import read_truth, truth_json
-from loopcal.measurements.noise import resolve_noise
+from loopcal.files.validation_entries import ValidationSpec, load_groups, load_other
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise, resolve_noise
 from loopcal.simulation.poses import grid_poses, random_poses, stream
 from loopcal.simulation.simulate import Simulation, simulate
+from loopcal.statistics.check import Check, check
 from loopcal.statistics.findings import Findings, findings
+from loopcal.statistics.intervals import intervals
+from loopcal.statistics.prediction import Prediction, predict
+from loopcal.statistics.predictor import predictor_of
+from loopcal.statistics.validation import validate
 
 Array = NDArray[np.float64]
 SCHEMAS = ("project", "result")
@@ -70,6 +80,8 @@ def run_calibration(
     out: str | Path | None = None,
     function: str | None = None,
     require_identifiable: bool = False,
+    folds: int | None = None,
+    profile: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Calibration:
     """Calibrate as a project file says, and write result.json, residuals.csv, mechanism.toml.
@@ -77,7 +89,9 @@ def run_calibration(
     project: its path, "-" for standard input; method: instead of the project's; truth: a file
     of true parameters, whose errors are added; out: the folder to write to, by default
     NAME-result beside the project NAME.toml; function: FILE.py:NAME of the loops;
-    require_identifiable: whether every parameter must be determined, as the project may ask.
+    require_identifiable: whether every parameter must be determined, as the project may ask;
+    folds: of a validation, instead of the project's; profile: parameters that get a profile
+    interval, beside those of the project.
 
     The files are written, all or none, also where the fit did not converge: `objection` tells.
     Raises InputError for what cannot be used and UsageError for a method that is none.
@@ -87,33 +101,38 @@ def run_calibration(
     read = _project(project, function)
     loaded = load_dataset(read)
     true = None if truth is None else read_truth(truth, read.mechanism)
+    how: dict[str, Any] = {
+        "noise": loaded.noise,
+        "method": method or read.fit.method,
+        "start": read.fit.start,
+        "max_iterations": read.fit.max_iterations,
+    }
+    asked_for = read.fit.validation if folds is None else ValidationSpec(folds=folds)
     try:
-        result = calibrate(
-            read.mechanism,
-            loaded.dataset,
-            noise=loaded.noise,
-            method=method or read.fit.method,
-            start=read.fit.start,
-            max_iterations=read.fit.max_iterations,
-            progress=progress,
-        )
+        result = calibrate(read.mechanism, loaded.dataset, **how, progress=progress)
+        if asked_for is not None and result.status.converged:
+            found = _validated(result, asked_for, read, loaded.dataset, how)
+            result = replace(result, validation=found)
+        patterns = (*read.fit.profile, *profile)
+        if patterns and result.status.converged:
+            result = replace(result, intervals=intervals(result, patterns))
     except InputError as error:
         raise error.at(read.name) from None
     if true is not None:
         errors = {name: value - result.value[name] for name, value in true.items()}
         result = replace(result, errors=MappingProxyType(errors))
     warnings = tuple(str(warning) for warning in loaded.warnings)
-    found = findings(result)
+    told = findings(result)
     written = write_result(
         result,
         default_folder(read) if out is None else out,
         title=read.title,
         inputs=read.inputs,
         warnings=warnings,
-        found=found,
+        found=told,
     )
     asked = require_identifiable or read.fit.require_identifiable
-    return Calibration(result, found, written, warnings, _objection(result, asked))
+    return Calibration(result, told, written, warnings, _objection(result, asked))
 
 
 def write_result(
@@ -137,6 +156,29 @@ def write_result(
     )
 
 
+def _validated(
+    result: Result,
+    asked: ValidationSpec,
+    project: Project,
+    data: Dataset,
+    how: Mapping[str, Any],
+) -> Validation:
+    """Poses that took no part in a fit, predicted, as a project asks."""
+    other = None if asked.file is None else load_other(project, asked.file)
+    return validate(
+        project.mechanism,
+        data,
+        **how,
+        folds=asked.folds or 0,
+        hold_out=asked.hold_out,
+        other=None if other is None else other.dataset,
+        other_noise=None if other is None else other.noise,
+        seed=asked.seed,
+        groups=None if asked.group is None else load_groups(project, asked.group),
+        full=result,
+    )
+
+
 def default_folder(project: Project) -> Path:
     """Where results go when nobody says: NAME-result beside the project NAME.toml."""
     name = "loopcal" if project.path is None else project.path.stem
@@ -151,6 +193,60 @@ def _objection(result: Result, require_identifiable: bool) -> str | None:
     if require_identifiable and loose:
         return "not every parameter is identifiable: " + "; ".join(u.words for u in loose)
     return None
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """A project that was looked at before any fit; warnings: about its readings."""
+
+    check: Check
+    title: str
+    warnings: tuple[str, ...]
+
+
+def run_check(project: str | Path, *, function: str | None = None) -> Checked:
+    """What a project's readings can determine; nothing is fitted and nothing written.
+
+    Raises InputError for what cannot be used.
+    """
+    read = _project(project, function)
+    loaded = load_dataset(read)
+    noise: Noise | None = loaded.noise
+    if read.fit.method == "least-squares" and not loaded.noise.entries:
+        noise = None
+    try:
+        done = check(read.mechanism, loaded.dataset, noise=noise, start=read.fit.start)
+    except InputError as error:
+        raise error.at(read.name) from None
+    return Checked(done, read.title, tuple(str(warning) for warning in loaded.warnings))
+
+
+def run_prediction(
+    result: str | Path, readings: str | Path, *, out: str | Path | None, function: str | None = None
+) -> Prediction:
+    """Predict outputs from a result on the disk and readings in the columns of its project.
+
+    out: a table to write (.csv, .tsv or .parquet). Raises InputError for what cannot be used.
+    """
+    if out is not None:
+        check_ending(out)
+    loops = None if function is None else load_function(function)
+    read = read_result_folder(result, function=loops)
+    try:
+        known = predictor_of(read.document, read.mechanism)
+    except InputError as error:
+        raise error.at(str(read.path)) from None
+    data = read_new_readings(readings, read.document["inputs"], read.mechanism)
+    done = predict(known, data)
+    if out is not None:
+        path = Path(out)
+        write_files(path.parent, {path.name: table_bytes(done.columns(), path.suffix)})
+    return done
+
+
+def prediction_table(prediction: Prediction) -> str:
+    """The table that `run_prediction` writes, as CSV text."""
+    return table_bytes(prediction.columns()).decode("utf-8")
 
 
 def run_simulation(

@@ -86,6 +86,21 @@ def calibrate(
             "--require-identifiable", help="End with 4 unless every parameter is determined."
         ),
     ] = False,
+    folds: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=2,
+            help="Predict each of N parts of the poses by a fit of the others, instead of the "
+            "project's fit.validation.",
+        ),
+    ] = None,
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="GLOB", help="Parameters that get a profile likelihood interval; repeatable."
+        ),
+    ] = None,
 ) -> None:
     """Fit the parameters; write result.json, residuals.csv and mechanism.toml; print a summary."""
     from loopcal.cli.progress import Progress
@@ -99,6 +114,8 @@ def calibrate(
             out=out,
             function=mechanism,
             require_identifiable=require_identifiable,
+            folds=folds,
+            profile=profile or (),
             progress=progress,
         )
     for warning in done.warnings:
@@ -112,6 +129,54 @@ def calibrate(
         print_out(f"{title}\n{done.result}\n\n{told}\n\n{where}")
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
+
+
+@app.command()
+def check(
+    project: ProjectArgument, as_json: JsonOption = False, mechanism: FunctionOption = None
+) -> None:
+    """Before any fit: ranges, what the poses can determine, and the sds to expect."""
+    from loopcal.workflow import run_check
+
+    done = run_check(project, function=mechanism)
+    for warning in done.warnings:
+        log(f"warning: {warning}")
+    if as_json:
+        print_json({"title": done.title, **done.check.document(), "warnings": [*done.warnings]})
+    else:
+        print_out(f"{done.title}: {done.check.poses} poses, nothing fitted\n\n{done.check}")
+
+
+@app.command()
+def predict(
+    result: Annotated[
+        str, typer.Argument(metavar="RESULT", help="Folder of a calibration, or its result.json.")
+    ],
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="Readings in the columns of the project.")
+    ],
+    out: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="Table to write (.csv, .tsv or .parquet) [default: CSV on stdout].",
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+    mechanism: FunctionOption = None,
+) -> None:
+    """End points for given readings, with their covariance; warns of extrapolation."""
+    from loopcal.workflow import prediction_table, run_prediction
+
+    done = run_prediction(result, file, out=out, function=mechanism)
+    if as_json:
+        print_json(done.document())
+    elif out is None:
+        print_out(prediction_table(done).rstrip("\n"))
+        for line in done.words().splitlines():
+            log(line)
+    else:
+        print_out(f"{done.words()}\nwritten to {out}")
 
 
 @app.command()

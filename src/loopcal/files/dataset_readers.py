@@ -120,6 +120,21 @@ def read_dataset(
     )
 
 
+def column_labels(
+    path: str | Path,
+    *,
+    sheet: str | int | None = None,
+    header: bool | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    encoding: str | None = None,
+    variable: str | None = None,
+) -> tuple[str, ...]:
+    """Names of the columns of a file, read as `read_dataset` reads it; none without a header."""
+    table = _table(path, _How(sheet, header, delimiter, decimal, encoding, variable), None)
+    return tuple(table.names or ())
+
+
 def _table(path: str | Path | BinaryIO, how: _How, asked: frozenset[str | int] | None) -> Table:
     ending = Path(path).suffix.lower() if isinstance(path, str | Path) else ""
     if ending in (".xls", ".xlsb", ".ods"):

@@ -18,11 +18,12 @@ from loopcal.files.parameter_entries import changed, in_si
 from loopcal.files.place import Place
 from loopcal.files.simulation_entries import SimulationSpec, simulation_spec
 from loopcal.files.toml_reader import checked_schema, read_toml, shown, toml_data
+from loopcal.files.validation_entries import ValidationSpec, validation_spec
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.units import unit
 
 if TYPE_CHECKING:
-    from loopcal.files.project_schema import DataEntry, ProjectModel, SdEntry
+    from loopcal.files.project_schema import DataEntry, FitEntry, ProjectModel, SdEntry
 
 _VARIABLE = re.compile(r"\$\{(\w+)\}")
 
@@ -43,12 +44,17 @@ class DataSpec:
 
 @dataclass(frozen=True)
 class FitSpec:
-    """How to fit: see `calibrate`. require_identifiable: else the result is not trusted."""
+    """How to fit: see `calibrate`. require_identifiable: else the result is not trusted.
+
+    validation: None where none is asked for; profile: parameters that get a profile interval.
+    """
 
     method: str = "implicit-loop"
     start: str = "auto"
     max_iterations: int = 100
     require_identifiable: bool = False
+    validation: ValidationSpec | None = None
+    profile: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -100,21 +106,44 @@ def read_project(
     real = None if str(path) == "-" else Path(path)
     folder = Path() if real is None else real.parent
     machine = _mechanism(model, data, folder, mechanism, place)
-    units = {**machine.quantities, **machine.known}
     noise = noise_spec(model.noise, machine.quantities, machine.quantity_group, place.at("noise"))
     return Project(
         title=model.title or (real.stem if real else machine.name),
         path=real,
         folder=folder,
         mechanism=machine,
-        data=None if model.data is None else _data(model.data, units, noise, place.at("data")),
+        data=data_spec(model, machine, place),
         noise=noise,
-        fit=FitSpec(**model.fit.model_dump()),
+        fit=_fit(model.fit, machine, place.at("fit")),
         simulation=None
         if model.simulation is None
         else simulation_spec(model.simulation, machine, noise, place.at("simulation")),
         inputs=_plain(data),
     )
+
+
+def data_spec(model: ProjectModel, mechanism: Mechanism, place: Place) -> DataSpec | None:
+    """Where a project says the readings of this mechanism are; None where it does not."""
+    if model.data is None:
+        return None
+    units = {**mechanism.quantities, **mechanism.known}
+    noise = noise_spec(
+        model.noise, mechanism.quantities, mechanism.quantity_group, place.at("noise")
+    )
+    return _data(model.data, units, noise, place.at("data"))
+
+
+def _fit(entry: FitEntry, mechanism: Mechanism, place: Place) -> FitSpec:
+    for pattern in entry.profile:
+        try:
+            mechanism.parameters.matching(pattern)
+        except InputError as error:
+            raise error.at(str(place.at("profile"))) from None
+    asked = {
+        "validation": validation_spec(entry.validation, place.at("validation")),
+        "profile": tuple(entry.profile),
+    }
+    return FitSpec(**(entry.model_dump() | asked))
 
 
 def expanded(path: str, folder: Path, place: Place) -> Path:

@@ -74,6 +74,53 @@ class Prediction:
         beyond: NDArray[np.bool_] = self.ratio > ALARM
         return beyond
 
+    def columns(self) -> dict[str, Array | tuple[str, ...]]:
+        """As a table, one row per pose: outputs, their sds, sd of all, covariance, alarm."""
+        table: dict[str, Array | tuple[str, ...]] = {"pose": self.poses}
+        for name, values in self.outputs.items():
+            table[f"{name} [{self.units[name]}]"] = values
+        for name, sd in self.sd.items():
+            table[f"{name} sd [{self.units[name]}]"] = _finite(sd)
+        parts = {"sd": self.covariance, "sd from parameters": self.from_parameters}
+        if self.from_readings is not None:
+            parts["sd from readings"] = self.from_readings
+        for name, covariance in parts.items():
+            for unit in dict.fromkeys(self.units.values()):
+                table[f"{name} [{unit}]"] = _finite(trace_sd(covariance, self.units, unit))
+        names = list(self.outputs)
+        for i, a in enumerate(names):
+            for j, b in enumerate(names[: i + 1]):
+                key = f"covariance {b} {a} [{self.units[b]} {self.units[a]}]"
+                table[key] = _finite(self.covariance[:, j, i])
+        table["extrapolated"] = tuple("yes" if e else "no" for e in self.extrapolated)
+        return table
+
+    def document(self) -> dict[str, Any]:
+        """As one JSON document: SI, null for what is not known."""
+        outputs, sds = list(self.outputs.items()), self.sd
+        poses = [
+            {
+                "pose": pose,
+                "outputs": {q: _plain(v[i]) for q, v in outputs},
+                "sd": {q: _plain(v[i]) for q, v in sds.items()},
+                "covariance": [[_plain(v) for v in row] for row in self.covariance[i]],
+                "covariance_from_parameters": [
+                    [_plain(v) for v in row] for row in self.from_parameters[i]
+                ],
+                "ratio": _plain(self.ratio[i]),
+                "extrapolated": bool(self.extrapolated[i]),
+            }
+            for i, pose in enumerate(self.poses)
+        ]
+        return {
+            "units": dict(self.units),
+            "readings_included": self.from_readings is not None,
+            "alarm_ratio": ALARM,
+            "extrapolated": int(self.extrapolated.sum()),
+            "words": self.words(),
+            "poses": poses,
+        }
+
     def words(self) -> str:
         """What was predicted, how sure it is, and the alarm."""
         found = np.isfinite(np.array(list(self.outputs.values()))).all(axis=0)
@@ -98,6 +145,14 @@ class Prediction:
             f"far less sure than at its own poses{times}: the accuracy it states does not hold "
             "there. Calibrate again with poses like these among the measured ones."
         ]
+
+
+def _finite(values: Array) -> Array:
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def _spread(covariance: Array, units: Mapping[str, str], unit: str) -> str:

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.errors import InputError
 from loopcal.estimation.problem import Pattern, Problem
 from loopcal.estimation.reduction import Spectrum
 from loopcal.estimation.result import Result
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.model_error import PREFIX, with_model_error
 from loopcal.statistics.sensitivity import output_sensitivity
 
 Array = NDArray[np.float64]
@@ -59,6 +61,34 @@ class Predictor:
         }
 
 
+def predictor_of(document: Mapping[str, Any], mechanism: Mechanism) -> Predictor:
+    """The predictor from the content of result.json and the mechanism it is of.
+
+    Raises InputError where the document lacks what predictions need, or is of another mechanism.
+    """
+    stored, names = document["prediction"], tuple(document["covariance"]["names"])
+    if stored is None:
+        raise InputError(
+            "the result does not hold what predictions need",
+            remedy="calibrate again a mechanism that names its outputs",
+        )
+    sds = {q: entry["sd"] for entry in document["noise"] for q in entry["quantities"]}
+    if any(q.startswith(PREFIX) for q in sds):
+        mechanism = with_model_error(mechanism)
+    values = {p["name"]: p["value"] for p in document["parameters"]}
+    matrix = stored["covariance"] or document["covariance"]["matrix"]
+    steps = np.array(stored["undetermined"], dtype=float).reshape(-1, len(names)).T
+    return Predictor(
+        mechanism.with_nominal(values),
+        names,
+        np.array(matrix, dtype=float).reshape(len(names), len(names)),
+        steps,
+        sds,
+        stored["sd_at_poses"],
+        stored["typical"],
+    )
+
+
 def predictor(result: Result) -> Predictor | None:
     """What predictions need of a calibration; None for a mechanism without outputs."""
     if not result.mechanism.outputs:
@@ -66,11 +96,8 @@ def predictor(result: Result) -> Predictor | None:
     problem = result.problem
     corrections = np.array([result.corrections[q] for q in problem.mechanism.tape.quantities])
     sds = {q: entry.sd for entry in result.noise for q in entry.quantities}
-    machine = replace(result.calibrated, tape=problem.mechanism.tape)
-    machine = replace(machine, quantities=problem.mechanism.quantities)
-    return predictor_at(
-        problem, machine, result.covariance, result.spectrum, problem.readings + corrections, sds
-    )
+    x = problem.readings + corrections
+    return predictor_at(problem, result.calibrated, result.covariance, result.spectrum, x, sds)
 
 
 def predictor_at(

@@ -1,0 +1,66 @@
+"""Readings to predict from: written as those were that a result was calibrated with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from loopcal.files.columns import Column
+from loopcal.files.dataset_readers import column_labels, read_dataset
+from loopcal.files.model import validated
+from loopcal.files.place import Place
+from loopcal.files.project_file import DataSpec, data_spec
+from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.mechanism import Mechanism
+
+_FORMAT = ("sheet", "header", "delimiter", "decimal", "encoding", "variable")
+
+
+def read_new_readings(path: str | Path, inputs: Mapping[str, Any], mechanism: Mechanism) -> Dataset:
+    """Readings of all quantities but the outputs, SI, under the columns and units of a project.
+
+    inputs: the project as result.json holds it; without one, columns are named as quantities, in
+    SI. The pose ids and sds of readings are read where the file has their columns. Raises
+    InputError as `read_dataset` does.
+    """
+    spec = _spec(inputs, mechanism)
+    how: dict[str, Any] = {key: spec.options.get(key) for key in _FORMAT}
+    there = column_labels(path, **how)
+    columns = {
+        quantity: _without_absent_sd(column, there)
+        for quantity, column in spec.columns.items()
+        if quantity not in mechanism.outputs
+    }
+    pose = spec.options.get("pose", "pose")
+    pose_column = pose if pose in there or isinstance(pose, int) else None
+    return read_dataset(path, columns, pose=pose_column, **how)
+
+
+def _spec(inputs: Mapping[str, Any], mechanism: Mechanism) -> DataSpec:
+    if "data" not in inputs:
+        return DataSpec("", {q: Column(q) for q in (*mechanism.quantities, *mechanism.known)})
+    from loopcal.files.project_schema import ProjectModel
+
+    kept = {key: _infinite(inputs[key]) for key in ("data", "noise") if key in inputs}
+    place = Place("result.json").at("inputs")
+    spec = data_spec(validated(ProjectModel, {"schema": 1, **kept}, place), mechanism, place)
+    assert spec is not None
+    return spec
+
+
+def _without_absent_sd(column: Column, there: tuple[str, ...]) -> Column:
+    if isinstance(column.sd_column, str) and column.sd_column not in there:
+        return replace(column, sd_column=None, sd_unit=None)
+    return column
+
+
+def _infinite(value: Any) -> Any:
+    """Plain data with the text "inf", which stands for infinity in result.json, as a number."""
+    if isinstance(value, Mapping):
+        return {key: _infinite(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_infinite(inner) for inner in value]
+    return math.inf if value == "inf" else value

@@ -1,0 +1,274 @@
+"""Before any fit: what these poses and sensors can give, at the nominal parameters.
+
+The sds to expect are those of the implicit loop linearised at the nominal machine, placed where
+the instrument sees it, and at the readings as they stand: (sum D^T D + prior)^-1, with the sds of
+the sensors as stated. They say nothing of a mistake in the model or in the readings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.alignment import can_be_placed, placed
+from loopcal.estimation.learning import with_model
+from loopcal.estimation.problem import Problem, build_problem
+from loopcal.estimation.reduction import Spectrum, spectrum, undetermined
+from loopcal.estimation.rounding import significant
+from loopcal.estimation.scratch import one_blas_thread
+from loopcal.estimation.starting import start_corrections
+from loopcal.estimation.summary import SHOWN, columns
+from loopcal.estimation.sweep import NEAR, Sweeper
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.prior import Prior
+from loopcal.statistics.identifiability import SCHROER, WhatDataSay, what_data_say
+from loopcal.statistics.observability import Observability, observability
+from loopcal.statistics.predictor import predictor_at
+from loopcal.units import from_si
+
+Array = NDArray[np.float64]
+FEW = 3.0
+"""Loop equations per parameter below which there is little to check the model against."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """Readings of one quantity [SI unit]; sd: the median stated, None where none is."""
+
+    quantity: str
+    unit: str
+    readings: int
+    smallest: float | None
+    largest: float | None
+    sd: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """What a calibration can be expected to give.
+
+    verdict: "good", "weak" (poses alike, or few) or "undetermined" (a direction that neither
+    readings nor prior limit); words: the verdict and its remedy. expected_sd: of every parameter
+    [SI], None where fixed or where no sds of sensors are stated, inf where undetermined;
+    expected_at_poses: SI unit of outputs -> sd that the parameters cause in a predicted end point
+    at 95 % of the poses.
+    """
+
+    mechanism: Mechanism
+    poses: int
+    ranges: tuple[Range, ...]
+    identifiability: WhatDataSay
+    observability: Observability
+    expected_sd: Mapping[str, float | None]
+    expected_at_poses: Mapping[str, float]
+    verdict: str
+    words: str
+
+    def document(self) -> dict[str, Any]:
+        """As one JSON document: SI, null for what is not known."""
+        return {
+            "verdict": self.verdict,
+            "words": self.words,
+            "poses": self.poses,
+            "quantities": [
+                {
+                    "name": r.quantity,
+                    "unit": r.unit,
+                    "readings": r.readings,
+                    "smallest": r.smallest,
+                    "largest": r.largest,
+                    "sd": r.sd if r.sd is None or math.isfinite(r.sd) else None,
+                }
+                for r in self.ranges
+            ],
+            "parameters": [
+                {
+                    "name": p.name,
+                    "unit": p.unit,
+                    "nominal": p.nominal,
+                    "prior_sd": p.prior_sd if math.isfinite(p.prior_sd) else None,
+                    "fixed": p.fixed,
+                    "expected_sd": _finite(self.expected_sd[p.name]),
+                }
+                for p in self.mechanism.parameters
+            ],
+            "identifiability": self.identifiability.document(),
+            "observability": self.observability.document(),
+            "prediction": {"sd_at_poses": dict(self.expected_at_poses)},
+        }
+
+    def __str__(self) -> str:
+        lines = [*_range_table(self), "", *_parameter_table(self), ""]
+        condition = self.identifiability.condition_number
+        if condition is not None:
+            lines.append(f"condition number of the poses {significant(condition, 3)}")
+        lines += [self.observability.words(), self.identifiability.index.words()]
+        for unit, sd in self.expected_at_poses.items():
+            lines.append(
+                f"sd to expect of a predicted end point, from the parameters: up to "
+                f"{_in(sd, SHOWN.get(unit, unit))} at 95 % of these poses"
+            )
+        lines += self.identifiability.words()
+        return "\n".join([*lines, "", f"{self.verdict.upper()}  {self.words}"])
+
+
+def check(
+    mechanism: Mechanism,
+    data: Dataset | Any,
+    *,
+    noise: Noise | None = None,
+    prior: Prior | None = None,
+    start: str = "auto",
+) -> Check:
+    """What these readings can determine, before any fit.
+
+    noise: without one the sensors are taken as exact, and no sds can be expected; the rest is as
+    in `calibrate`. The covariance to expect is (sum D^T D + prior)^-1 at the nominal parameters
+    (Wampler, Hollerbach and Arai 1995). Raises InputError for input that cannot be used.
+    """
+    data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
+    if prior is not None:
+        mechanism = mechanism.with_parameters(prior.apply(mechanism.parameters))
+    if noise is not None:
+        mechanism, data = with_model(mechanism, data, noise)
+    with one_blas_thread():
+        problem = _placed(build_problem(mechanism, data, noise), data, noise, start)
+        sweeper = Sweeper(problem, exact=noise is None)
+        exact = Sweeper(problem, exact=True)
+        corrections = start_corrections(exact, problem.start)
+        corrections = exact.close(problem.start, corrections, NEAR, 1.0).corrections
+        information = sweeper.sweep(problem.start, corrections, triangular=True).data
+        system = spectrum(information, np.zeros(len(problem.free)), problem.prior_sd)
+        loose = {n for d in undetermined(system, problem.names) for n in d}
+        sds = _expected(problem, system, loose, stated=noise is not None)
+        usual: Mapping[str, float] = {}
+        if mechanism.outputs and noise is not None:
+            x = problem.readings + corrections
+            usual = predictor_at(
+                problem, problem.mechanism, system.covariance(), system, x, {}
+            ).usual
+    said = what_data_say(problem, information, sds, unit_sd=None if noise is None else 1.0)
+    verdict = _verdict(problem, said, loose)
+    return Check(
+        problem.mechanism,
+        len(data),
+        _ranges(problem, data, stated=noise is not None),
+        said,
+        observability(information, len(data)),
+        sds,
+        usual,
+        verdict.name,
+        verdict.words,
+    )
+
+
+def _placed(problem: Problem, data: Dataset, noise: Noise | None, start: str) -> Problem:
+    mechanism = problem.mechanism
+    spatial = len(mechanism.outputs) == 3
+    if start == "align" or (start == "auto" and spatial and can_be_placed(mechanism)):
+        return build_problem(placed(problem)[0], data, noise)
+    return problem
+
+
+def _expected(
+    problem: Problem, system: Spectrum, loose: set[str], *, stated: bool
+) -> dict[str, float | None]:
+    sds: dict[str, float | None] = dict.fromkeys(problem.mechanism.parameters.names)
+    if stated:
+        variances = np.diag(system.covariance()).tolist()
+        for name, variance in zip(problem.names, variances, strict=True):
+            sds[name] = math.inf if name in loose else math.sqrt(max(variance, 0.0))
+    return sds
+
+
+def _ranges(problem: Problem, data: Dataset, *, stated: bool) -> tuple[Range, ...]:
+    found = []
+    shape = problem.readings.shape
+    sds = np.broadcast_to(problem.uncertainty.sd, shape)
+    for row, (quantity, unit) in enumerate(problem.mechanism.quantities.items()):
+        values = data.readings.get(quantity, np.empty(0))
+        values = values[~np.isnan(values)]
+        low, high = (float(values.min()), float(values.max())) if values.size else (None, None)
+        sd = float(np.median(sds[row])) if stated else None
+        found.append(Range(quantity, unit, int(values.size), low, high, sd))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Verdict:
+    name: str
+    words: str
+
+
+def _verdict(problem: Problem, said: WhatDataSay, loose: set[str]) -> _Verdict:
+    if loose:
+        names = ", ".join(repr(n) for n in problem.names if n in loose)
+        return _Verdict(
+            "undetermined",
+            f"Neither these readings nor the prior determine {names}. Fix a parameter of each "
+            "combination named above, state how well it is known ([prior]), or measure poses "
+            "that tell it from the others.",
+        )
+    condition = said.condition_number
+    if condition is None or condition > SCHROER:
+        size = "is infinite" if condition is None else f"is {significant(condition, 3)}"
+        return _Verdict(
+            "weak",
+            f"The condition number of these poses {size}, and poses are good up to "
+            f"{SCHROER:.0f}: they are too alike, or their readings too few in kind. The fit will "
+            "hold near these poses only. Spread the joints over their whole ranges, above all "
+            "those that turn the parameters named above; or state what the drawing says ([prior]).",
+        )
+    share = problem.equations / len(problem.free)
+    if share < FEW:
+        return _Verdict(
+            "weak",
+            f"There are {significant(share, 2)} loop equations per parameter, too few to check "
+            "the fit against. Measure more poses.",
+        )
+    return _Verdict("good", "These poses determine every parameter.")
+
+
+def _range_table(check: Check) -> list[str]:
+    rows = [["quantity", "readings", "smallest", "largest", "sd", "unit"]]
+    for r in check.ranges:
+        unit = SHOWN.get(r.unit, r.unit)
+        numbers = [
+            "" if v is None else significant(float(from_si(v, unit)), 6)
+            for v in (r.smallest, r.largest)
+        ]
+        sd = "" if r.sd is None else "exact" if r.sd == 0.0 else "not measured"
+        if r.sd and math.isfinite(r.sd):
+            sd = significant(float(from_si(r.sd, unit)), 3)
+        rows.append([r.quantity, str(r.readings), *numbers, sd, unit])
+    return columns(rows)
+
+
+def _parameter_table(check: Check) -> list[str]:
+    rows = [["parameter", "nominal", "prior sd", "expected sd", "unit"]]
+    for p in check.mechanism.parameters:
+        unit = SHOWN.get(p.unit, p.unit)
+        prior = significant(float(from_si(p.prior_sd, unit)), 3)
+        sd = check.expected_sd[p.name]
+        expected = "unknown"
+        if sd is not None and math.isfinite(sd):
+            expected = significant(float(from_si(sd, unit)), 3)
+        nominal = f"{round(float(from_si(p.nominal, unit)), 9):.8g}"
+        known = "flat" if math.isinf(p.prior_sd) else prior
+        rows.append([p.name, nominal, *(("", "fixed") if p.fixed else (known, expected)), unit])
+    return columns(rows)
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _in(value: float, unit: str) -> str:
+    return f"{significant(float(from_si(value, unit)), 3)} {unit}"
