@@ -1,0 +1,64 @@
+"""What a project says of its validation: which poses take no part in a fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from loopcal.errors import InputError
+from loopcal.files.columns import Column
+from loopcal.files.dataset_readers import read_dataset
+from loopcal.files.place import Place
+
+if TYPE_CHECKING:
+    from loopcal.files.project_data import LoadedData
+    from loopcal.files.project_file import Project
+    from loopcal.files.project_schema import ValidationEntry
+
+
+@dataclass(frozen=True)
+class ValidationSpec:
+    """One of folds, hold_out and file is stated; group: the column of numbers that name groups."""
+
+    folds: int | None = None
+    hold_out: float | None = None
+    file: str | None = None
+    seed: int = 0
+    group: str | int | None = None
+
+
+def validation_spec(entry: ValidationEntry | None, place: Place) -> ValidationSpec | None:
+    """The validation asked for.
+
+    Raises InputError unless exactly one way is stated.
+    """
+    if entry is None:
+        return None
+    stated = [k for k in ("folds", "hold_out", "file") if getattr(entry, k) is not None]
+    if len(stated) != 1:
+        raise InputError(
+            f"the validation states {' and '.join(stated) or 'no way to leave poses out'}",
+            place=str(place),
+            remedy='give one of folds = 10, hold_out = 0.3 and file = "other.csv"',
+        )
+    return ValidationSpec(**entry.model_dump())
+
+
+def load_other(project: Project, file: str) -> LoadedData:
+    """The readings of another file, in the columns and units of the project's own."""
+    from loopcal.files.project_data import load_dataset
+
+    assert project.data is not None
+    options = {**project.data.options, "exclude": [], "every": 1}
+    return load_dataset(replace(project, data=replace(project.data, file=file, options=options)))
+
+
+def load_groups(project: Project, column: str | int) -> tuple[float, ...]:
+    """The group of each pose: equal numbers in a column of the project's file."""
+    from loopcal.files.project_file import expanded
+
+    assert project.data is not None
+    place = Place(project.name).at("data").at("file")
+    path = expanded(project.data.file, project.folder, place)
+    read = read_dataset(path, {"group": Column(column)}, **project.data.options)
+    return tuple(read["group"].tolist())
