@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +74,7 @@ class Spectrum:
     components: Array
     tolerance: float = RANK_TOLERANCE
 
-    @property
+    @cached_property
     def kept(self) -> NDArray[np.bool_]:
         """Directions that data and prior determine."""
         s = self.singular_values
@@ -91,7 +92,7 @@ class Spectrum:
         smallest = float(self.singular_values.min())
         return float(self.singular_values.max()) / smallest if smallest > 0.0 else np.inf
 
-    @property
+    @cached_property
     def decrement(self) -> float:
         """How much of chi-squared the full step is predicted to remove."""
         return float(np.square(self.components[self.kept]).sum())

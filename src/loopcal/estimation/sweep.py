@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.closing import UNMEASURED_SCALE, Closed, close_by_newton
 from loopcal.estimation.kernel import BlockNoise, Whitened, unweighted, whiten
 from loopcal.estimation.loss import Loss
-from loopcal.estimation.problem import BLOCK, Problem
+from loopcal.estimation.problem import Problem
 from loopcal.estimation.reduction import Accumulator
 from loopcal.estimation.scratch import scratch
 from loopcal.expressions.engine import LoopValues, Stage, engine_for
@@ -78,8 +78,7 @@ class Sweeper:
         self.problem = problem
         self.loss = loss
         self.reduce: Reduce = unweighted if exact else whiten
-        tape, size = problem.mechanism.tape, min(BLOCK, len(problem.poses))
-        self.engine = engine_for(tape, problem.names, size)
+        self.engine = engine_for(problem.mechanism.tape, problem.names, problem.block)
         self.prior_sd = np.full(len(problem.free), np.inf) if exact else problem.prior_sd
         # The basic method corrects nothing; only unmeasured quantities have to be found.
         self.corrects = not exact or any(p.unmeasured for p in problem.patterns)

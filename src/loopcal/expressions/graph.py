@@ -1,7 +1,8 @@
 """The graph a tape is built in: every subexpression once, constants folded, zeros gone.
 
 `Graph.apply` is the only way to make a node, for the tracer and for the derivative alike, so
-both profit from the same simplifications. They are the exact ones: x + 0, x * 1, x * 0, --x.
+both profit from the same simplifications. They are the exact ones: x + 0, x * 1, x * 0, --x,
+-(x - y), cos(-x), sin(-x).
 """
 
 from __future__ import annotations
@@ -74,12 +75,27 @@ class Graph:
             case "div" if values[1] == 1.0 or values[0] == 0.0:
                 return arguments[0]
             case "neg":
-                return self._negated(arguments[0])
+                return self._simplify_negative(arguments[0])
+            case "cos" | "sin":
+                return self._simplify_symmetric(name, arguments[0])
             case "pow":
                 return self._simplify_power(arguments[0], values[1])
             case "turn_cos" | "turn_sin":
                 return self._simplify_turn(name, arguments, values)
         return None
+
+    def _simplify_negative(self, a: Node) -> Node | None:
+        name, arguments = self.operations[a]
+        if name == "sub":
+            return self.apply("sub", int(arguments[1]), int(arguments[0]))
+        return self._negated(a)
+
+    def _simplify_symmetric(self, name: str, a: Node) -> Node | None:
+        inner = self._negated(a)
+        if inner is None:
+            return None
+        function = self.apply(name, inner)
+        return function if name == "cos" else self.apply("neg", function)
 
     def _simplify_sum(
         self, name: str, a: Node, b: Node, value_a: float | None, value_b: float | None
