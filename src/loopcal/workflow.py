@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, UsageError, nearest
 from loopcal.estimation.calibrate import METHODS, calibrate
-from loopcal.estimation.on_request import Validation
 from loopcal.estimation.result import Result
 from loopcal.estimation.solver import Progress
 from loopcal.files import result_file
@@ -31,8 +30,7 @@ from loopcal.files.simulation_entries import SimulationSpec
 from loopcal.files.table_writer import check_ending, table_bytes
 from loopcal.files.templates import TEMPLATES
 from loopcal.files.truth_file import read_truth, truth_json
-from loopcal.files.validation_entries import ValidationSpec, load_groups, load_other
-from loopcal.measurements.dataset import Dataset
+from loopcal.files.validation_entries import ValidationSpec, validation_arguments
 from loopcal.measurements.noise import Noise, resolve_noise
 from loopcal.simulation.poses import grid_poses, random_poses, stream
 from loopcal.simulation.simulate import Simulation, simulate
@@ -111,7 +109,8 @@ def run_calibration(
     try:
         result = calibrate(read.mechanism, loaded.dataset, **how, progress=progress)
         if asked_for is not None and result.status.converged:
-            found = _validated(result, asked_for, read, loaded.dataset, how)
+            parts = validation_arguments(read, asked_for)
+            found = validate(read.mechanism, loaded.dataset, **how, **parts, full=result)
             result = replace(result, validation=found)
         patterns = (*read.fit.profile, *profile)
         if patterns and result.status.converged:
@@ -153,29 +152,6 @@ def write_result(
     fields = (found or findings(result)).document()
     return result_file.write_result(
         result, folder, title=title, inputs=inputs, warnings=warnings, findings=fields
-    )
-
-
-def _validated(
-    result: Result,
-    asked: ValidationSpec,
-    project: Project,
-    data: Dataset,
-    how: Mapping[str, Any],
-) -> Validation:
-    """Poses that took no part in a fit, predicted, as a project asks."""
-    other = None if asked.file is None else load_other(project, asked.file)
-    return validate(
-        project.mechanism,
-        data,
-        **how,
-        folds=asked.folds or 0,
-        hold_out=asked.hold_out,
-        other=None if other is None else other.dataset,
-        other_noise=None if other is None else other.noise,
-        seed=asked.seed,
-        groups=None if asked.group is None else load_groups(project, asked.group),
-        full=result,
     )
 
 

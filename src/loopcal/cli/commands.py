@@ -180,6 +180,39 @@ def predict(
 
 
 @app.command()
+def compare(
+    a: Annotated[
+        str, typer.Argument(metavar="A", help="Folder of a calibration, or its result.json.")
+    ],
+    b: Annotated[str, typer.Argument(metavar="B", help="Another calibration of that machine.")],
+    poses: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="Readings where they are compared, in the columns of A's project [default: the "
+            "poses of both].",
+        ),
+    ] = None,
+    same_frame: Annotated[
+        bool,
+        typer.Option(
+            "--same-frame", help="The instrument stood still: compare its placement as well."
+        ),
+    ] = False,
+    as_json: JsonOption = False,
+    mechanism: FunctionOption = None,
+) -> None:
+    """Two calibrations of one machine: what differs, with its sd, and whether it means anything."""
+    from loopcal.cli.comparing import run_comparison
+
+    done = run_comparison(a, b, poses=poses, align=not same_frame, function=mechanism)
+    if as_json:
+        print_json(done.document())
+    else:
+        print_out(str(done))
+
+
+@app.command()
 def simulate(
     project: ProjectArgument,
     out: Annotated[

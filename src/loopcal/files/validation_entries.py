@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError
 from loopcal.files.columns import Column
@@ -44,7 +44,21 @@ def validation_spec(entry: ValidationEntry | None, place: Place) -> ValidationSp
     return ValidationSpec(**entry.model_dump())
 
 
-def load_other(project: Project, file: str) -> LoadedData:
+def validation_arguments(project: Project, asked: ValidationSpec) -> dict[str, Any]:
+    """What `validate` needs of a validation: the choice, other readings and groups, read.
+
+    Raises InputError where a file cannot be read.
+    """
+    found: dict[str, Any] = {"folds": asked.folds or 0, "hold_out": asked.hold_out}
+    if asked.file is not None:
+        other = _other(project, asked.file)
+        found |= {"other": other.dataset, "other_noise": other.noise}
+    if asked.group is not None:
+        found["groups"] = _groups(project, asked.group)
+    return {**found, "seed": asked.seed}
+
+
+def _other(project: Project, file: str) -> LoadedData:
     """The readings of another file, in the columns and units of the project's own."""
     from loopcal.files.project_data import load_dataset
 
@@ -53,7 +67,7 @@ def load_other(project: Project, file: str) -> LoadedData:
     return load_dataset(replace(project, data=replace(project.data, file=file, options=options)))
 
 
-def load_groups(project: Project, column: str | int) -> tuple[float, ...]:
+def _groups(project: Project, column: str | int) -> tuple[float, ...]:
     """The group of each pose: equal numbers in a column of the project's file."""
     from loopcal.files.project_file import expanded
 

@@ -249,7 +249,7 @@ def _notes(a: Calibrated, b: Calibrated, aligned: bool) -> tuple[str, ...]:
             "The parameters are compared as they stand: differences include where the "
             "instrument stood, if it was moved in between."
         )
-    if a.data is not None and a.data == b.data:
+    if _share_readings(a, b):
         notes.append(
             "Both come from the same readings, so they share the errors of these: the sds of the "
             "differences, which take them as independent, are too large and p errs towards 1."
@@ -261,6 +261,14 @@ def _notes(a: Calibrated, b: Calibrated, aligned: bool) -> tuple[str, ...]:
             "small, and a small p may say no more than that."
         )
     return tuple(notes)
+
+
+def _share_readings(a: Calibrated, b: Calibrated) -> bool:
+    if a.data is None or a.data != b.data:
+        return False
+    if a.poses is None or b.poses is None:
+        return True
+    return bool(set(a.poses.poses) & set(b.poses.poses))
 
 
 def _rejected(both: Sequence[Calibrated]) -> list[Calibrated]:
