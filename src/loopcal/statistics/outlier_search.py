@@ -1,0 +1,164 @@
+"""The search for the poses that do not fit: from a robust fit to a set that no longer changes.
+
+One gross error bends a fit and hides itself and others. So the search starts from a robust fit,
+leaves out what is remarkable there, fits the rest, and tests every pose against that fit, those
+left out as well, until the same poses are left out twice (Rousseeuw and Leroy 1987).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.loss import Huber, Loss
+from loopcal.estimation.pose_equations import pose_equations
+from loopcal.estimation.problem import Problem, taken
+from loopcal.estimation.result import Result
+from loopcal.estimation.reweighted import solve_reweighted
+from loopcal.estimation.solver import Solution, solve_with
+from loopcal.estimation.sweep import Sweeper
+from loopcal.mechanisms.model_error import disturbances
+from loopcal.statistics.pose_tests import Fit, PoseTests, pose_tests, settle
+
+Array = NDArray[np.float64]
+_ROUNDS, _HOPELESS = 10, 100.0
+
+
+class Search:
+    """The search for the set of poses that do not fit."""
+
+    def __init__(self, result: Result, level: float, scale: str) -> None:
+        self.result, self.problem = result, result.problem
+        self.exact = result.method == "least-squares"
+        self.level = level
+        self.scale = "residual" if self.exact else scale
+        names = self.problem.mechanism.tape.quantities
+        aside = set(disturbances(self.problem.mechanism))
+        self.readings = np.array([name not in aside for name in names])
+
+    def hopeless(self) -> bool:
+        """Whether the fit is so bad that whole columns may be wrong."""
+        chi = self.result.chi_squared
+        factor = 0.0 if chi is None else chi.variance_factor or 0.0
+        return self.exact or not self.result.status.converged or factor > _HOPELESS
+
+    def run(self) -> tuple[Fit, NDArray[np.bool_], PoseTests]:
+        """The last fit, the poses left out of it (N,), and the tests of all poses against it."""
+        problem, result = self.problem, self.result
+        none = np.zeros(len(problem.poses), dtype=bool)
+        parameters = np.array([result.value[n] for n in problem.mechanism.parameters.names])
+        corrections = np.array([result.corrections[q] for q in problem.mechanism.tape.quantities])
+        covariance = result.spectrum.covariance()
+        fit = self._scaled(Fit(parameters, corrections, covariance, 1.0), none)
+        tests = pose_tests(problem, fit, ~none, exact=self.exact)
+        if result.status.converged and not self._remarkable(tests).any():
+            return fit, none, tests
+        fit = self._robust(fit)
+        gone = self._remarkable(pose_tests(problem, fit, ~none, exact=self.exact))
+        seen: list[NDArray[np.bool_]] = []
+        for _ in range(_ROUNDS):
+            if self._too_few(gone):
+                gone = none
+            fit = self._fitted(fit, gone)
+            tests = pose_tests(problem, fit, ~gone, exact=self.exact)
+            now = self._remarkable(tests)
+            if np.array_equal(now, gone):
+                break
+            # a set that comes again would come for ever: the larger one errs on the safe side
+            now = now | gone if any(np.array_equal(now, old) for old in seen) else now
+            seen.append(gone)
+            gone = now
+        return fit, self._remarkable(tests), tests
+
+    def _too_few(self, gone: NDArray[np.bool_]) -> bool:
+        return bool(gone.mean() > 0.5)
+
+    def _remarkable(self, tests: PoseTests) -> NDArray[np.bool_]:
+        w = np.where(self.readings[:, None], tests.w, np.nan)
+        p = replace(tests, w=w).p_reading
+        poses = 0.5 * self.level / max(int((tests.freedom > 0).sum()), 1)
+        readings = 0.5 * self.level / max(int(np.isfinite(w).sum()), 1)
+        least = np.where(np.isnan(p), 1.0, p).min(axis=0)
+        remarkable: NDArray[np.bool_] = (tests.p_pose < poses) | (least < readings)
+        return remarkable
+
+    def _fit(self, problem: Problem, start: Array, loss: Loss | None) -> Solution:
+        held = replace(problem, start=start)
+        if self.result.method == "reweighted":
+            return solve_reweighted(held, loss=loss)
+        return solve_with(Sweeper(held, exact=self.exact, loss=loss))
+
+    def _robust(self, fit: Fit) -> Fit:
+        """Huber's fit, its tuning constant in units of the scale that it finds itself."""
+        everything = np.zeros(len(self.problem.poses), dtype=bool)
+        for _ in range(3):
+            solution = self._fit(self.problem, fit.parameters, _Scaled(Huber(), fit.factor))
+            covariance = solution.spectrum.covariance()
+            fit = replace(
+                self._closed(fit, solution.parameters, solution.corrections),
+                covariance=covariance,
+            )
+            fit = self._scaled(fit, everything)
+        return fit
+
+    def _fitted(self, fit: Fit, gone: NDArray[np.bool_]) -> Fit:
+        """The fit of the poses that are not gone, loops closed in all."""
+        keep = np.flatnonzero(~gone)
+        solution = self._fit(taken(self.problem, keep), fit.parameters, None)
+        corrections = fit.corrections.copy()
+        corrections[:, keep] = solution.corrections
+        fit = self._closed(fit, solution.parameters, corrections)
+        return self._scaled(replace(fit, covariance=solution.spectrum.covariance()), gone)
+
+    def _closed(self, fit: Fit, parameters: Array, corrections: Array) -> Fit:
+        closed = settle(self.problem, parameters, corrections, exact=self.exact)
+        return replace(fit, parameters=parameters, corrections=closed.corrections)
+
+    def _scaled(self, fit: Fit, gone: NDArray[np.bool_]) -> Fit:
+        """The fit with the variance factor that the tests are to use.
+
+        From the median of |E|^2 / r, so that outliers not yet gone do not count.
+        """
+        if self.scale == "stated":
+            return replace(fit, factor=1.0)
+        factor = self._factor(fit, gone)
+        if self.scale == "auto" and factor < self._plausible(gone):
+            factor = 1.0
+        return replace(fit, factor=factor)
+
+    def _factor(self, fit: Fit, gone: NDArray[np.bool_]) -> float:
+        from scipy.special import chdtri
+
+        found = pose_equations(self.problem, fit.parameters, fit.corrections, exact=self.exact)
+        ratios = []
+        for block in found:
+            r = block.E.shape[1]
+            if r:
+                s = np.square(block.E).sum(axis=1)[~gone[block.poses]]
+                ratios.append(s / float(chdtri(r, 0.5)))
+        middle = float(np.median(np.concatenate(ratios)))
+        spare = max(self.problem.equations - len(self.problem.free), 1) / self.problem.equations
+        return max(middle / spare, 1e-300)
+
+    def _plausible(self, gone: NDArray[np.bool_]) -> float:
+        """Up to here a median ratio is chance: its sd is about 1.5 / sqrt(poses)."""
+        return 1.0 + 5.0 / float(np.sqrt(max(int((~gone).sum()), 1)))
+
+
+@dataclass(frozen=True)
+class _Scaled:
+    """A loss whose unit is a multiple of the stated sds."""
+
+    loss: Loss
+    factor: float
+
+    def rho(self, s: Array, r: int) -> Array:
+        return self.factor * self.loss.rho(s / self.factor, r)
+
+    def weight(self, s: Array, r: int) -> Array:
+        return self.loss.weight(s / self.factor, r)
+
+    def bend(self, s: Array, r: int) -> Array:
+        return self.loss.bend(s / self.factor, r)

@@ -1,0 +1,254 @@
+"""Outliers: which poses do not fit the others, which reading is to blame, and what happened to it.
+
+Within a pose the loops couple the readings, and a misfit shows in all of their corrections. So
+each reading is left out in turn and found again from the others: those that make the pose
+unremarkable may be to blame, and what they should have read says what happened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.problem import Problem
+from loopcal.estimation.result import Result
+from loopcal.estimation.rounding import significant
+from loopcal.estimation.scratch import one_blas_thread
+from loopcal.estimation.summary import SHOWN
+from loopcal.statistics.causes import Cause, Suspect, find_causes
+from loopcal.statistics.column_faults import ColumnFault, column_faults
+from loopcal.statistics.outlier_search import Search
+from loopcal.statistics.pose_tests import (
+    Fit,
+    PoseTests,
+    misfit_there,
+    tail,
+    try_rows,
+)
+from loopcal.units import from_si
+
+Array = NDArray[np.float64]
+SCALES = ("auto", "stated", "residual")
+UNREMARKABLE = 0.001
+"""A pose whose statistic has at least this probability is explained."""
+_ROUND = 24
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """One pose that does not fit.
+
+    quantity: the reading to blame, None where no single one explains the pose; indistinct: other
+    readings that would explain it as well; statistic: normal deviate of the reading, or chi-squared
+    of the pose where quantity is None; p_value: probability of one at least so large by chance;
+    pose_statistic: chi-squared of the pose; size: reading minus its true value as the rest of the
+    data has it [SI unit]; cause: what probably happened, in words; verified: whether putting it
+    right made the pose unremarkable.
+    """
+
+    pose: str
+    quantity: str | None
+    statistic: float
+    p_value: float
+    pose_statistic: float
+    size: float | None
+    unit: str | None
+    indistinct: tuple[str, ...] = ()
+    cause: str | None = None
+    verified: bool = False
+
+    def __str__(self) -> str:
+        who = "no single reading explains it"
+        if self.quantity is not None and self.size is not None and self.unit is not None:
+            unit = SHOWN.get(self.unit, self.unit)
+            off = significant(from_si(self.size, unit), 3)
+            who = f"{self.quantity} is off by {off} {unit}"
+            if self.indistinct:
+                who += f" (or else {', '.join(self.indistinct)})"
+        text = f"pose {self.pose}: {who}, {significant(abs(self.statistic), 3)}"
+        text += " sds" if self.quantity is not None else " chi-squared"
+        if self.cause:
+            text += f"; {self.cause}" + (" (tried: it then fits)" if self.verified else "")
+        return text
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """What find_outliers found.
+
+    found: the outliers, worst first; level: probability of naming anything in good data; tested:
+    poses that could be tested; scale: factor on the stated sds (least squares: the sd of a loop
+    value) that the tests used, from the residuals if `by_residuals`; columns: faults of whole
+    columns.
+    """
+
+    found: tuple[Outlier, ...]
+    level: float
+    tested: int
+    scale: float
+    by_residuals: bool
+    columns: tuple[ColumnFault, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.found)
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def lines(self, most: int = 10) -> list[str]:
+        """In words: the rule of the tests, what it found, at most so many poses."""
+        lines = [f"columns: {fault}" for fault in self.columns]
+        if self.columns:
+            return [*lines, "outliers: the poses are tested once the columns are right"]
+        rule = f"{self.tested} poses tested, family-wise level {100 * self.level:g} %"
+        if self.by_residuals:
+            rule += f", residuals as scale ({significant(self.scale, 3)} times what was stated)"
+        if not self.found:
+            return [f"outliers: none ({rule})"]
+        lines = [f"outliers: {len(self.found)} ({rule})"]
+        lines += [f"  {outlier}" for outlier in self.found[:most]]
+        if len(self.found) > most:
+            lines.append(f"  and {len(self.found) - most} more")
+        return lines
+
+
+def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -> Outliers:
+    """The poses and readings that do not fit, with what probably happened to them.
+
+    level: probability that anything is named where every reading is good; half of it is spent on
+    the chi-squared of the poses, half on Baarda's w of the readings, each shared equally by all of
+    them (Bonferroni). scale: "stated" takes the sds as they are; "residual" multiplies them by the
+    root of the variance factor of the poses that fit; "auto" does so where the stated sds are
+    plainly too small, and for least squares, which states none.
+
+    Every cause is tried: the reading is put right and the pose tested again at parameters it had no
+    part in. Where the fit as a whole is bad, exchanged columns, columns in degrees instead of
+    radians and reversed joints are tried on all poses.
+
+    Raises InputError for a level outside (0, 1) or a scale that is none of the three.
+    """
+    if not 0.0 < level < 1.0:
+        raise InputError(f"the level of a test is a probability, not {level:g}")
+    if scale not in SCALES:
+        raise InputError(
+            f"there is no scale {scale!r}", remedy=f"choose one of {', '.join(SCALES)}"
+        )
+    with one_blas_thread():
+        search = Search(result, level, scale)
+        if search.hopeless():
+            columns = column_faults(result.problem)
+            if columns:
+                return Outliers((), level, 0, 1.0, False, columns)
+        fit, gone, tests = search.run()
+        found = _named(search, fit, gone, tests)
+    root = float(np.sqrt(fit.factor))
+    total = int((tests.freedom > 0).sum())
+    return Outliers(found, level, total, root, fit.factor != 1.0)
+
+
+def _named(
+    search: Search, fit: Fit, gone: NDArray[np.bool_], tests: PoseTests
+) -> tuple[Outlier, ...]:
+    """The outliers of a fit, worst first."""
+    where = np.flatnonzero(gone)
+    if not where.size:
+        return ()
+    suspects = _suspects(search, fit, where, tests)
+    causes = find_causes(search.problem, search.result.dataset, fit, suspects, exact=search.exact)
+    worst = np.argsort([-(s.t / max(s.freedom, 1)) for s in suspects], kind="stable")
+    return tuple(_outlier(search.problem, suspects[i], causes[i]) for i in worst)
+
+
+def _suspects(search: Search, fit: Fit, where: NDArray[np.intp], tests: PoseTests) -> list[Suspect]:
+    """Each pose with every reading left out in turn and found from the others."""
+    explained: dict[int, dict[int, tuple[float, float]]] = {int(i): {} for i in where}
+    possible = np.isfinite(tests.w) & search.readings[:, None]
+    for anywhere in (False, True):
+        left = [i for i, own in explained.items() if not own]
+        pairs = [(i, int(j)) for i in left for j in np.flatnonzero(possible[:, i])]
+        starts = [search.problem.readings[j, i] for i, j in pairs]
+        if anywhere:
+            pairs, starts = _round_the_circle(search.problem, fit, pairs)
+        for i, j, size, t in _without_each(search, fit, pairs, starts):
+            explained[i][j] = (size, t)
+    return [
+        Suspect(
+            i,
+            float(tests.t[i]),
+            int(tests.freedom[i]),
+            dict(sorted(own.items(), key=lambda item: item[1][1])),
+        )
+        for i, own in explained.items()
+    ]
+
+
+def _left_out(problem: Problem, pairs: list[tuple[int, int]]) -> NDArray[np.bool_]:
+    """(k, V) what is unmeasured if of each pose one reading more is left out."""
+    rows = [i for i, _ in pairs]
+    without = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape))[:, rows]
+    for column, (_, j) in enumerate(pairs):
+        without[j, column] = True
+    return without
+
+
+def _round_the_circle(
+    problem: Problem, fit: Fit, pairs: list[tuple[int, int]]
+) -> tuple[list[tuple[int, int]], list[float]]:
+    """The angles among these readings, and where on the circle each fits its pose best."""
+    names, units = problem.mechanism.tape.quantities, problem.mechanism.quantities
+    angles = [(i, j) for i, j in pairs if units[names[j]] == "rad"]
+    if not angles:
+        return [], []
+    turned = [pair for pair in angles for _ in range(_ROUND)]
+    readings = problem.readings[:, [i for i, _ in turned]]
+    for column, (_, j) in enumerate(turned):
+        readings[j, column] += 2 * np.pi * (column % _ROUND) / _ROUND
+    t = misfit_there(problem, fit, [i for i, _ in turned], readings, _left_out(problem, turned))
+    best = np.where(np.isfinite(t), t, np.inf).reshape(-1, _ROUND).argmin(axis=1)
+    columns = np.arange(len(angles)) * _ROUND + best
+    return angles, [float(readings[j, c]) for (_, j), c in zip(angles, columns, strict=True)]
+
+
+def _without_each(
+    search: Search, fit: Fit, pairs: list[tuple[int, int]], starts: list[float]
+) -> Iterator[tuple[int, int, float, float]]:
+    """Pose, reading, size of its error and what is left of t, where that is unremarkable."""
+    if not pairs:
+        return
+    problem = search.problem
+    rows = [i for i, _ in pairs]
+    readings = problem.readings[:, rows]
+    for column, (_, j) in enumerate(pairs):
+        readings[j, column] = starts[column]
+    without = _left_out(problem, pairs)
+    tried = try_rows(problem, fit, rows, readings, without, exact=search.exact)
+    p = tried.tests.p_pose
+    for column, (i, j) in enumerate(pairs):
+        if p[column] >= UNREMARKABLE:
+            there = readings[j, column] + tried.corrections[j, column]
+            yield i, j, float(problem.readings[j, i] - there), float(tried.tests.t[column])
+
+
+def _outlier(problem: Problem, suspect: Suspect, cause: Cause | None) -> Outlier:
+    names = problem.mechanism.tape.quantities
+    pose = problem.poses[suspect.pose]
+    order = list(suspect.explained)
+    if cause is not None and cause.quantity in order:
+        order.remove(cause.quantity)
+        order.insert(0, cause.quantity)
+    words, verified = (None, False) if cause is None else (cause.words, cause.verified)
+    if not order or (cause is not None and cause.quantity is None):
+        p = float(tail(np.array([suspect.t]), np.array([suspect.freedom]))[0])
+        size = unit = None
+        return Outlier(pose, None, suspect.t, p, suspect.t, size, unit, (), words, verified)
+    j = order[0]
+    size, left = suspect.explained[j]
+    w = float(np.copysign(np.sqrt(max(suspect.t - left, 0.0)), size))
+    p = float(tail(np.array([w * w]), np.array([1]))[0])
+    others = tuple(names[i] for i in order[1:])
+    unit = problem.mechanism.quantities[names[j]]
+    return Outlier(pose, names[j], w, p, suspect.t, size, unit, others, words, verified)

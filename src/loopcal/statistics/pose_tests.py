@@ -1,0 +1,182 @@
+"""Tests of poses and readings: what one row of data says against all the others.
+
+For the pose's whitened equations E = D dp + v with the parameters known from the *other* poses to
+a covariance C, the misclosure has the covariance 1 + D C D^T (times the variance factor). With W
+its inverse and y = W E,
+
+    t = y^T W^-1 y ~ chi-squared(r),   w_j = -x_j^T y / sqrt(x_j^T W x_j) ~ N(0, 1),
+
+x_j the column of reading j: t asks whether the pose fits, w_j (Baarda 1968) whether reading j is
+wrong; -w_j is also the reading's correction over the sd of that correction. For a pose that took
+part in the fit W = 1 - D C D^T and y = E with C of all poses, which is the same thing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.closing import UNMEASURED_SCALE, Closed
+from loopcal.estimation.pose_equations import PoseEquations, pose_equations
+from loopcal.estimation.problem import Problem, left_unmeasured, taken
+from loopcal.estimation.sweep import NEAR, NEGLIGIBLE, Sweeper
+
+Array = NDArray[np.float64]
+NO_REDUNDANCY = 1e-6
+"""What the other readings control to less than this share cannot be tested."""
+_STEPS = 10
+
+
+@dataclass(frozen=True)
+class PoseTests:
+    """Statistics of N poses.
+
+    t: (N,) chi-squared of the pose, freedom: (N,) its degrees of freedom; w: (k, N) of each
+    reading, NaN where it cannot be tested; sd: (k, N) of the size of its error [SI].
+    """
+
+    t: Array
+    freedom: NDArray[np.intp]
+    w: Array
+    sd: Array
+
+    @property
+    def p_pose(self) -> Array:
+        """Probability of such a t where the pose is good, (N,)."""
+        return tail(self.t, self.freedom)
+
+    @property
+    def p_reading(self) -> Array:
+        """Probability of such a |w| where the reading is good, (k, N); NaN if not tested."""
+        from scipy.special import erfc
+
+        p: Array = erfc(np.abs(self.w) / np.sqrt(2.0))
+        return p
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where a fit stands: parameters (n_all,), corrections (k, N) [SI], covariance (n, n) at a
+    variance factor of 1, the factor itself."""
+
+    parameters: Array
+    corrections: Array
+    covariance: Array
+    factor: float
+
+
+def tail(t: Array, freedom: NDArray[np.intp]) -> Array:
+    """Probability of a chi-squared above t; 1 where there is nothing to test."""
+    from scipy.special import chdtrc
+
+    some = freedom > 0
+    p: Array = np.where(some, chdtrc(np.where(some, freedom, 1), np.maximum(t, 0.0)), 1.0)
+    return np.where(np.isnan(t), 0.0, p)
+
+
+def pose_tests(
+    problem: Problem, fit: Fit, fitted: NDArray[np.bool_], *, exact: bool = False
+) -> PoseTests:
+    """The tests of all poses; fitted: (N,) those that took part in the fit."""
+    equations = pose_equations(problem, fit.parameters, fit.corrections, exact=exact)
+    k, N = problem.readings.shape
+    t, freedom = np.zeros(N), np.zeros(N, dtype=np.intp)
+    w, sd = np.full((k, N), np.nan), np.full((k, N), np.nan)
+    for block in equations:
+        if block.E.shape[1]:
+            own = _block(block, fit, fitted[block.poses])
+            t[block.poses], freedom[block.poses] = own.t, own.freedom
+            w[:, block.poses], sd[:, block.poses] = own.w, own.sd
+    hidden = np.isinf(np.broadcast_to(problem.uncertainty.sd, w.shape))
+    w[hidden] = np.nan
+    return PoseTests(t, freedom, w, sd)
+
+
+def _block(block: PoseEquations, fit: Fit, fitted: NDArray[np.bool_]) -> PoseTests:
+    spread = np.einsum("bri,ij,bsj->brs", block.D, fit.covariance, block.D)
+    values, vectors = np.linalg.eigh(spread)
+    # The eigenvalues of W: what the other poses leave to test in each direction.
+    own = np.where(fitted[:, None], 1.0 - values, 1.0 / (1.0 + values))
+    open_ = own > NO_REDUNDANCY
+    turned = np.einsum("brs,br->bs", vectors, block.E)
+    y = np.where(open_, turned * np.where(fitted[:, None], 1.0, own), 0.0)
+    t = (np.square(y) / np.where(open_, own, 1.0)).sum(axis=1) / fit.factor
+    X = np.einsum("brs,brk->bsk", vectors, block.X)
+    power = np.einsum("bs,bsk->kb", np.where(open_, own, 0.0), np.square(X))
+    whole = np.square(X).sum(axis=1).T
+    possible = (power > NO_REDUNDANCY * whole) & (power > 0.0)
+    root = np.sqrt(np.where(possible, power, 1.0))
+    scale = np.sqrt(fit.factor)
+    w = np.where(possible, -np.einsum("bsk,bs->kb", X, y) / root / scale, np.nan)
+    return PoseTests(t, open_.sum(axis=1), w, np.where(possible, scale / root, np.nan))
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Rows of data tried instead of those that were read: their tests, and corrections (k, V)."""
+
+    tests: PoseTests
+    corrections: Array
+
+
+def try_rows(
+    problem: Problem,
+    fit: Fit,
+    poses: Sequence[int],
+    readings: Array,
+    without: NDArray[np.bool_],
+    *,
+    exact: bool = False,
+) -> Trials:
+    """The tests of V changed rows against a fit that they took no part in.
+
+    poses: (V,) which pose each is a version of; readings: (k, V) [SI]; without: (k, V) readings
+    taken as unmeasured, so that the loops find them. The statistic of a row whose loops do not
+    close within a few steps is infinite: right readings are near where they close.
+    """
+    index = np.asarray(poses, dtype=np.intp)
+    rows = left_unmeasured(replace(taken(problem, index), readings=readings), without)
+    hidden = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape))
+    start = np.where(hidden, fit.corrections, 0.0)[:, index]
+    closed = settle(rows, fit.parameters, start, exact=exact)
+    none = np.zeros(len(index), dtype=bool)
+    tests = pose_tests(rows, replace(fit, corrections=closed.corrections), none, exact=exact)
+    t = np.where(closed.open | ~np.isfinite(tests.t), np.inf, tests.t)
+    return Trials(replace(tests, t=t), closed.corrections)
+
+
+def misfit_there(
+    problem: Problem, fit: Fit, poses: Sequence[int], readings: Array, without: NDArray[np.bool_]
+) -> Array:
+    """The statistics (V,) of rows as `try_rows`, linearised where they stand."""
+    index = np.asarray(poses, dtype=np.intp)
+    rows = left_unmeasured(replace(taken(problem, index), readings=readings), without)
+    none = np.zeros(len(index), dtype=bool)
+    there = replace(fit, corrections=np.zeros_like(readings))
+    t: Array = pose_tests(rows, there, none).t
+    return t
+
+
+def settle(problem: Problem, parameters: Array, start: Array, *, exact: bool) -> Closed:
+    """Corrections (k, N) that close the loops at these parameters, by Gauss-Newton alone.
+
+    Poses that it does not close are open, and keep the corrections they started with.
+    """
+    sweeper = Sweeper(problem, exact=exact)
+    if not sweeper.corrects:
+        return Closed(start, np.zeros(start.shape[1], dtype=bool))
+    sd = np.broadcast_to(problem.uncertainty.sd, start.shape)
+    unit = np.where(np.isfinite(sd) & (sd > 0.0), sd, UNMEASURED_SCALE)
+    at, size = start, np.full(start.shape[1], np.inf)
+    with np.errstate(all="ignore"):
+        for _ in range(_STEPS):
+            following = sweeper.sweep(parameters, at).proposal
+            size = (np.abs(following - at) / unit).max(axis=0)
+            at = np.where(np.isfinite(size), following, start)
+            if np.all(size <= NEGLIGIBLE):
+                break
+    late = ~(size <= NEAR)
+    return Closed(np.where(late, start, at), late)
