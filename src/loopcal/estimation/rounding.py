@@ -12,7 +12,7 @@ def significant(value: float, digits: int) -> str:
     ('0.0735', '1234567', '2.0e-07')
     """
     if value == 0.0 or not math.isfinite(value):
-        return f"{value:.0f}" if value == 0.0 else str(value)
+        return "0" if value == 0.0 else str(value)
     magnitude = math.floor(math.log10(abs(value)))
     if not -5 < magnitude < 9:
         return f"{value:.{digits - 1}e}"
