@@ -17,12 +17,14 @@ from dataclasses import dataclass
 from itertools import pairwise, repeat
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import kstest
 
 import loopcal as lc
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.statistics.sensitivity import output_sensitivity
 
+Array = NDArray[np.float64]
 SIGMAS = 1.959963984540054
 JOINTS = {"planar": (-np.pi, np.pi), "six-axis": (-1.4, 1.4)}
 LEVELS = {"low": 0.1, "base": 1.0, "high": 10.0}
@@ -45,9 +47,9 @@ class Counts:
     """What some draws found: intervals that held the truth, by parameter and by coordinate."""
 
     draws: int
-    held: np.ndarray
-    points: np.ndarray
-    p_values: np.ndarray
+    held: Array
+    points: Array
+    p_values: Array
 
 
 def nominal(machine: str) -> lc.Mechanism:
@@ -61,7 +63,7 @@ def sds_of(mechanism: lc.Mechanism, level: float) -> dict[str, float]:
     return {q: level * base[unit] for q, unit in mechanism.quantities.items()}
 
 
-def joints(mechanism: lc.Mechanism, machine: str, poses: int, seed: int) -> dict[str, np.ndarray]:
+def joints(mechanism: lc.Mechanism, machine: str, poses: int, seed: int) -> dict[str, Array]:
     driven = [q for q in mechanism.quantities if q not in mechanism.outputs]
     return lc.random_poses(dict.fromkeys(driven, JOINTS[machine]), poses, seed=seed)
 
@@ -89,13 +91,13 @@ def run(case: Case, seeds: range) -> Counts:
         made = lc.simulate(start, poses, noise=lc.Noise(sds), seed=seed, truth=truth)
         found = lc.calibrate(start, made.dataset, noise=lc.Noise(sds), prior=prior, start="nominal")
         assert found.status.converged
-        held += [abs(found.value[n] - truth[n]) <= SIGMAS * found.sd[n] for n in names]
+        held += [abs(found.value[n] - truth[n]) <= SIGMAS * (found.sd[n] or 0.0) for n in names]
         points += _points_held(found, truth, elsewhere)
-        p_values.append(found.chi_squared.p_value)
+        p_values.append(_p_value(found))
     return Counts(len(seeds), held, points, np.array(p_values))
 
 
-def _points_held(found: lc.Result, truth: dict[str, float], at: lc.Dataset) -> np.ndarray:
+def _points_held(found: lc.Result, truth: dict[str, float], at: lc.Dataset) -> Array:
     mechanism = found.mechanism
     empty, none = np.zeros(len(at)), np.zeros((0, len(at)))
     x = np.array([at.readings.get(q, empty) for q in mechanism.quantities])
@@ -105,7 +107,8 @@ def _points_held(found: lc.Result, truth: dict[str, float], at: lc.Dataset) -> n
     x[[mechanism.tape.quantities.index(q) for q in mechanism.outputs]] = y
     S = output_sensitivity(mechanism, p, found.estimated, x, none).by_parameter
     variance = np.einsum("noi,ij,noj->on", S, found.covariance, S)
-    return np.abs(y - y_true) <= SIGMAS * np.sqrt(variance)
+    held: Array = 1.0 * (np.abs(y - y_true) <= SIGMAS * np.sqrt(variance))
+    return held
 
 
 def gear_error_p(seed: int, sd: float = 1e-5, error: float = 2e-4) -> float:
@@ -118,8 +121,13 @@ def gear_error_p(seed: int, sd: float = 1e-5, error: float = 2e-4) -> float:
     reach = np.hypot(made.quantities["x"], made.quantities["y"]).max()  # lever of the first joint
     wrong = made.dataset[first] + error / reach * np.sin(7 * made.quantities[first])
     data = made.dataset.with_readings({first: wrong})
-    chi = lc.calibrate(arm, data, noise=lc.Noise(sds), start="nominal").chi_squared
-    return float(chi.p_value)
+    return _p_value(lc.calibrate(arm, data, noise=lc.Noise(sds), start="nominal"))
+
+
+def _p_value(found: lc.Result) -> float:
+    assert found.chi_squared is not None
+    assert found.chi_squared.p_value is not None
+    return found.chi_squared.p_value
 
 
 def _parts(draws: int, processes: int) -> list[range]:

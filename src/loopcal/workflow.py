@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, UsageError, nearest
+from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.calibrate import METHODS, calibrate
 from loopcal.estimation.result import Result
 from loopcal.estimation.solver import Progress
@@ -110,8 +110,11 @@ def run_calibration(
         result = calibrate(read.mechanism, loaded.dataset, **how, progress=progress)
         if asked_for is not None and result.status.converged:
             parts = validation_arguments(read, asked_for)
-            found = validate(read.mechanism, loaded.dataset, **how, **parts, full=result)
-            result = replace(result, validation=found)
+            try:
+                found = validate(read.mechanism, loaded.dataset, **how, **parts, full=result)
+                result = replace(result, validation=found)
+            except NoTrustworthyResult as error:
+                result = replace(result, warnings=(*result.warnings, f"Not validated: {error}"))
         patterns = (*read.fit.profile, *profile)
         if patterns and result.status.converged:
             result = replace(result, intervals=intervals(result, patterns))

@@ -1,0 +1,199 @@
+"""Poses that took no part in a fit: which they are, and how well they are predicted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+import loopcal as lc
+from loopcal.errors import InputError
+from loopcal.statistics.folds import folds, grouped, held_out, repeated
+from loopcal.statistics.validation import compare_methods, validate
+from tests.reference.simulated import arm_at, planar_arm
+
+SDS = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3}
+NOISE = lc.Noise(SDS)
+ARM = planar_arm(40)
+DATA = ARM.read(SDS, seed=1)
+
+
+def by_hand(left_out: np.ndarray[Any, Any], **how: Any) -> tuple[lc.Result, np.ndarray[Any, Any]]:
+    """A fit from scratch without some poses, and its prediction errors there (2, n)."""
+    rest = np.setdiff1d(np.arange(len(DATA)), left_out)
+    fit = lc.calibrate(ARM.truth, DATA.take(rest), **how)
+    v = fit.value
+    a = DATA["phi2"][left_out] + v["phi20"]
+    b = a + DATA["phi3"][left_out] + v["phi30"]
+    x = v["xA"] + v["l2"] * np.cos(a) + v["l3"] * np.cos(b) - DATA["xP"][left_out]
+    y = v["yA"] + v["l2"] * np.sin(a) + v["l3"] * np.sin(b) - DATA["yP"][left_out]
+    return fit, np.array([x, y])
+
+
+def test_every_pose_is_left_out_once_and_repeats_stay_together() -> None:
+    joints = np.array([DATA["phi2"], DATA["phi3"]])
+    twice = arm_at(ARM.truth, np.hstack([joints, joints + 1e-7]))
+    data = twice.read({"xP": 1e-4})
+    groups = repeated(ARM.truth, data)
+    assert (groups[:40] == groups[40:]).all()
+    assert len(set(groups.tolist())) == 40
+    parts = folds(groups, 7, seed=3)
+    assert sorted(np.concatenate(parts).tolist()) == list(range(80))
+    assert {len(part) for part in parts} <= {10, 12}
+    for part in parts:
+        assert set(part) == {(i + 40) % 80 for i in part}
+    again = folds(groups, 7, seed=3)
+    assert all((a == b).all() for a, b in zip(parts, again, strict=True))
+    some = held_out(groups, 0.3, seed=0)
+    assert len(some) == 24
+    assert set(some) == {(i + 40) % 80 for i in some}
+
+
+def test_stated_groups_stay_together() -> None:
+    groups = grouped(ARM.truth, DATA, [i // 4 for i in range(40)])
+    for part in folds(groups, 5, seed=0):
+        assert len(part) == 8
+        assert len(set((part // 4).tolist())) == 2
+
+
+@pytest.mark.parametrize("how", [{"method": "least-squares"}, {"noise": NOISE}], ids=str)
+def test_refits_give_nothing_away(how: dict[str, Any]) -> None:
+    parts = folds(repeated(ARM.truth, DATA), 5, seed=2)
+    found = validate(ARM.truth, DATA, folds=5, seed=2, **how)
+    errors = np.zeros((2, len(DATA)))
+    for part in parts:
+        errors[:, part] = by_hand(part, **how)[1]
+    assert found.distances == pytest.approx(np.hypot(*errors), rel=1e-6)
+    assert found.accuracy is not None
+    assert found.accuracy.rms == pytest.approx(np.sqrt(np.square(errors).sum(axis=0).mean()))
+    assert found.poses == DATA.poses
+
+
+def test_the_predictive_likelihood_is_that_of_the_misclosure() -> None:
+    part = held_out(repeated(ARM.truth, DATA), 0.2, seed=4)
+    found = validate(ARM.truth, DATA, noise=NOISE, hold_out=0.2, seed=4)
+    fit, errors = by_hand(part, noise=NOISE)
+    v, total = fit.value, 0.0
+    for i, e in zip(part, errors.T, strict=True):
+        a = DATA["phi2"][i] + v["phi20"]
+        b = a + DATA["phi3"][i] + v["phi30"]
+        turn_b = v["l3"] * np.array([-np.sin(b), np.cos(b)])
+        turn_a = v["l2"] * np.array([-np.sin(a), np.cos(a)]) + turn_b
+        along = [[np.cos(a), np.sin(a)], [np.cos(b), np.sin(b)]]
+        J = np.column_stack([np.eye(2), np.array(along).T, turn_a, turn_b])
+        W = np.eye(2) * 1e-8 + 1e-6 * (np.outer(turn_a, turn_a) + np.outer(turn_b, turn_b))
+        total += float(multivariate_normal.logpdf(e, cov=W + J @ fit.covariance @ J.T))
+    assert found.log_likelihood == pytest.approx(total, rel=1e-6)
+
+
+def test_the_right_noise_predicts_best() -> None:
+    wrong = lc.Noise(SDS | {"phi2": 1e-5})
+    found = compare_methods(
+        ARM.truth,
+        DATA,
+        {
+            "right": {"noise": NOISE},
+            "wrong": {"noise": wrong},
+            "basic": {"method": "least-squares"},
+        },
+        folds=5,
+    )
+    right, bad, plain = (found.validations[n].log_likelihood for n in ("right", "wrong", "basic"))
+    assert right is not None
+    assert bad is not None
+    assert plain is not None
+    assert right > plain > bad
+    assert [line.split()[0] for line in str(found).splitlines()] == ["on", *found.validations]
+
+
+def test_sds_by_pose_and_estimated_ones_are_validated_too() -> None:
+    by_pose = lc.Noise({q: np.full(len(DATA), sd) for q, sd in SDS.items()})
+    plain = validate(ARM.truth, DATA, noise=NOISE, folds=4)
+    assert validate(ARM.truth, DATA, noise=by_pose, folds=4).log_likelihood == pytest.approx(
+        plain.log_likelihood
+    )
+    begun = lc.Noise(SDS | {"phi2": 1e-4, "phi3": 1e-4}, estimate={"phi?": "group"})
+    learnt = validate(ARM.truth, DATA, noise=begun, folds=4)
+    stated = validate(ARM.truth, DATA, noise=lc.Noise(begun.entries), folds=4)
+    assert learnt.log_likelihood is not None
+    assert stated.log_likelihood is not None
+    assert plain.log_likelihood is not None
+    assert learnt.log_likelihood > stated.log_likelihood + 100
+    assert learnt.log_likelihood == pytest.approx(plain.log_likelihood, abs=5)
+
+
+def test_another_file_is_predicted_by_the_fit_of_all() -> None:
+    other = planar_arm(3, seed=9).read(SDS, seed=5)
+    found = validate(ARM.truth, DATA, noise=NOISE, other=other)
+    assert found.poses == other.poses
+    assert found.log_likelihood is not None
+    assert found.accuracy is not None
+    assert found.accuracy.max < 6e-3
+
+
+def test_poses_that_a_part_leaves_open_have_no_likelihood() -> None:
+    arm = ARM.truth.with_parameters(ARM.truth.parameters.with_fixed(["xA", "yA"]))
+    joints = np.zeros((2, 12))
+    joints[0], joints[1, -1] = np.linspace(0, 2, 12), 0.7  # one pose alone tells l2 from l3
+    exact = SDS | {"phi3": 0.0}
+    data = arm_at(arm, joints).read(exact, seed=3)
+    assert validate(arm, data, noise=lc.Noise(exact), folds=12).log_likelihood is None
+    assert validate(arm, data, noise=lc.Noise(exact), hold_out=0.2, seed=2).log_likelihood
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"folds": 1}, "1 folds"),
+        ({"folds": 41}, "41 folds cannot be made of 40"),
+        ({"hold_out": 1.5}, "1.5"),
+        ({"hold_out": 0.999}, "leaves none"),
+        ({"seed": -1}, "seed"),
+        ({"groups": [1, 2]}, "2 groups are stated for 40"),
+    ],
+)
+def test_a_choice_that_cannot_be_made_is_refused(how: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        validate(ARM.truth, DATA, method="least-squares", **how)
+
+
+def project(name: str, monkeypatch: pytest.MonkeyPatch, file: Path) -> lc.Project:
+    monkeypatch.setenv("LOOPCAL_DATA", str(file.parents[1]))
+    folder = Path(__file__).resolve().parents[2] / "examples" / "motoman"
+    return lc.read_project(folder / f"{name}.toml")
+
+
+def test_the_measured_grid(
+    shared_data: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = shared_data("motoman_ma1400_leica/left_arm_grid.csv")
+    read = project("left_arm_grid", monkeypatch, file)
+    data = lc.load_dataset(read).dataset
+    found = validate(read.mechanism, data, method="least-squares", folds=10).accuracy
+    assert found is not None
+    assert found.rms == pytest.approx(0.077e-3, abs=0.001e-3)
+    assert found.max == pytest.approx(0.172e-3, abs=0.006e-3)
+
+
+def test_the_measured_workspace(
+    shared_data: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = shared_data("motoman_ma1400_leica/right_arm_workspace.csv")
+    read = project("right_arm_workspace", monkeypatch, file)
+    data = lc.load_dataset(read).dataset
+    noise = lc.Noise({"theta_*": 5e-5, "xyz": 5e-6})
+    data = lc.Dataset(data.readings, data.units, data.poses)
+    methods: dict[str, dict[str, Any]] = {
+        "basic": {"method": "least-squares"},
+        "new": {"noise": noise},
+    }
+    found = compare_methods(read.mechanism, data, methods, folds=10).validations
+    basic, new = (found[name].accuracy for name in methods)
+    assert basic is not None
+    assert new is not None
+    assert basic.rms == pytest.approx(2.39e-3, abs=0.02e-3)
+    assert new.rms == pytest.approx(3.08e-3, abs=0.06e-3)
