@@ -26,7 +26,9 @@ from loopcal.estimation.on_request import Interval
 from loopcal.estimation.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.scratch import one_blas_thread
-from loopcal.estimation.solver import Solution, solve
+from loopcal.estimation.solver import solve
+from loopcal.estimation.starting import start_corrections
+from loopcal.estimation.sweep import NEGLIGIBLE, Sweeper
 from loopcal.mechanisms.parameters import matching
 
 Array = NDArray[np.float64]
@@ -83,6 +85,16 @@ def _check(result: Result) -> None:
         raise InputError(
             f"the method {result.method!r} maximises no likelihood that could be profiled",
             remedy='calibrate with method = "implicit-loop" or "least-squares"',
+        )
+    if result.loss != "gaussian":
+        raise InputError(
+            f"under the loss {result.loss!r} there is no likelihood that could be profiled",
+            remedy='leave out the outliers it finds and calibrate with loss = "gaussian"',
+        )
+    if result.loss != "gaussian":
+        raise InputError(
+            f"under the loss {result.loss!r} chi-squared is no likelihood that could be profiled",
+            remedy='calibrate with loss = "gaussian", leaving out the outliers it named',
         )
     if not result.status.converged:
         raise InputError(
@@ -152,8 +164,8 @@ class _Profile:
                     found = _found(replace(held, start=start), exact)
                     if found is None:
                         continue
-                    last.append((z, found.parameters[held.free]))
-                    merit = found.chi_squared
+                    last.append((z, found.others))
+                    merit = found.merit
                     if not exact:
                         merit += ((start[position] - nominal) / prior_sd) ** 2
                     return math.copysign(math.sqrt(max(merit - least, 0.0) / variance), z)
@@ -162,13 +174,30 @@ class _Profile:
         return cls(float(best[position]), sd, root)
 
 
-def _found(problem: Problem, exact: bool) -> Solution | None:
+@dataclass(frozen=True)
+class _Place:
+    """Where the others go while one parameter is held, and chi-squared there."""
+
+    others: Array
+    merit: float
+
+
+def _found(problem: Problem, exact: bool) -> _Place | None:
     """The optimum from this start; None where the search does not reach one."""
     try:
+        if not problem.free.size:
+            sweeper = Sweeper(problem, exact=exact)
+            corrections = start_corrections(sweeper, problem.start)
+            sweep = sweeper.sweep(problem.start, corrections, closing=NEGLIGIBLE)
+            merit = sweep.data.chi_squared
+            closed = math.isfinite(merit) and not sweep.open_poses.size
+            return _Place(problem.nominal, merit) if closed else None
         found = solve(problem, exact=exact)
     except InputError:
         return None  # beyond reach
-    return found if found.status.converged else None
+    if not found.status.converged:
+        return None
+    return _Place(found.parameters[problem.free], found.chi_squared)
 
 
 def _held(problem: Problem, j: int) -> Problem:
