@@ -94,7 +94,7 @@ def estimate_noise(
     model, found = best.model, best.found
     return NoiseEstimate(
         best.present,
-        best.solution,
+        replace(best.solution, status=replace(best.solution.status, iterations=best.iterations)),
         tuple(_judged(model, found, i, c) for i, c in enumerate(components)),
         found.criterion,
         _alike(found, components),
@@ -111,6 +111,7 @@ class _Round:
     model: LinearModel
     found: Estimate
     settled: bool
+    iterations: int
 
 
 @dataclass(frozen=True)
@@ -134,11 +135,11 @@ class _Search:
 
     def run(self, ratios: Array) -> _Round:
         """Fit and ratios in turn, from these ratios."""
-        start, before, vanish = self.stated.start, math.inf, False
+        start, before, vanish, iterations = self.stated.start, math.inf, False, 0
         for number in range(_MOST):
             present = replace(scaled(self.stated, self.positions, ratios), start=start)
             solution = self.fit(present)
-            start = solution.parameters
+            start, iterations = solution.parameters, iterations + solution.status.iterations
             model = linear_model(
                 replace(self.stated, start=start),
                 start,
@@ -150,13 +151,13 @@ class _Search:
             change = _change(ratios, found.ratios)
             ended = change <= _SETTLED or abs(before - found.criterion) <= _BETTER
             if ended and vanish:
-                return _Round(present, solution, model, found, found.converged)
+                return _Round(present, solution, model, found, found.converged, iterations)
             # No component may vanish before the others are roughly right.
             vanish = vanish or ended or change <= _ROUGHLY or number >= _MOST // 2
             lowest = 0.0 if vanish else ratios / _SLOWLY
             ratios = np.maximum(found.ratios, lowest)
             before = found.criterion
-        return _Round(present, solution, model, found, False)
+        return _Round(present, solution, model, found, False, iterations)
 
 
 def scaled(problem: Problem, components: Sequence[Sequence[int]], ratios: Array) -> Problem:
