@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from loopcal.statistics.check import Check, check
     from loopcal.statistics.findings import Findings, findings
     from loopcal.statistics.prediction import Prediction, predict
+    from loopcal.statistics.repeats import Repeats, repeated_readings
     from loopcal.workflow import write_result
 
 _HOME = {
@@ -73,6 +74,7 @@ _HOME = {
     "statistics.check": ("Check", "check"),
     "statistics.findings": ("Findings", "findings"),
     "statistics.prediction": ("Prediction", "predict"),
+    "statistics.repeats": ("Repeats", "repeated_readings"),
     "workflow": ("write_result",),
 }
 _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name in names}
@@ -97,6 +99,7 @@ __all__ = [
     "Prediction",
     "Prior",
     "Project",
+    "Repeats",
     "Result",
     "Simulation",
     "Status",
@@ -120,6 +123,7 @@ __all__ = [
     "read_mechanism",
     "read_project",
     "read_result",
+    "repeated_readings",
     "rot_x",
     "rot_y",
     "rot_z",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,9 @@ from loopcal.statistics.intervals import intervals
 from loopcal.statistics.prediction import Prediction, predict
 from loopcal.statistics.predictor import predictor_of
 from loopcal.statistics.validation import validate
+
+if TYPE_CHECKING:
+    from loopcal.statistics.repeats import Repeats
 
 Array = NDArray[np.float64]
 SCHEMAS = ("project", "result")
@@ -322,6 +325,51 @@ def new_project(name: str, kind: str) -> NewProject:
         f"loopcal calibrate {at}{loops} --truth {truth}",
     )
     return NewProject(files, project, commands)
+
+
+@dataclass(frozen=True, eq=False)
+class SensorNoise:
+    """What repeated readings say of the sensors; text and document tell it, SI in the latter."""
+
+    repeats: Repeats
+    text: str
+    document: dict[str, Any]
+
+
+def sensor_noise(
+    files: Sequence[str | Path],
+    *,
+    project: str | Path | None = None,
+    columns: str | None = None,
+    pose: str | None = None,
+    function: str | None = None,
+) -> SensorNoise:
+    """Sensor sds from files of repeated readings, one pose each.
+
+    project: whose columns, units and loops are used, to tell joints from instrument; columns:
+    "S=rad,x=m" instead, else every column of numbers; pose: column of the ids.
+    Raises InputError for what cannot be read or used, UsageError for options that clash.
+    """
+    from loopcal.files.repeats_files import read_repeats
+    from loopcal.statistics import repeats_summary
+    from loopcal.statistics.repeats import repeated_readings, with_separation
+    from loopcal.statistics.separation import separate
+
+    read = None if project is None else _project(project, function)
+    series = read_repeats(files, project=read, columns=columns, pose=pose)
+    found = repeated_readings(series)
+    if read is not None:
+        try:
+            elsewhere = load_dataset(read).dataset if read.fit.start != "nominal" else None
+        except InputError:
+            elsewhere = None  # its readings are not here; the series may place the machine
+        raw = {sensor.name: sensor.about_mean.sd for sensor in found.sensors}
+        try:
+            apart = separate(read.mechanism, series, raw, elsewhere=elsewhere)
+        except InputError as error:
+            raise error.at(read.name) from None
+        found = with_separation(found, apart)
+    return SensorNoise(found, repeats_summary.summary(found), repeats_summary.document(found))
 
 
 def schema(name: str) -> dict[str, Any]:

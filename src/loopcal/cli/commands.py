@@ -213,6 +213,36 @@ def compare(
 
 
 @app.command()
+def noise(
+    files: Annotated[
+        list[str],
+        typer.Argument(metavar="FILE...", help="Repeated readings of one pose; a series each."),
+    ],
+    project: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PROJECT", help="Take columns, units and loops from this project file."
+        ),
+    ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(metavar="NAME=UNIT,...", help="Columns that are sensors: S=rad,L=rad,x=m."),
+    ] = None,
+    pose: Annotated[str | None, typer.Option(metavar="COLUMN", help="Column of the ids.")] = None,
+    as_json: JsonOption = False,
+    mechanism: FunctionOption = None,
+) -> None:
+    """Sensor sds from repeated readings of one pose, drift told apart from scatter."""
+    from loopcal.workflow import sensor_noise
+
+    done = sensor_noise(files, project=project, columns=columns, pose=pose, function=mechanism)
+    if as_json:
+        print_json(done.document)
+    else:
+        print_out(done.text)
+
+
+@app.command()
 def simulate(
     project: ProjectArgument,
     out: Annotated[

@@ -1,0 +1,85 @@
+"""The grid that readings lie on: the step to which a sensor, or the file, rounds them.
+
+Written decimals hide a coarser grid of counts: encoder counts of 12.17 urad, written to 1 urad,
+lie 12, 24, 37 ... apart. Both are looked for, the coarser one within the rounding of the decimals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_CHANCE = 1e-3
+"""Numbers without a grid pass for one at most this often."""
+_REPEATED = 1 / 3
+"""So few different values among the readings, each far from the next, are a grid anyway."""
+_REFINEMENTS = 4
+"""The smallest step seen may be this many counts."""
+_FINEST, _COARSEST = 14, -3
+
+
+@dataclass(frozen=True)
+class Grid:
+    """decimals: step of the numbers as written; step: of the readings, never finer; both [unit].
+
+    None where there is none. levels: how many different values were read.
+    """
+
+    decimals: float | None
+    step: float | None
+    levels: int
+
+
+def grid(values: Array) -> Grid:
+    """The grid of values (N,) in the unit in which they were written."""
+    levels = np.unique(values)
+    decimals = written_step(levels)
+    if decimals is not None:  # one value, however it was rounded on the way
+        levels = np.unique(np.round(levels / decimals)) * decimals
+    coarse = None if decimals is None else _counts(levels, decimals, len(values))
+    return Grid(decimals, decimals if coarse is None else coarse, len(levels))
+
+
+def written_step(values: Array) -> float | None:
+    """The largest power of ten that all values are multiples of; None for real numbers or 0."""
+    size = float(np.abs(values).max(initial=0.0))
+    if size == 0.0:
+        return None
+    for digits in range(_COARSEST, _FINEST + 1):
+        scaled = values * 10.0**digits
+        if 10.0**-digits < 1e-11 * size:
+            return None  # all digits of a double are used: nothing was rounded
+        if np.all(np.abs(scaled - np.round(scaled)) <= 1e-9 + 4e-16 * 10.0**digits * size):
+            return float(10.0**-digits)
+    return None
+
+
+def _counts(levels: Array, decimals: float, number: int) -> float | None:
+    """A step coarser than the decimals on which all levels lie, as far as decimals tell."""
+    if len(levels) < 2:
+        return None
+    above = levels[1:] - levels[0]
+    smallest = float(np.diff(levels).min())
+    for parts in range(1, _REFINEMENTS + 1):
+        step = _fitted(above, smallest / parts, decimals)
+        if step is None or step < 4.0 * decimals:
+            continue
+        # each level falls within the tolerance by chance this often
+        chance = min(1.0, 3.0 * decimals / step) ** (len(above) - 1) * parts
+        if chance < _CHANCE or len(levels) <= _REPEATED * number:
+            return step
+    return None
+
+
+def _fitted(above: Array, step: float, decimals: float) -> float | None:
+    """The step near this one of which all are multiples within the decimals, nearest first."""
+    order = np.sort(above)
+    for end in range(1, len(order) + 1):
+        part = order[:end]
+        counts = np.maximum(np.round(part / step), 1.0)
+        step = float(part @ counts / (counts @ counts))
+    counts = np.round(above / step)
+    return step if np.all(np.abs(above - counts * step) <= 1.01 * decimals) else None
