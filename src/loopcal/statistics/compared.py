@@ -22,7 +22,9 @@ _NAMED = 3
 class ParameterDifference:
     """One parameter [SI]: of A, of B brought to A, B minus A with its sd, and their ratio z.
 
-    sd: None where one of the calibrations does not determine the parameter.
+    sd: None where one of the calibrations does not determine the parameter; placement: whether
+    it says where the machine stands: what the machines differ in turns up there too, because
+    they were brought together as wholes.
     """
 
     name: str
@@ -32,6 +34,7 @@ class ParameterDifference:
     difference: float
     sd: float | None
     z: float | None
+    placement: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +146,8 @@ class Compared:
         told = f"p = {p:.2g}"
         if p >= SIGNIFICANT:
             return f"The two machines agree within their stated uncertainty: {where}{told}."
-        tested = [q for q in self.parameters if q.z is not None and abs(q.z) > 2.0]
+        own = [q for q in self.parameters if not (self.aligned and q.placement)]
+        tested = [q for q in own if q.z is not None and abs(q.z) > 2.0]
         most = sorted(tested, key=lambda q: -abs(q.z or 0.0))[:_NAMED]
         named = ", ".join(f"{q.name} (z = {q.z:+.1f})" for q in most)
         blame = f" Most: {named}." if named else " No single parameter shows it, together they do."

@@ -218,15 +218,16 @@ def _parameters(
     sds = np.sqrt(np.maximum(np.diag(spread), 0.0))
     size = np.abs(loose).max(axis=1, initial=0.0)
     unknown = size > 1e-6 * size.max(initial=0.0)
+    stands = () if a.mechanism.placement is None else a.mechanism.placement.parameters
     found = []
     for i, parameter in enumerate(a.mechanism.parameters):
-        value = parameter.nominal
+        value, change = parameter.nominal, float(d[i])
         sd = None if unknown[i] else float(sds[i])
-        z = float(d[i]) / sd if sd else None
+        z = change / sd if sd else None
+        name, unit = parameter.name, parameter.unit
+        placement = name in stands
         found.append(
-            ParameterDifference(
-                parameter.name, parameter.unit, value, value + float(d[i]), float(d[i]), sd, z
-            )
+            ParameterDifference(name, unit, value, value + change, change, sd, z, placement)
         )
     return tuple(found)
 

@@ -1,0 +1,100 @@
+"""`loopcal compare`, and validation and profiles on the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.command_line import run
+
+PROJECT = """
+schema = 1
+[mechanism]
+type = "planar-two-link"
+[data]
+file = "{data}.csv"
+pose = "pose"
+[noise]
+"?P" = {{ sd = 0.1, unit = "mm" }}
+"phi?" = {{ sd = 1, unit = "mrad" }}
+[fit]
+{fit}
+[simulation]
+poses = 40
+[simulation.ranges]
+phi2 = {{ from = -90, to = 90, unit = "deg" }}
+phi3 = {{ from = -90, to = 90, unit = "deg" }}
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two calibrations, the first validated in every way."""
+    here = tmp_path_factory.mktemp("compare")
+    asked = 'validation = { folds = 4, seed = 1 }\nprofile = ["l*"]'
+    for name, fit in (("a", asked), ("b", 'validation = { file = "a.csv" }')):
+        project = here / f"{name}.toml"
+        project.write_text(PROJECT.format(data=name, fit=fit))
+        seed = str(ord(name))
+        made = run("simulate", str(project), "--out", str(here / f"{name}.csv"), "--seed", seed)
+        assert made.returncode == 0, made.stderr
+    for name in "ab":
+        done = run("calibrate", str(here / f"{name}.toml"))
+        assert done.returncode == 0, done.stderr
+        (here / f"{name}.txt").write_text(done.stdout)
+    return here
+
+
+def test_what_the_project_asks_for_is_in_summary_and_result(folder: Path) -> None:
+    text = (folder / "a.txt").read_text()
+    assert "on poses not used" in text
+    assert "4 folds of 40 poses" in text
+    assert "95% interval" in text
+    document = json.loads((folder / "a-result" / "result.json").read_text())
+    assert document["validation"]["scheme"] == {"folds": 4, "seed": 1}
+    assert document["validation"]["accuracy"]["rms"] > document["accuracy"]["after"]["rms"]
+    asked = [p["name"] for p in document["parameters"] if p["interval"]]
+    assert asked == ["l2", "l3"]
+    other = json.loads((folder / "b-result" / "result.json").read_text())["validation"]
+    assert other["poses"] == 40
+    assert other["log_likelihood"] > 0
+
+
+def test_two_results_are_compared(folder: Path) -> None:
+    a, b = str(folder / "a-result"), str(folder / "b-result" / "result.json")
+    done = run("compare", a, b)
+    assert done.returncode == 0, done.stderr
+    assert "The two machines agree within their stated uncertainty" in done.stdout
+    told = json.loads(run("compare", a, b, "--json").stdout)
+    assert told["chi_squared"]["degrees_of_freedom"] == 3
+    assert told["common_poses"]["poses"] == 80
+    still = json.loads(run("compare", a, b, "--json", "--same-frame").stdout)
+    assert still["chi_squared"]["degrees_of_freedom"] == 6
+    (folder / "at.csv").write_text("pose,phi2,phi3\n1,0.1,0.2\n2,0.3,-0.4\n3,1,1\n")
+    at = json.loads(run("compare", a, b, "--json", "--poses", str(folder / "at.csv")).stdout)
+    assert at["common_poses"]["poses"] == 3
+
+
+def test_what_cannot_be_compared_is_bad_input(folder: Path) -> None:
+    done = run("compare", str(folder / "a-result"), str(folder / "nowhere"))
+    assert done.returncode == 3
+    assert "nowhere" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("fit", "words"),
+    [
+        ("validation = { seed = 1 }", "no way to leave poses out"),
+        ("validation = { folds = 3, hold_out = 0.2 }", "folds and hold_out"),
+        ("validation = { folds = 300 }", "300 folds"),
+        ('validation = { file = "c.csv" }', "c.csv"),
+        ('profile = ["l9"]', "l9"),
+    ],
+)
+def test_a_validation_that_cannot_be_is_bad_input(folder: Path, fit: str, words: str) -> None:
+    (folder / "c.toml").write_text(PROJECT.format(data="a", fit=fit))
+    done = run("calibrate", str(folder / "c.toml"))
+    assert done.returncode == 3
+    assert words in done.stderr
