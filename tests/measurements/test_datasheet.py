@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from loopcal.errors import InputError
 from loopcal.measurements.datasheet import DatasheetSd, Tracker, length_figure
 from loopcal.measurements.noise import resolve_noise
 
-AT500 = {"range": "10 um + 0.3 um/m", "transverse": "15 um + 6 um/m"}
+AT500: dict[str, Any] = {"range": "10 um + 0.3 um/m", "transverse": "15 um + 6 um/m"}
 POINTS = np.random.default_rng(3).normal(0, 4, (40, 3))
 
 
