@@ -99,6 +99,38 @@ def test_any_start_and_any_noise_of_a_six_axis_arm(seed: int) -> None:
     check(simulated, start, sds, seed)
 
 
+@pytest.mark.parametrize(
+    ("poses", "sds", "off", "seed"),
+    [
+        # loops that were open at the start once passed for a solution
+        (28, (1.2e-3, 0.21, 0.5, 0.5), (0.42, 0.0081), 36),
+        # closing was once thought to contract faster than it does
+        (13, (0.084, 0.5, 0.0018, 0.5), (0.0052, 0.018), 93),
+    ],
+)
+def test_what_once_fooled_the_solver(
+    poses: int, sds: tuple[float, ...], off: tuple[float, float], seed: int
+) -> None:
+    simulated = planar_arm(poses, seed=seed)
+    told = dict(zip(simulated.exact, sds, strict=True))
+    assert check(simulated, simulated.off(*off, seed=seed), told, seed).status.converged
+
+
+@pytest.mark.parametrize(("largest", "least"), [(0.1, 60), (0.5, 56)])
+def test_nearly_all_planar_fits_converge_however_uncertain(largest: float, least: int) -> None:
+    """Of 60 from up to 50 mm or 0.1 rad off, every sensor's sd drawn over four decades."""
+    converged = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        simulated = planar_arm(20, seed=seed)
+        sds = {q: largest * float(10 ** rng.uniform(-4, 0)) for q in simulated.exact}
+        start = simulated.off(0.05, 0.1, seed=seed)
+        data = simulated.read(sds, seed=seed)
+        result = calibrate(start, data, noise=Noise(sds), start="nominal")
+        converged += result.status.converged
+    assert converged >= least
+
+
 @pytest.mark.parametrize("name", cases())
 def test_readings_as_uncertain_as_the_machine_is_large(name: str) -> None:
     case = cases(0.1)[name]
