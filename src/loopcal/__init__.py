@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from loopcal.files.project_file import Project, read_project
     from loopcal.files.result_file import WrittenResult, read_result
     from loopcal.measurements.dataset import Dataset
+    from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
     from loopcal.measurements.noise import Noise
     from loopcal.mechanisms.mechanism import Mechanism
     from loopcal.mechanisms.motoman import motoman_ma1400
@@ -62,6 +63,7 @@ _HOME = {
     "files.project_file": ("Project", "read_project"),
     "files.result_file": ("WrittenResult", "read_result"),
     "measurements.dataset": ("Dataset",),
+    "measurements.datasheet": ("Tracker", "encoder_sd", "tracker_covariance"),
     "measurements.noise": ("Noise",),
     "mechanisms.mechanism": ("Mechanism",),
     "mechanisms.motoman": ("motoman_ma1400",),
@@ -104,6 +106,7 @@ __all__ = [
     "Simulation",
     "Status",
     "TraceError",
+    "Tracker",
     "Undetermined",
     "WrittenResult",
     "__version__",
@@ -111,6 +114,7 @@ __all__ = [
     "check",
     "cross",
     "dot",
+    "encoder_sd",
     "findings",
     "grid_poses",
     "load_dataset",
@@ -130,6 +134,7 @@ __all__ = [
     "rotate",
     "serial_arm",
     "simulate",
+    "tracker_covariance",
     "vector",
     "write_result",
 ]

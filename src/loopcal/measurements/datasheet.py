@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -87,7 +86,7 @@ class Tracker:
         transverse: str | None = None,
         kind: str | None = None,
         coverage: float | str | None = None,
-        station: Sequence[float] | None = None,
+        station: ArrayLike | None = None,
         rounded_to: float = 0.0,
     ) -> Tracker:
         """A tracker by the name of a preset, or from its range and transverse figures.
@@ -122,7 +121,7 @@ class Tracker:
                 remedy='give both, say range = "10 um + 0.3 um/m", transverse = "15 um + 6 um/m"',
             )
         factor = sd_per_figure(kind or "mpe", coverage)
-        place = None if station is None else tuple(map(float, station))
+        place = None if station is None else tuple(np.asarray(station, dtype=float).tolist())
         return cls(
             length_figure(range, factor),
             length_figure(transverse, factor),
@@ -177,7 +176,7 @@ def tracker_covariance(
     transverse: str | None = None,
     kind: str | None = None,
     coverage: float | str | None = None,
-    station: Sequence[float] | None = None,
+    station: ArrayLike | None = None,
     rounded_to: float = 0.0,
 ) -> Array:
     """Covariances (N, d, d) [m^2] of a tracker's readings of points (N, d) [m]; see `Tracker`.
