@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from loopcal.errors import InputError, LoopcalError
     from loopcal.estimation.calibrate import calibrate
+    from loopcal.estimation.on_request import Interval, Validation
     from loopcal.estimation.result import (
         Accuracy,
         ChiSquared,
@@ -40,14 +41,19 @@ if TYPE_CHECKING:
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation, simulate
     from loopcal.statistics.check import Check, check
+    from loopcal.statistics.compared import Compared
+    from loopcal.statistics.comparison import compare
     from loopcal.statistics.findings import Findings, findings
+    from loopcal.statistics.intervals import intervals
     from loopcal.statistics.prediction import Prediction, predict
     from loopcal.statistics.repeats import Repeats, repeated_readings
+    from loopcal.statistics.validation import MethodComparison, compare_methods, validate
     from loopcal.workflow import write_result
 
 _HOME = {
     "errors": ("InputError", "LoopcalError"),
     "estimation.calibrate": ("calibrate",),
+    "estimation.on_request": ("Interval", "Validation"),
     "estimation.result": (
         *("Accuracy", "ChiSquared", "Closure", "Identifiability", "NoiseEntry", "Result"),
         "Undetermined",
@@ -74,6 +80,10 @@ _HOME = {
     "simulation.poses": ("grid_poses", "random_poses"),
     "simulation.simulate": ("Simulation", "simulate"),
     "statistics.check": ("Check", "check"),
+    "statistics.compared": ("Compared",),
+    "statistics.comparison": ("compare",),
+    "statistics.intervals": ("intervals",),
+    "statistics.validation": ("MethodComparison", "compare_methods", "validate"),
     "statistics.findings": ("Findings", "findings"),
     "statistics.prediction": ("Prediction", "predict"),
     "statistics.repeats": ("Repeats", "repeated_readings"),
@@ -86,14 +96,17 @@ __all__ = [
     "Check",
     "ChiSquared",
     "Closure",
+    "Compared",
     "Dataset",
     "Findings",
     "Identifiability",
     "InputError",
+    "Interval",
     "Joint",
     "LoadedData",
     "LoopcalError",
     "Mechanism",
+    "MethodComparison",
     "Noise",
     "NoiseEntry",
     "Parameter",
@@ -108,15 +121,19 @@ __all__ = [
     "TraceError",
     "Tracker",
     "Undetermined",
+    "Validation",
     "WrittenResult",
     "__version__",
     "calibrate",
     "check",
+    "compare",
+    "compare_methods",
     "cross",
     "dot",
     "encoder_sd",
     "findings",
     "grid_poses",
+    "intervals",
     "load_dataset",
     "motoman_ma1400",
     "norm",
@@ -135,6 +152,7 @@ __all__ = [
     "serial_arm",
     "simulate",
     "tracker_covariance",
+    "validate",
     "vector",
     "write_result",
 ]
