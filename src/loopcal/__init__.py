@@ -41,10 +41,12 @@ if TYPE_CHECKING:
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation, simulate
     from loopcal.statistics.check import Check, check
+    from loopcal.statistics.column_faults import ColumnFault
     from loopcal.statistics.compared import Compared
     from loopcal.statistics.comparison import compare
     from loopcal.statistics.findings import Findings, findings
     from loopcal.statistics.intervals import intervals
+    from loopcal.statistics.outliers import Outlier, Outliers, find_outliers
     from loopcal.statistics.prediction import Prediction, predict
     from loopcal.statistics.repeats import Repeats, repeated_readings
     from loopcal.statistics.validation import MethodComparison, compare_methods, validate
@@ -84,6 +86,8 @@ _HOME = {
     "statistics.comparison": ("compare",),
     "statistics.intervals": ("intervals",),
     "statistics.validation": ("MethodComparison", "compare_methods", "validate"),
+    "statistics.column_faults": ("ColumnFault",),
+    "statistics.outliers": ("Outlier", "Outliers", "find_outliers"),
     "statistics.findings": ("Findings", "findings"),
     "statistics.prediction": ("Prediction", "predict"),
     "statistics.repeats": ("Repeats", "repeated_readings"),
@@ -96,6 +100,7 @@ __all__ = [
     "Check",
     "ChiSquared",
     "Closure",
+    "ColumnFault",
     "Compared",
     "Dataset",
     "Findings",
@@ -109,6 +114,8 @@ __all__ = [
     "MethodComparison",
     "Noise",
     "NoiseEntry",
+    "Outlier",
+    "Outliers",
     "Parameter",
     "Parameters",
     "Prediction",
@@ -131,6 +138,7 @@ __all__ = [
     "cross",
     "dot",
     "encoder_sd",
+    "find_outliers",
     "findings",
     "grid_poses",
     "intervals",

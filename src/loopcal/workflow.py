@@ -105,6 +105,7 @@ def run_calibration(
     how: dict[str, Any] = {
         "noise": loaded.noise,
         "method": method or read.fit.method,
+        "loss": read.fit.loss,
         "start": read.fit.start,
         "max_iterations": read.fit.max_iterations,
     }

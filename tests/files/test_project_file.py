@@ -249,7 +249,7 @@ def test_a_mechanism_is_described_once(text, given, place, words):
         ("[fit]\nmethod = 'implicit'", "fit.method", "'implicit'"),
         ("[fit]\nstart = 'guess'", "fit.start", "'guess'"),
         ("[fit]\nmax_iterations = 0", "fit.max_iterations", "too small"),
-        ("[fit]\nloss = 'huber'", "fit.loss", "unknown key"),
+        ("[fit]\nloss = 'hubert'", "fit.loss", "'hubert'"),
         ("[fit]\nvalidation = { folds = 10 }", "fit.validation", "unknown key"),
         ("[fit]\nrequire_identifiable = 1", "fit.require_identifiable", "true or false"),
     ],

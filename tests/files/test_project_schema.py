@@ -78,7 +78,7 @@ def test_what_is_read_is_valid(text):
         PLANAR + "[datas]",
         PLANAR + "[data]",
         PLANAR + "[fit]\nmethod = 'x'",
-        PLANAR + "[fit]\nloss = 'huber'",
+        PLANAR + "[fit]\nloss = 'hubert'",
         PLANAR + "[noise]\nphi2 = -1",
         PLANAR + "[noise]\nphi2 = 'small'",
         PLANAR + "[prior]\nl2 = { sd = 1, value = 3 }",

@@ -65,7 +65,7 @@ def pose_equations(
         found.append(
             PoseEquations(
                 everything[poses],
-                np.ascontiguousarray(whitened.E.T),
+                whitened.E.T.copy(),
                 np.einsum("crb,ncb->brn", T, values.by_parameter if J_p is None else J_p),
                 np.einsum("crb,kcb->brk", T, values.by_quantity),
             )

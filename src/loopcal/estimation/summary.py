@@ -27,7 +27,8 @@ _METHODS = {
 
 def summary(result: Result) -> str:
     """Status, fit, accuracy, parameters with change and sd, and whatever needs a warning."""
-    lines = [f"{result.mechanism.name}: {_METHODS[result.method]}", ""]
+    loss = "" if result.loss == "gaussian" else f", loss {result.loss}"
+    lines = [f"{result.mechanism.name}: {_METHODS[result.method]}{loss}", ""]
     lines += _state(result)
     lines += ["", *_accuracy(result)]
     rejected = result.chi_squared is not None and (result.chi_squared.p_value or 0.0) < 0.01

@@ -50,6 +50,7 @@ class FitSpec:
     """
 
     method: str = "implicit-loop"
+    loss: str = "gaussian"
     start: str = "auto"
     max_iterations: int = 100
     require_identifiable: bool = False

@@ -247,6 +247,10 @@ class FitEntry(Model):
     method: Literal["implicit-loop", "least-squares", "reweighted", "implicit-loop-undamped"] = (
         "implicit-loop"
     )
+    loss: Literal["gaussian", "huber", "student-t"] = Field(
+        default="gaussian",
+        description="huber, student-t: poses that do not fit count less.",
+    )
     start: Literal["auto", "align", "nominal"] = Field(
         default="auto",
         description="align: the nominal machine is first moved to where the instrument sees it; "

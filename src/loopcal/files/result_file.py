@@ -52,6 +52,7 @@ def result_document(
         "loopcal": known["loopcal"],
         "title": title,
         "method": result.method,
+        "loss": result.loss,
         "status": {
             "converged": result.status.converged,
             "reason": result.status.reason,
@@ -93,6 +94,8 @@ def result_document(
         "observability": None,
         "prediction": None,
         "outliers": None,
+        "outlier_tests": None,
+        "column_faults": None,
         "data": _data(result),
         "warnings": [*warnings, *result.warnings],
         "inputs": finite_only(inputs or {}),

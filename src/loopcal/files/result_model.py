@@ -232,6 +232,44 @@ class PredictionEntry(Model):
     )
 
 
+class OutlierEntry(Model):
+    """A pose that does not fit the others."""
+
+    pose: str
+    quantity: str | None = Field(
+        description="The reading to blame; null where no single one explains the pose."
+    )
+    statistic: Finite | None = Field(
+        description="Normal deviate of the reading, chi-squared of the pose where quantity is "
+        "null; null: beyond all bounds."
+    )
+    p_value: Probability = Field(description="Of one at least so large in good data.")
+    pose_statistic: Finite | None = Field(description="Chi-squared of the pose.")
+    size: Finite | None = Field(description="Reading minus its value as the rest has it [unit].")
+    unit: str | None
+    indistinct: list[str] = Field(description="Readings that would explain the pose as well.")
+    cause: str | None = Field(description="What probably happened.")
+    verified: bool = Field(description="Whether putting it right made the pose unremarkable.")
+
+
+class OutlierTests(Model):
+    """How poses and readings were tested."""
+
+    level: Probability = Field(description="Of naming anything where every reading is good.")
+    poses: Count = Field(description="Poses that could be tested.")
+    scale: Sd = Field(description="Factor on the stated sds that the tests used.")
+    by_residuals: bool = Field(description="Whether that factor comes from the residuals.")
+
+
+class ColumnFaultEntry(Model):
+    """A fault of whole columns, verified by a fit of all poses."""
+
+    quantities: list[str]
+    words: str
+    before: Sd | None = Field(description="Rms of the loop values [SI] of a fit as read.")
+    after: Sd = Field(description="The same with the fault put right.")
+
+
 class DataEntry(Model):
     """Which readings were used."""
 
@@ -251,6 +289,7 @@ class ResultDocument(Model):
     loopcal: str = Field(description="Version of loopcal that wrote this file.")
     title: str | None
     method: Literal["implicit-loop", "least-squares", "reweighted", "implicit-loop-undamped"]
+    loss: Literal["gaussian", "huber", "student-t"] = "gaussian"
     status: StatusEntry
     parameters: list[ParameterEntry]
     covariance: CovarianceEntry
@@ -260,7 +299,9 @@ class ResultDocument(Model):
         description="-2 log of the restricted likelihood up to a constant of the readings, where "
         "sds were estimated: compare models of the same readings by its difference.",
     )
-    chi_squared: ChiSquaredEntry | None = Field(description="Null for least squares.")
+    chi_squared: ChiSquaredEntry | None = Field(
+        description="Null: least squares, or a robust loss."
+    )
     closure: ClosureEntry
     accuracy: AccuracyEntry | None = Field(
         description="Null where the mechanism has no outputs, or outputs of several units."
@@ -271,7 +312,17 @@ class ResultDocument(Model):
     prediction: PredictionEntry | None = Field(
         description="Null where the mechanism has no outputs, or it was not computed."
     )
-    outliers: None = Field(description="Null: no reading was tested.")
+    outliers: list[OutlierEntry] | None = Field(
+        description="Worst first. Null: no reading was tested."
+    )
+    outlier_tests: OutlierTests | None = Field(
+        default=None, description="How outliers were found; null: no reading was tested."
+    )
+    column_faults: list[ColumnFaultEntry] | None = Field(
+        default=None,
+        description="Columns that are exchanged, in another unit or counted the other way round; "
+        "where there are any, single poses are not tested.",
+    )
     data: DataEntry
     warnings: list[str] = Field(description="What the summary warns of.")
     inputs: dict[str, Any] = Field(

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,15 @@ class ColumnFault:
     words: str
     before: float
     after: float
+
+    def document(self) -> dict[str, Any]:
+        """Its entry in result.json."""
+        return {
+            "quantities": list(self.quantities),
+            "words": self.words,
+            "before": self.before if math.isfinite(self.before) else None,
+            "after": self.after,
+        }
 
     def __str__(self) -> str:
         return (

@@ -11,17 +11,20 @@ from loopcal.estimation.rounding import significant
 from loopcal.estimation.summary import SHOWN
 from loopcal.statistics.identifiability import WhatDataSay, what_data_say
 from loopcal.statistics.observability import Observability, data_spectrum, observability
+from loopcal.statistics.outliers import Outliers, find_outliers
 from loopcal.statistics.predictor import Predictor, predictor
 from loopcal.units import from_si
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """identifiability: data beside prior; observability: of the poses; predictor: or None."""
+    """identifiability: data beside prior; observability: of the poses; predictor: or None;
+    outliers: what does not fit."""
 
     identifiability: WhatDataSay
     observability: Observability
     predictor: Predictor | None
+    outliers: Outliers
 
     def document(self) -> dict[str, Any]:
         """The fields of result.json that these figures fill or add to."""
@@ -29,6 +32,7 @@ class Findings:
             "identifiability": self.identifiability.document(),
             "observability": self.observability.document(),
             "prediction": self.predictor and self.predictor.document(),
+            **self.outliers.document(),
         }
 
     def words(self) -> str:
@@ -42,7 +46,7 @@ class Findings:
                     f"prediction: the parameters cause an sd of up to {size} {shown} at 95 % of "
                     "these poses"
                 )
-        return "\n".join(lines + self.identifiability.words())
+        return "\n".join(lines + self.identifiability.words() + self.outliers.lines())
 
 
 def findings(result: Result) -> Findings:
@@ -51,6 +55,7 @@ def findings(result: Result) -> Findings:
         what_data_say(result.problem, result.information, result.sd, unit_sd=_unit_sd(result)),
         observability(result.information, len(result.problem.poses)),
         predictor(result),
+        find_outliers(result),
     )
 
 

@@ -110,37 +110,41 @@ class Search:
         corrections = fit.corrections.copy()
         corrections[:, keep] = solution.corrections
         fit = self._closed(fit, solution.parameters, corrections)
-        return self._scaled(replace(fit, covariance=solution.spectrum.covariance()), gone)
+        fit = replace(fit, covariance=solution.spectrum.covariance())
+        return self._scaled(fit, gone, cleaned=True)
 
     def _closed(self, fit: Fit, parameters: Array, corrections: Array) -> Fit:
         closed = settle(self.problem, parameters, corrections, exact=self.exact)
         return replace(fit, parameters=parameters, corrections=closed.corrections)
 
-    def _scaled(self, fit: Fit, gone: NDArray[np.bool_]) -> Fit:
+    def _scaled(self, fit: Fit, gone: NDArray[np.bool_], *, cleaned: bool = False) -> Fit:
         """The fit with the variance factor that the tests are to use.
 
-        From the median of |E|^2 / r, so that outliers not yet gone do not count.
+        From the median of |E|^2 / r, so that outliers not yet gone do not count; once they are,
+        no less than its mean, for scatter that differs from pose to pose has a low median.
         """
         if self.scale == "stated":
             return replace(fit, factor=1.0)
-        factor = self._factor(fit, gone)
+        factor = self._factor(fit, gone, cleaned)
         if self.scale == "auto" and factor < self._plausible(gone):
             factor = 1.0
         return replace(fit, factor=factor)
 
-    def _factor(self, fit: Fit, gone: NDArray[np.bool_]) -> float:
+    def _factor(self, fit: Fit, gone: NDArray[np.bool_], cleaned: bool) -> float:
         from scipy.special import chdtri
 
         found = pose_equations(self.problem, fit.parameters, fit.corrections, exact=self.exact)
-        ratios = []
+        ratios, total, equations = [], 0.0, 0
         for block in found:
             r = block.E.shape[1]
             if r:
                 s = np.square(block.E).sum(axis=1)[~gone[block.poses]]
                 ratios.append(s / float(chdtri(r, 0.5)))
+                total, equations = total + float(s.sum()), equations + r * len(s)
         middle = float(np.median(np.concatenate(ratios)))
         spare = max(self.problem.equations - len(self.problem.free), 1) / self.problem.equations
-        return max(middle / spare, 1e-300)
+        mean = total / equations if cleaned else 0.0
+        return max(middle / spare, mean / spare, 1e-300)
 
     def _plausible(self, gone: NDArray[np.bool_]) -> float:
         """Up to here a median ratio is chance: its sd is about 1.5 / sqrt(poses)."""

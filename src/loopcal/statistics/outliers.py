@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,21 @@ class Outlier:
     cause: str | None = None
     verified: bool = False
 
+    def document(self) -> dict[str, Any]:
+        """Its entry in result.json."""
+        return {
+            "pose": self.pose,
+            "quantity": self.quantity,
+            "statistic": finite(self.statistic),
+            "p_value": self.p_value,
+            "pose_statistic": finite(self.pose_statistic),
+            "size": self.size,
+            "unit": self.unit,
+            "indistinct": list(self.indistinct),
+            "cause": self.cause,
+            "verified": self.verified,
+        }
+
     def __str__(self) -> str:
         who = "no single reading explains it"
         if self.quantity is not None and self.size is not None and self.unit is not None:
@@ -96,6 +112,19 @@ class Outliers:
     def __len__(self) -> int:
         return len(self.found)
 
+    def document(self) -> dict[str, Any]:
+        """The fields of result.json: the outliers, how they were tested, faults of columns."""
+        return {
+            "outliers": [outlier.document() for outlier in self.found],
+            "outlier_tests": {
+                "level": self.level,
+                "poses": self.tested,
+                "scale": self.scale,
+                "by_residuals": self.by_residuals,
+            },
+            "column_faults": [fault.document() for fault in self.columns],
+        }
+
     def __str__(self) -> str:
         return "\n".join(self.lines())
 
@@ -106,7 +135,7 @@ class Outliers:
             return [*lines, "outliers: the poses are tested once the columns are right"]
         rule = f"{self.tested} poses tested, family-wise level {100 * self.level:g} %"
         if self.by_residuals:
-            rule += f", residuals as scale ({significant(self.scale, 3)} times what was stated)"
+            rule += f", residuals as scale (factor {significant(self.scale, 3)})"
         if not self.found:
             return [f"outliers: none ({rule})"]
         lines = [f"outliers: {len(self.found)} ({rule})"]
@@ -114,6 +143,11 @@ class Outliers:
         if len(self.found) > most:
             lines.append(f"  and {len(self.found) - most} more")
         return lines
+
+
+def finite(value: float) -> float | None:
+    """None for what JSON cannot say."""
+    return value if np.isfinite(value) else None
 
 
 def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -> Outliers:

@@ -1,0 +1,224 @@
+"""Outliers are found, blamed on the right reading, and what happened to them is named."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from analyses.gross_errors import Counts, run, sds
+from loopcal.errors import InputError
+from loopcal.units import from_si
+from tests.reference.simulated import ma1400, planar_arm
+
+ARM = ma1400(60)
+START = ARM.off(2e-3, 4e-3)
+SDS = sds(ARM)
+NOISE = lc.Noise(SDS)
+UNITS = {q: "mm" if q in "xyz" else "deg" for q in ARM.exact}
+
+
+def written(change=lambda readings: None) -> lc.Dataset:
+    """Readings as a file has them, in degrees and millimetres with four decimals, then changed."""
+    readings = {q: np.round(from_si(v, UNITS[q]), 4) for q, v in ARM.read(SDS, 1).readings.items()}
+    change(readings)
+    return lc.Dataset.from_arrays(readings, units=UNITS)
+
+
+def outliers(change, **how) -> lc.Outliers:
+    noise = None if how.get("method") == "least-squares" else NOISE
+    return lc.find_outliers(lc.calibrate(START, written(change), noise=noise, **how))
+
+
+@cache
+def gross() -> Counts:
+    return run(range(8))
+
+
+@pytest.mark.parametrize("loss", ["huber", "student-t"])
+def test_gross_errors_cost_a_robust_fit_little(loss: str) -> None:
+    assert gross().rms(loss) < 1.15 * gross().rms("clean")
+    assert gross().rms("gaussian") > 10 * gross().rms("clean")
+
+
+def test_gross_errors_are_named_and_good_readings_are_not() -> None:
+    counts = gross()
+    assert counts.named >= 0.95 * counts.gross
+    assert counts.false_readings < 0.01 * counts.good_readings
+    assert counts.false_poses < 0.01 * counts.good_poses
+
+
+def test_good_data_have_no_outliers() -> None:
+    named = 0
+    for draw in range(40):
+        result = lc.calibrate(START, ARM.read(SDS, draw), noise=NOISE)
+        named += len(lc.find_outliers(result)) > 0
+    assert named <= 6  # a level of 5 %
+
+
+def turned(readings) -> None:
+    readings["theta_4"][7] += 180
+
+
+def negative(readings) -> None:
+    readings["y"][7] *= -1
+
+
+def moved_point(readings) -> None:
+    readings["z"][7] /= 10
+
+
+def radians(readings) -> None:
+    readings["theta_1"][7] = np.radians(readings["theta_1"][7])
+
+
+def repeated(readings) -> None:
+    readings["theta_3"][7] = readings["theta_3"][6]
+
+
+def mistyped(readings) -> None:
+    tens = int(abs(readings["theta_2"][7]) // 10) % 10
+    readings["theta_2"][7] += np.sign(readings["theta_2"][7]) * (10 if tens < 9 else -10)
+
+
+def exchanged_digits(readings) -> None:
+    text = f"{readings['x'][7]:.4f}"
+    i = next(i for i in range(1, 3) if text[i] != text[i + 1] and text[i : i + 2].isdigit())
+    readings["x"][7] = float(text[:i] + text[i + 1] + text[i] + text[i + 2 :])
+
+
+@pytest.mark.parametrize("how", [{}, {"loss": "huber"}, {"method": "least-squares"}])
+@pytest.mark.parametrize(
+    ("change", "quantity", "words"),
+    [
+        (turned, "theta_4", "half a turn"),
+        (negative, "y", "sign reversed"),
+        (moved_point, "z", "decimal point moved"),
+        (radians, "theta_1", "degrees"),
+        (repeated, "theta_3", "repeated from the row before"),
+        (mistyped, "theta_2", "one digit mistyped"),
+        (exchanged_digits, "x", "two digits exchanged"),
+    ],
+)
+def test_what_happened_to_a_reading_is_named(how, change, quantity, words) -> None:
+    found = outliers(change, **how).found[0]
+    assert (found.pose, found.quantity, found.verified) == ("8", quantity, True)
+    assert found.cause is not None
+    assert words in found.cause
+    read = written(change)[quantity][7] - written()[quantity][7]
+    off = (found.size or 0.0) - read
+    full_turns = 2 * np.pi * np.round(off / (2 * np.pi)) if quantity.startswith("theta") else 0.0
+    assert off - full_turns == pytest.approx(0.0, abs=2e-3)
+
+
+def swapped(readings) -> None:
+    readings["x"][7], readings["y"][7] = readings["y"][7], readings["x"][7]
+
+
+def no_reflector(readings) -> None:
+    for q in "xyz":
+        readings[q][7] = 0.0
+
+
+def same_point(readings) -> None:
+    for q in "xyz":
+        readings[q][7] = readings[q][6]
+
+
+def metres(readings) -> None:
+    for q in "xyz":
+        readings[q][7] /= 1000
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (swapped, "x and y exchanged"),
+        (no_reflector, "no reflector"),
+        (same_point, "the point of the row before"),
+        (metres, "metres"),
+    ],
+)
+def test_what_happened_to_a_row_is_named(change, words) -> None:
+    found = outliers(change).found
+    assert [(o.pose, o.quantity, o.verified) for o in found] == [("8", None, True)]
+    assert words in (found[0].cause or "")
+    assert "pose 8" in str(found[0])
+
+
+def test_outliers_do_not_hide_each_other() -> None:
+    def several(readings) -> None:
+        for i in range(0, 60, 6):  # a sixth of all poses, all in one direction
+            readings["x"][i] += 20.0 + 0.37 * i
+
+    found = outliers(several)
+    assert {o.pose for o in found.found} == {str(i + 1) for i in range(0, 60, 6)}
+    assert {o.quantity for o in found.found} == {"x"}
+    for outlier in found.found:
+        true_size = 20e-3 + 0.37e-3 * (int(outlier.pose) - 1)
+        assert outlier.size == pytest.approx(true_size, abs=1e-3)
+
+
+def exchanged(readings) -> None:
+    readings["theta_4"], readings["theta_6"] = readings["theta_6"], readings["theta_4"]
+
+
+def one_in_degrees(readings) -> None:
+    readings["theta_2"] = np.degrees(readings["theta_2"])
+
+
+def one_reversed(readings) -> None:
+    readings["theta_6"] = -readings["theta_6"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (exchanged, "the columns of theta_4 and theta_6 are exchanged"),
+        (one_in_degrees, "theta_2 is in degrees"),
+        (one_reversed, "theta_6 counts the other way round"),
+    ],
+)
+def test_what_happened_to_a_column_is_named(change, words) -> None:
+    found = outliers(change, method="least-squares", max_iterations=20)
+    assert len(found.columns) == 1
+    assert words in str(found)
+    assert found.columns[0].after < 1e-4
+
+
+def test_pose_13_of_the_measured_workspace_is_named(shared_data, monkeypatch) -> None:
+    path = shared_data("motoman_ma1400_leica/right_arm_workspace.csv")
+    monkeypatch.setenv("LOOPCAL_DATA", str(path.parents[1]))
+    project = lc.read_project("examples/motoman/right_arm_workspace.toml")
+    data = lc.load_dataset(project)
+    for how in ({"method": "least-squares"}, {"noise": data.noise}):
+        found = lc.find_outliers(lc.calibrate(project.mechanism, data.dataset, **how))
+        assert found.by_residuals
+        assert found.found[0].pose == "13"
+        assert len(found) < 0.1 * len(data.dataset)
+
+
+def test_a_loop_in_the_plane_tells_what_cannot_be_told_apart() -> None:
+    arm = planar_arm(40)
+    sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-4, "phi3": 1e-4}
+    readings = {q: v.copy() for q, v in arm.read(sds, 2).readings.items()}
+    readings["xP"][5] += 0.02
+    result = lc.calibrate(arm.truth, readings, noise=lc.Noise(sds))
+    found = lc.find_outliers(result).found
+    assert [o.pose for o in found] == ["6"]
+    assert "xP" in (found[0].quantity, *found[0].indistinct)
+
+
+def test_the_document_is_plain() -> None:
+    document = outliers(negative).document()
+    assert document["outliers"][0]["pose"] == "8"
+    assert document["outlier_tests"]["level"] == 0.05
+    assert document["column_faults"] == []
+
+
+@pytest.mark.parametrize("wrong", [{"level": 0.0}, {"level": 1.0}, {"scale": "guess"}])
+def test_a_rule_that_is_none_is_refused(wrong) -> None:
+    with pytest.raises(InputError):
+        lc.find_outliers(lc.calibrate(START, written(), noise=NOISE), **wrong)
