@@ -32,11 +32,16 @@ _MOST, _HALVINGS = 60, 25
 
 @dataclass(frozen=True)
 class Closed:
-    """Corrections (k, b) [SI], the poses (b,) that did not settle, the largest last step in sds."""
+    """Corrections (k, b) [SI], and the poses (b,) that did not settle.
+
+    step: the largest last step in sds; contraction: the worst ratio of a step to the one before,
+    0 where there was none before.
+    """
 
     corrections: Array
     open: NDArray[np.bool_]
     step: float = np.inf
+    contraction: float = 0.0
 
 
 def close_by_newton(

@@ -92,14 +92,15 @@ def whiten(values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened
     skip = len(noise.unmeasured)
     G = loadings(J[:, skip:], noise)
     L, singular = orthonormalise(G)
-    inverse = inverse_triangle(L)
     misclosure = np.einsum("kmb,kb->mb", J[:, skip:], now, out=scratch("misclosure", *L.shape[1:]))
     misclosure -= f[skip:]
     rows = scratch("rows", len(D) + 1, *misclosure.shape)
-    for i in range(len(inverse)):
-        lower = inverse[i, : i + 1]
-        np.einsum("jb,njb->nb", lower, D[:, skip : skip + i + 1], out=rows[:-1, i])
-        np.einsum("jb,jb->b", lower, misclosure[: i + 1], out=rows[-1, i])
+    substitute(L, misclosure, out=rows[-1])
+    if len(D):
+        inverse = inverse_triangle(L)
+        for i in range(len(L)):
+            lower, reflected = inverse[i, : i + 1], D[:, skip : skip + i + 1]
+            np.einsum("jb,njb->nb", lower, reflected, out=rows[:-1, i])
     new = unload(G, rows[-1], noise)
     if skip:
         remainder = f[:skip] + np.einsum("kmb,kb->mb", J[:, :skip], new - now)
@@ -206,6 +207,21 @@ def _project(row: Array, basis: Array, overlaps: Array) -> None:
     for j, unit in enumerate(basis):
         overlap = np.einsum("kb,kb->b", row, unit, out=overlaps[j])
         np.subtract(row, np.multiply(overlap, unit, out=part), out=row)
+
+
+def substitute(L: Array, right: Array, out: Array) -> None:
+    """L^-1 right, (r, b), for lower triangles L (r, r, b), written to out.
+
+    Loops then close to rounding however small the last rows of L; a product with L^-1 would
+    lose as many digits as L is ill-conditioned.
+    """
+    for i in range(len(L)):
+        rest = right[i]
+        for j in range(i):
+            rest = np.subtract(
+                rest, np.multiply(L[i, j], out[j], out=scratch("term", len(rest))), out=out[i]
+            )
+        np.divide(rest, L[i, i], out=out[i])
 
 
 def inverse_triangle(L: Array) -> Array:

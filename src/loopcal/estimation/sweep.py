@@ -131,7 +131,8 @@ class Sweeper:
                 proposal[:, poses] = whitened.correction
                 move = whitened.correction - start.corrections
                 steps.append(float(_step_in_sds(move, noise).max()))
-                ratios.append(min(steps[-1] / start.step, 1.0) if start.step > 0.0 else 0.0)
+                last = steps[-1] / start.step if start.step > 0.0 else 0.0
+                ratios.append(min(max(last, start.contraction), 1.0))
         return Sweep(
             data,
             used,
@@ -217,7 +218,7 @@ class Sweeper:
         at, base = start, np.zeros((1, 1))
         step, length = start, np.ones(count)
         expected = np.full(count, np.inf)
-        last = 0.0
+        last = ratio = 0.0
         for _ in range(MOST_CLOSINGS):
             part = noise if active is None else _select(noise, active)
             values = self._values(
@@ -234,8 +235,11 @@ class Sweeper:
             # A step larger than the one before, or one that is no number, overshot: halve it.
             allowed = np.maximum(2.0 * expected, max(tolerance, NEGLIGIBLE))
             overshot = ~(size <= allowed) & (length > 1e-3)
-            following = size * np.where(np.isinf(expected), contraction, size / expected)
-            finished = ~overshot & ((following <= tolerance) | (expected <= NEGLIGIBLE))
+            ratios = np.where(np.isinf(expected), contraction, size / expected)
+            following = size * ratios
+            ratio = max(ratio, float(ratios.max())) if np.isfinite(expected).all() else ratio
+            stuck = (expected <= NEGLIGIBLE) & (size > 0.25 * expected)  # by rounding
+            finished = ~overshot & ((following <= tolerance) | stuck)
             last = max(last, float(size[finished].max(initial=0.0)))
             if active is None:
                 if finished.all():
@@ -244,7 +248,7 @@ class Sweeper:
             done[:, active[finished]] = correction[:, finished]
             rest = ~finished
             if not rest.any():
-                return Closed(done, late, last)
+                return Closed(done, late, last, ratio)
             base = np.where(overshot, base, at)[:, rest]
             step = np.where(overshot, step, move)[:, rest]
             length = np.where(overshot, 0.5 * length, 1.0)[rest]
@@ -262,7 +266,7 @@ class Sweeper:
             min(tolerance, 1e-3),
         )
         done[:, active], late[active] = closed.corrections, closed.open
-        return Closed(done, late, last)
+        return Closed(done, late, last, contraction=1.0)
 
     def noise(self, unmeasured: tuple[int, ...], poses: slice | NDArray[np.intp]) -> BlockNoise:
         """The uncertainty of one block of poses."""
