@@ -132,7 +132,7 @@ def words(
         if of_model and sum(shares[q] for q in entry.quantities) > 0.5:
             said.append(
                 f"What limits this machine is its model, not a sensor: an error of {entry.sd:.2g} "
-                f"{entry.unit} in each coordinate remains that no sensor's noise explains. Look for "
+                f"{entry.unit} in each coordinate remains that no sensor noise explains. Look for "
                 "what the model lacks (compliance, gear or encoder eccentricity, drift, bad poses)."
             )
     for one, other in estimate.alike:
