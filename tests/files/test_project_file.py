@@ -237,7 +237,7 @@ def test_a_mechanism_is_described_once(text, given, place, words):
         ('[noise]\n"*" = { sd = 1, unit = "mm" }', 'noise."*".unit', "angle"),
         ("[noise]\nphi9 = 1", "noise.phi9", "'phi9'"),
         ("[noise]\nphi2 = { unit = 'rad' }", "noise.phi2", "no sd is stated"),
-        ("[noise]\nphi2 = { sd = 1, estimate = 'each' }", "noise.phi2.estimate", "unknown key"),
+        ("[noise]\nphi2 = { sd = 1, estimates = 'each' }", "noise.phi2.estimates", "unknown key"),
         ("[prior]\nl2 = -1", "prior.l2", "negative"),
         ("[prior]\nl9 = 1", "prior.l9", "'l9'"),
         ("[prior]\nl2 = { sd = 1, unit = 'deg' }", "prior.l2.unit", "angle"),
@@ -250,7 +250,7 @@ def test_a_mechanism_is_described_once(text, given, place, words):
         ("[fit]\nstart = 'guess'", "fit.start", "'guess'"),
         ("[fit]\nmax_iterations = 0", "fit.max_iterations", "too small"),
         ("[fit]\nloss = 'hubert'", "fit.loss", "'hubert'"),
-        ("[fit]\nvalidation = { folds = 10 }", "fit.validation", "unknown key"),
+        ("[fit]\nvalidations = { folds = 10 }", "fit.validations", "unknown key"),
         ("[fit]\nrequire_identifiable = 1", "fit.require_identifiable", "true or false"),
     ],
 )
