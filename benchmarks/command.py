@@ -1,0 +1,60 @@
+"""The command from a cold start: `loopcal calibrate` on 300 poses beside a bare import of NumPy."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from measuring import Times, in_turns
+from six_axis import JOINT_SD, POINT_SD, six_axis
+
+POSES = 300
+COMMAND, BARE = "loopcal calibrate, 300 poses", "python -c 'import numpy'"
+DEMANDED = 15.0
+
+_PROJECT = f"""
+schema = 1
+[mechanism]
+type = "motoman-ma1400"
+[data]
+file = "poses.csv"
+[data.columns]
+theta_1 = {{ column = "theta_1", unit = "rad" }}
+theta_2 = {{ column = "theta_2", unit = "rad" }}
+theta_3 = {{ column = "theta_3", unit = "rad" }}
+theta_4 = {{ column = "theta_4", unit = "rad" }}
+theta_5 = {{ column = "theta_5", unit = "rad" }}
+theta_6 = {{ column = "theta_6", unit = "rad" }}
+x = {{ column = "x", unit = "m" }}
+y = {{ column = "y", unit = "m" }}
+z = {{ column = "z", unit = "m" }}
+[noise]
+"theta_*" = {{ sd = {JOINT_SD}, unit = "rad" }}
+xyz = {{ sd = {POINT_SD}, unit = "m" }}
+"""
+
+
+def measure(rounds: int) -> dict[str, Times]:
+    """Both from a cold start, in turns; the results are written as for any user."""
+    problem = six_axis(POSES)
+    with tempfile.TemporaryDirectory() as folder:
+        header = ",".join(problem.mechanism.tape.quantities)
+        rows = np.vstack([problem.joints, problem.points]).T
+        np.savetxt(Path(folder, "poses.csv"), rows, delimiter=",", header=header, comments="")
+        Path(folder, "project.toml").write_text(_PROJECT)
+        command = [sys.executable, "-m", "loopcal", "calibrate", "project.toml"]
+        programs = {
+            COMMAND: partial(_run, command, folder),
+            BARE: partial(_run, [sys.executable, "-c", "import numpy"], folder),
+        }
+        for program in programs.values():
+            program()
+        return in_turns(programs, rounds=rounds)
+
+
+def _run(command: list[str], folder: str) -> None:
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)

@@ -1,0 +1,67 @@
+"""On what machine, with what versions and when something was measured."""
+
+from __future__ import annotations
+
+import os
+import platform
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_info
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What a time depends on besides the program."""
+
+    date: str
+    processor: str
+    cores: int
+    system: str
+    python: str
+    numpy: str
+    blas: str
+    odrpack: str
+    loopcal: str
+    load: float
+    """Processes that wanted a core, on average over the last minute."""
+
+    def __str__(self) -> str:
+        return (
+            f"{self.date}; {self.processor}, {self.cores} cores, {self.system}; "
+            f"Python {self.python}, NumPy {self.numpy}, {self.blas}, odrpack {self.odrpack}, "
+            f"loopcal {self.loopcal}; load before the run {self.load:.1f}"
+        )
+
+
+def this_machine() -> Machine:
+    """The machine that this runs on, now."""
+    libraries = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
+    blas = libraries[0] if libraries else {"internal_api": "BLAS", "version": ""}
+    return Machine(
+        date=datetime.now(UTC).date().isoformat(),
+        processor=_processor(),
+        cores=os.cpu_count() or 0,
+        system=f"{platform.system()} {platform.machine()}",
+        python=platform.python_version(),
+        numpy=np.__version__,
+        blas=f"{blas['internal_api']} {blas['version']} on one thread",
+        odrpack=version("odrpack"),
+        loopcal=version("loopcal"),
+        load=os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan"),
+    )
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    flags = next((line for line in lines if line.startswith("flags")), "")
+    vector = next((f" with {text}" for flag, text in _VECTORS if flag in flags.split()), "")
+    return (names[0] if names else platform.processor() or "unknown processor") + vector
+
+
+_VECTORS = (("avx512f", "AVX-512"), ("avx2", "AVX2"))

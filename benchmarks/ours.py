@@ -1,0 +1,47 @@
+"""loopcal on the benchmark's problem: the solve alone, and the whole call with all it reports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from six_axis import Fit, SixAxis
+
+import loopcal
+from loopcal.estimation.problem import build_problem
+from loopcal.estimation.solver import solve
+
+
+def solver(problem: SixAxis) -> Callable[[], Fit]:
+    """From readings to parameters: build_problem and solve. Tracing the loops is done before."""
+    mechanism, data, noise = problem.mechanism, problem.dataset, problem.noise
+
+    def run() -> Fit:
+        found = solve(build_problem(mechanism, data, noise))
+        if not found.status.converged:
+            raise RuntimeError(f"loopcal did not converge: {found.status.message}")
+        return Fit(found.parameters, found.chi_squared, found.status.evaluations)
+
+    return run
+
+
+def calibrator(problem: SixAxis) -> Callable[[], Fit]:
+    """The whole call: also residuals, accuracy before and after, covariance, identifiability."""
+    mechanism, data, noise = problem.mechanism, problem.dataset, problem.noise
+
+    def run() -> Fit:
+        result = loopcal.calibrate(mechanism, data, noise=noise, start="nominal")
+        assert result.chi_squared is not None
+        values = np.array(list(result.value.values()))
+        return Fit(values, result.chi_squared.value, result.status.evaluations)
+
+    return run
+
+
+def sds(problem: SixAxis) -> NDArray[np.float64]:
+    """The sds of the parameters, (27,) [SI]."""
+    result = loopcal.calibrate(
+        problem.mechanism, problem.dataset, noise=problem.noise, start="nominal"
+    )
+    return np.array(list(result.sd.values()), dtype=float)

@@ -1,0 +1,103 @@
+"""What a run measured, as tables of Markdown: printed, and kept in docs/explanation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import command
+import scale
+from measuring import Times
+from whole_solve import DEMANDED, SOLVE, Comparison
+
+BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
+
+
+def whole_solve(comparison: Comparison) -> str:
+    """The programs side by side at one number of poses."""
+    rows = [
+        [
+            name,
+            _milliseconds(times.median),
+            _milliseconds(times.best),
+            f"{comparison.evaluations[name]:.0f}",
+            f"{comparison.ratio(name):.3g}",
+            _demand(comparison.ratio(name), DEMANDED[name]) if name in DEMANDED else "",
+        ]
+        for name, times in comparison.times.items()
+    ]
+    head = ["program", "median [ms]", "best [ms]", "evaluations", f"/ {SOLVE}", "demanded"]
+    title = (
+        f"Six-axis arm, 27 parameters, {comparison.poses:,} poses; parameters agree to "
+        f"{comparison.disagreement:.1g} sds. Evaluations are of the model or its derivatives, "
+        "per pose:"
+    )
+    return f"{title}\n\n{_table(head, rows)}"
+
+
+def sizes(found: Sequence[scale.Size]) -> str:
+    """Time per pose and memory over the number of poses."""
+    rows = [
+        [
+            f"{size.poses:,}",
+            f"{size.solve / size.poses * 1e6:.2f}",
+            f"{size.calibrate / size.poses * 1e6:.2f}",
+            f"{size.peak / 1e6:,.0f}",
+        ]
+        for size in found
+    ]
+    per_pose = [size.solve / size.poses for size in found]
+    flat = max(per_pose) / min(per_pose)
+    head = ["poses", "solve [µs/pose]", "calibrate() [µs/pose]", "peak memory [MB]"]
+    words = (
+        f"Time per pose of the solve is flat within {flat:.2f} "
+        f"({'meets' if flat <= scale.DEMANDED_FLAT else 'misses'} {scale.DEMANDED_FLAT:g}); peak "
+        f"memory of the whole process, readings included, is {found[-1].peak / 1e6:,.0f} MB "
+        f"({'meets' if found[-1].peak <= scale.DEMANDED_PEAK else 'misses'} "
+        f"{scale.DEMANDED_PEAK / 1e6:,.0f} MB)."
+    )
+    return f"One process each, medians:\n\n{_table(head, rows)}\n\n{words}"
+
+
+def cold_start(times: dict[str, Times]) -> str:
+    """The command beside a bare import of NumPy."""
+    bare = times[command.BARE].median
+    ratio = times[command.COMMAND].median / bare
+    rows = [
+        [f"`{name}`", _milliseconds(t.median), _milliseconds(t.best), f"{t.median / bare:.3g}"]
+        for name, t in times.items()
+    ]
+    words = f"Demanded: at most {command.DEMANDED:g} times; "
+    words += "met." if ratio <= command.DEMANDED else "missed."
+    head = ["from a cold start", "median [ms]", "best [ms]", "ratio"]
+    return f"{_table(head, rows)}\n\n{words}"
+
+
+def write_into(document: Path, text: str) -> None:
+    """Replace what a former run measured, between two markers, by what this one did."""
+    content = document.read_text(encoding="utf-8")
+    ahead, rest = content.split(BEGIN)
+    _, behind = rest.split(END)
+    document.write_text(f"{ahead}{BEGIN}\n{text}\n{END}{behind}", encoding="utf-8")
+
+
+def _demand(ratio: float, demanded: float) -> str:
+    return f"{demanded:g}: {'met' if ratio >= demanded else 'missed'}"
+
+
+def _milliseconds(seconds: float) -> str:
+    return f"{seconds * 1e3:,.2f}" if seconds < 1.0 else f"{seconds * 1e3:,.0f}"
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
+
+    def line(cells: Sequence[str]) -> str:
+        first = cells[0].ljust(widths[0])
+        rest = (cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True))
+        return "| " + " | ".join([first, *rest]) + " |"
+
+    rule = "| " + " | ".join(
+        "-" * w if i == 0 else "-" * (w - 1) + ":" for i, w in enumerate(widths)
+    )
+    return "\n".join([line(head), rule + " |", *map(line, rows)])
