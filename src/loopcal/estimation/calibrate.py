@@ -17,7 +17,7 @@ from loopcal.estimation.learning import components, entries, with_model, words
 from loopcal.estimation.loss import loss_named
 from loopcal.estimation.noise_estimation import NoiseEstimate, estimate_noise
 from loopcal.estimation.prediction import output_differences
-from loopcal.estimation.problem import BLOCK, Problem, build_problem
+from loopcal.estimation.problem import Problem, build_problem
 from loopcal.estimation.reduction import spectrum, undetermined
 from loopcal.estimation.result import (
     Accuracy,
@@ -264,7 +264,7 @@ def _residuals(
     """Loop values with these corrections; unmeasured quantities stay where the fit left them."""
     tape = problem.mechanism.tape
     out = np.empty((len(tape.loops), len(problem.poses)))
-    engine = engine_for(tape, problem.names, min(BLOCK, len(problem.poses)))
+    engine = engine_for(tape, problem.names, problem.block)
     engine.at(parameters)
     for _, poses in problem.blocks():
         x = problem.readings[:, poses]
