@@ -122,6 +122,8 @@ def run_calibration(
         patterns = (*read.fit.profile, *profile)
         if patterns and result.status.converged:
             result = replace(result, intervals=intervals(result, patterns))
+        if read.fit.apply_variance_factor:
+            result = result.with_variance_factor()
     except InputError as error:
         raise error.at(read.name) from None
     if true is not None:

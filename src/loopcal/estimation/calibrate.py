@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.alignment import can_be_placed, placed
+from loopcal.estimation.discrepancy import model_discrepancy
 from loopcal.estimation.learning import components, entries, with_model, words
 from loopcal.estimation.loss import loss_named
 from loopcal.estimation.noise_estimation import NoiseEstimate, estimate_noise
@@ -215,12 +216,22 @@ def _result(
         information=solution.sweep.data,
         loss=loss,
     )
+    if _too_small_sds(result):
+        result = replace(result, model_discrepancy=model_discrepancy(problem, solution))
     learnt = () if estimate is None else words(estimate, result.noise, result.chi_squared_shares)
     return replace(
         result,
         warnings=_warnings(result) + learnt,
         restricted_criterion=None if estimate is None else estimate.criterion,
     )
+
+
+def _too_small_sds(result: Result) -> bool:
+    """Whether chi-squared says that corrections are larger than the stated sds allow."""
+    chi = result.chi_squared
+    if chi is None or chi.p_value is None or chi.variance_factor is None:
+        return False
+    return chi.p_value < 1e-3 and chi.variance_factor > 1.0
 
 
 def _p_value(chi_squared: float, freedom: int) -> float | None:
@@ -296,26 +307,33 @@ def _warnings(result: Result) -> tuple[str, ...]:
     if result.mechanism.placement is not None:
         words += result.mechanism.placement.advice(result.value)
     chi = result.chi_squared
-    if chi is not None and chi.p_value is not None and chi.variance_factor is not None:
-        if chi.p_value < 1e-3 and chi.variance_factor > 1.0:
-            words.append(_too_large(chi))
-        elif chi.p_value > 0.999 and chi.variance_factor < 0.8:
-            words.append(
-                f"Chi-squared per degree of freedom is {chi.variance_factor:.2g}: the readings "
-                "scatter less than their stated sds, which are too large."
-            )
+    if chi is not None and _too_small_sds(result):
+        words.append(_too_large(chi, result.model_discrepancy, result))
+    elif chi is not None and (chi.p_value or 0.0) > 0.999 and (chi.variance_factor or 1.0) < 0.8:
+        words.append(
+            f"Chi-squared per degree of freedom is {chi.variance_factor:.2g}: the readings "
+            "scatter less than their stated sds, which are too large."
+        )
     return tuple(words)
 
 
-def _too_large(chi: ChiSquared) -> str:
+def _too_large(chi: ChiSquared, discrepancy: float | None, result: Result) -> str:
     assert chi.variance_factor is not None
     factor = chi.variance_factor
     text = f"{factor:.0f}" if factor >= 10 else f"{factor:.2g}"
     times = math.sqrt(factor)
+    explained = ""
+    if discrepancy is not None:
+        unit = result.mechanism.quantities[result.mechanism.outputs[0]]
+        explained = (
+            f" Besides the sensors as stated, an error of about {discrepancy:.2g} {unit} in each "
+            "coordinate of the end point would explain it."
+        )
     return (
         f"Chi-squared per degree of freedom is {text}: the corrections are about {times:.2g} times "
         "as large as the stated sds allow, so these sds cannot be right. Either the sensors are "
-        "worse than stated, or the machine model lacks something real (a model error). The sd of "
+        f"worse than stated, or the machine model lacks something real (a model error).{explained} "
+        "The sd of "
         "every parameter below is too small in that case, and a closed loop is no sign of "
         "accuracy: compare the accuracy lines instead."
     )

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.errors import InputError
 from loopcal.estimation.on_request import Interval, Validation
 from loopcal.estimation.problem import Problem
 from loopcal.estimation.reduction import Accumulator, Spectrum
@@ -152,6 +154,11 @@ class Result:
     information: Accumulator
     loss: str = "gaussian"
     warnings: tuple[str, ...] = ()
+    model_discrepancy: float | None = None
+    """sd [unit of the outputs] of an error of the machine model at the end point that would explain
+    a chi-squared which is too large for the stated sds; None where it is not."""
+    variance_factor_applied: bool = False
+    """Whether covariance and sds were multiplied by the variance factor, on request."""
     restricted_criterion: float | None = None
     """-2 log of the restricted likelihood, up to a constant of the readings, where sds were
     estimated: the difference between two models of the same readings is what counts."""
@@ -160,6 +167,30 @@ class Result:
     """Accuracy on poses that were not used, where it was asked for."""
     intervals: Mapping[str, Interval | None] = field(default_factory=dict)
     """Confidence intervals of the parameters that were asked for."""
+
+    def with_variance_factor(self) -> Result:
+        """The same result with its covariance multiplied by the variance factor.
+
+        For those who trust the proportions of the stated sds but not their size: the corrections
+        then say how large they are. The covariances are absolute otherwise. Raises InputError
+        where there is no variance factor: least squares scales by the residuals anyway, and
+        under a robust loss there is no chi-squared.
+        """
+        factor = None if self.chi_squared is None else self.chi_squared.variance_factor
+        if factor is None:
+            raise InputError(
+                f"the method {self.method!r} with the loss {self.loss!r} has no variance factor",
+                remedy="use it with the implicit loop or reweighted, and the gaussian loss",
+            )
+        if self.variance_factor_applied:
+            return self
+        sds = {n: None if sd is None else sd * math.sqrt(factor) for n, sd in self.sd.items()}
+        return replace(
+            self,
+            covariance=self.covariance * factor,
+            sd=MappingProxyType(sds),
+            variance_factor_applied=True,
+        )
 
     @property
     def chi_squared_shares(self) -> Mapping[str, float]:

@@ -35,6 +35,8 @@ def summary(result: Result) -> str:
     if rejected or any(entry.source == "estimated" for entry in result.noise):
         lines += ["", *sensor_table(result)]
     lines += ["", *parameter_table(result)]
+    if result.variance_factor_applied:
+        lines.append("(sds multiplied by the root of chi-squared per degree of freedom)")
     if result.errors is not None:
         lines.append("(error: true minus estimate)")
     if result.intervals:

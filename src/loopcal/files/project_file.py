@@ -54,6 +54,7 @@ class FitSpec:
     start: str = "auto"
     max_iterations: int = 100
     require_identifiable: bool = False
+    apply_variance_factor: bool = False
     validation: ValidationSpec | None = None
     profile: tuple[str, ...] = ()
 

@@ -260,6 +260,10 @@ class FitEntry(Model):
     require_identifiable: bool = Field(
         default=False, description="true: end with exit code 4 if a parameter is not determined."
     )
+    apply_variance_factor: bool = Field(
+        default=False,
+        description="true: multiply the covariance by chi-squared per degree of freedom.",
+    )
     validation: ValidationEntry | None = Field(
         default=None,
         description="Accuracy on poses not used for the fit.",

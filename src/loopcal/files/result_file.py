@@ -74,6 +74,8 @@ def result_document(
             }
             for entry in result.noise
         ],
+        "model_discrepancy": result.model_discrepancy,
+        "variance_factor_applied": result.variance_factor_applied,
         "restricted_criterion": result.restricted_criterion,
         "chi_squared": chi
         and {

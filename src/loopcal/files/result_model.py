@@ -294,6 +294,14 @@ class ResultDocument(Model):
     parameters: list[ParameterEntry]
     covariance: CovarianceEntry
     noise: list[NoiseEntryOfFile] = Field(description="Empty for least squares, which knows none.")
+    model_discrepancy: Sd | None = Field(
+        default=None,
+        description="sd [SI, of the outputs] of an error of the machine model at the end point "
+        "that would explain a chi-squared too large for the stated sds.",
+    )
+    variance_factor_applied: bool = Field(
+        default=False, description="Whether covariance and sds contain the variance factor."
+    )
     restricted_criterion: Finite | None = Field(
         default=None,
         description="-2 log of the restricted likelihood up to a constant of the readings, where "
