@@ -216,7 +216,7 @@ def _result(
         information=solution.sweep.data,
         loss=loss,
     )
-    if _too_small_sds(result):
+    if result.status.converged and _too_small_sds(result):
         result = replace(result, model_discrepancy=model_discrepancy(problem, solution))
     learnt = () if estimate is None else words(estimate, result.noise, result.chi_squared_shares)
     return replace(

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.errors import NoTrustworthyResult
 from loopcal.estimation.linear_model import LinearModel, MixedFit, fit
 
 Array = NDArray[np.float64]
@@ -60,7 +61,11 @@ def estimate_ratios(
     if current is None:
         ratios, free = np.ones(count), np.ones(count, dtype=bool)
         current = fit(model, ratios)
-    assert current is not None  # the present sds were good enough for the fit
+    if current is None:
+        raise NoTrustworthyResult(
+            "the sds cannot be learnt: where the fit ended, the loops have no usable noise model",
+            remedy="calibrate with stated sds first, and see whether that converges",
+        )
     gain = math.inf
     for _ in range(_MOST):
         vanished = _vanished(model, ratios, free, current) if vanish else None
