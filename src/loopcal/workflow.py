@@ -140,7 +140,7 @@ def run_calibration(
         found=told,
     )
     asked = require_identifiable or read.fit.require_identifiable
-    return Calibration(result, told, written, warnings, _objection(result, asked))
+    return Calibration(result, told, written, warnings, _objection(result, told, asked))
 
 
 def write_result(
@@ -170,8 +170,11 @@ def default_folder(project: Project) -> Path:
     return project.folder / f"{name}-result"
 
 
-def _objection(result: Result, require_identifiable: bool) -> str | None:
+def _objection(result: Result, told: Findings, require_identifiable: bool) -> str | None:
     """Why the result must not be used, where that is so."""
+    if told.outliers.columns:
+        faults = "; ".join(str(fault) for fault in told.outliers.columns)
+        return f"the file has columns at fault: {faults}. Put them right in the file or in [data]"
     if not result.status.converged:
         return f"the fit did not converge ({result.status.reason}): {result.status.message}"
     loose = result.identifiability.not_identifiable

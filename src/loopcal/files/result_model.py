@@ -262,11 +262,11 @@ class OutlierTests(Model):
 
 
 class ColumnFaultEntry(Model):
-    """A fault of whole columns, verified by a fit of all poses."""
+    """A fault of whole columns, verified by fits with it and without."""
 
     quantities: list[str]
     words: str
-    before: Sd | None = Field(description="Rms of the loop values [SI] of a fit as read.")
+    before: Sd | None = Field(description="Misfit [SI] as read: of machine or fit.")
     after: Sd = Field(description="The same with the fault put right.")
 
 

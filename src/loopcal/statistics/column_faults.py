@@ -1,8 +1,9 @@
 """Faults of whole columns: exchanged, in another unit, or counted the other way round.
 
 Such a file cannot be calibrated at all, and no single pose is to blame. Each fault is put right in
-turn; the one that brings the nominal machine much nearer to the readings is then verified by a
-fit of all poses.
+turn; the one that brings the nominal machine much nearer to the readings is suspected. It is
+verified by fits of all poses that can be right, with the fault and without it: a machine with many
+parameters bends itself to a fault too, but never better than to the readings as they should be.
 """
 
 from __future__ import annotations
@@ -17,29 +18,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.alignment import can_be_placed, placed
+from loopcal.estimation.alignment import align, can_be_placed, placed
+from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem import Problem, taken
 from loopcal.estimation.solver import solve
 from loopcal.mechanisms.model_error import PREFIX
 
 Array = NDArray[np.float64]
 MUCH_BETTER = 1 / 3
-"""A fault is suspected, and verified, if putting it right leaves at most this of the misfit."""
-_SAMPLE, _MOST = 120, 3
+"""A fault is suspected if putting it right leaves at most this of the misfit."""
+BETTER = 0.99
+"""The fit of a machine that was placed must improve by at least this factor, a fit that was the
+very measure of the suspicion by MUCH_BETTER: a repair that changes nothing proves nothing."""
+EQUAL = 1.05
+"""Repairs whose misfits differ by less than this factor cannot be told apart."""
+GROSS = 10.0
+"""A pose this many times farther off than half of them takes no part in verifying a fault."""
+_SAMPLE, _MOST, _ROUNDS = 120, 3, 4
 
 
 @dataclass(frozen=True)
 class ColumnFault:
     """A fault of whole columns.
 
-    quantities: concerned; words: what it is; before, after: rms of the loop values [SI] of a fit
-    of all poses as read, and with the fault put right.
+    quantities: concerned; words: what it is, alternatives that the readings cannot tell apart
+    joined by "or"; before, after: misfit as read, and with the fault put right: the rms distance
+    of the half of the poses where the nominal machine, placed as well as can be, is nearest to the
+    readings [SI]; of a machine that cannot be placed (`placed` False), the rms of the loop values
+    after a fit.
     """
 
     quantities: tuple[str, ...]
     words: str
     before: float
     after: float
+    placed: bool = True
 
     def document(self) -> dict[str, Any]:
         """Its entry in result.json."""
@@ -51,9 +64,11 @@ class ColumnFault:
         }
 
     def __str__(self) -> str:
+        meets = "the nominal machine meets the readings" if self.placed else "the loops fit"
+        unit = " m" if self.placed else ""
         return (
-            f"{self.words}: put right, the loops fit to rms {self.after:.3g} "
-            f"instead of {self.before:.3g}"
+            f"{self.words}: put right, {meets} to {self.after:.3g}{unit} rms "
+            f"instead of {self.before:.3g}{unit}"
         )
 
 
@@ -64,8 +79,16 @@ class _Repair:
     problem: Problem
 
 
+@dataclass(frozen=True)
+class _Misfit:
+    """How far the machine is from the readings; good: the poses that no gross error bends."""
+
+    size: float
+    good: NDArray[np.bool_]
+
+
 def column_faults(problem: Problem) -> tuple[ColumnFault, ...]:
-    """The faults of whole columns that a fit of all poses confirms, the gravest first."""
+    """The faults of whole columns that a fit confirms, the gravest first."""
     found: list[ColumnFault] = []
     for _ in range(_MOST):
         fault = _gravest(problem)
@@ -80,32 +103,54 @@ def column_faults(problem: Problem) -> tuple[ColumnFault, ...]:
 def _gravest(problem: Problem) -> tuple[_Repair, ColumnFault] | None:
     N = len(problem.poses)
     some = np.unique(np.linspace(0, N - 1, min(N, _SAMPLE)).round().astype(np.intp))
-    limit = MUCH_BETTER * _misfit(taken(problem, some))
-    best: _Repair | None = None
-    for repair in _repairs(problem):
-        misfit = _misfit(taken(repair.problem, some))
-        if misfit < limit:
-            best, limit = repair, misfit
-    if best is None:
+    before = _misfit(taken(problem, some)).size
+    tried = [(_misfit(taken(r.problem, some)).size, r) for r in _repairs(problem)]
+    least = min((size for size, _ in tried), default=math.inf)
+    if not least <= MUCH_BETTER * before:
         return None
-    before, after = _fitted(problem), _fitted(best.problem)
-    if not after <= MUCH_BETTER * before:
+    alike = [repair for size, repair in tried if size <= EQUAL * least]
+    best = alike[0]
+    after = _misfit(best.problem)
+    good = np.flatnonzero(after.good)
+    placeable = can_be_placed(problem.mechanism)
+    limit = (BETTER if placeable else MUCH_BETTER) * _fitted(taken(problem, good))
+    if not _fitted(taken(best.problem, good)) <= limit:
         return None
-    return best, ColumnFault(best.quantities, best.words, before, after)
+    quantities = tuple(dict.fromkeys(name for repair in alike for name in repair.quantities))
+    words = " or ".join(repair.words for repair in alike)
+    whole = _misfit(problem).size
+    return best, ColumnFault(quantities, words, whole, after.size, placeable)
 
 
-def _misfit(problem: Problem) -> float:
-    """Rms distance of the nominal machine, placed as well as can be; else of a short fit."""
-    if not can_be_placed(problem.mechanism):
-        return _fitted(problem, 15)
+def _misfit(problem: Problem) -> _Misfit:
+    """Of the nominal machine placed by the half of the poses where it fits best, else of a fit.
+
+    The half is found by repetition (least trimmed squares, Rousseeuw 1984), so that gross errors
+    in single poses hide no fault of a column.
+    """
+    every = np.ones(len(problem.poses), dtype=bool)
+    mechanism = problem.mechanism
+    if not can_be_placed(mechanism):
+        return _Misfit(_fitted(problem, 15), every)
+    rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
+    hidden = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[rows])
+    measured = np.where(hidden, np.nan, problem.readings[rows])
+    half = every
     try:
-        return placed(problem)[1].rms
+        computed = predict_outputs(mechanism, problem.start, problem.readings, problem.known)
+        for _ in range(_ROUNDS):
+            motion = align(computed[:, half], measured[:, half])
+            away = motion.rotation @ computed + motion.shift[:, None] - measured
+            distance = np.sqrt(np.square(away).sum(axis=0))
+            middle = float(np.nanmedian(distance))
+            half = distance <= middle
     except InputError:
-        return math.inf
+        return _Misfit(math.inf, every)
+    return _Misfit(float(np.sqrt(np.square(distance[half]).mean())), ~(distance > GROSS * middle))
 
 
 def _fitted(problem: Problem, iterations: int = 100) -> float:
-    """Rms of the loop values after a least-squares fit from the nominal machine."""
+    """Rms of the loop values after a least-squares fit from the nominal machine, placed."""
     try:
         if can_be_placed(problem.mechanism):
             names = problem.mechanism.parameters.names

@@ -23,7 +23,7 @@ from loopcal.mechanisms.model_error import disturbances
 from loopcal.statistics.pose_tests import Fit, PoseTests, pose_tests, settle
 
 Array = NDArray[np.float64]
-_ROUNDS, _HOPELESS = 10, 100.0
+_ROUNDS, _HOPELESS, _BENT, _REJECTED = 10, 100.0, 10.0, 1e-3
 
 
 class Search:
@@ -39,10 +39,14 @@ class Search:
         self.readings = np.array([name not in aside for name in names])
 
     def hopeless(self) -> bool:
-        """Whether the fit is so bad that whole columns may be wrong."""
-        chi = self.result.chi_squared
+        """Whether whole columns may be wrong: a bad fit, or one that bent the machine a lot."""
+        result = self.result
+        chi, before, after = result.chi_squared, result.accuracy_before, result.accuracy_after
         factor = 0.0 if chi is None else chi.variance_factor or 0.0
-        return self.exact or not self.result.status.converged or factor > _HOPELESS
+        bent = before is not None and after is not None and before.rms > _BENT * after.rms
+        rejected = chi is not None and (chi.p_value or 0.0) < _REJECTED
+        bad = factor > _HOPELESS or (rejected and bent)
+        return self.exact or bad or not result.status.converged
 
     def run(self) -> tuple[Fit, NDArray[np.bool_], PoseTests]:
         """The last fit, the poses left out of it (N,), and the tests of all poses against it."""
