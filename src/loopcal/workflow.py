@@ -83,6 +83,7 @@ def run_calibration(
     require_identifiable: bool = False,
     folds: int | None = None,
     profile: Sequence[str] = (),
+    report: bool = False,
     progress: Progress | None = None,
 ) -> Calibration:
     """Calibrate as a project file says, and write result.json, residuals.csv, mechanism.toml.
@@ -92,7 +93,7 @@ def run_calibration(
     NAME-result beside the project NAME.toml; function: FILE.py:NAME of the loops;
     require_identifiable: whether every parameter must be determined, as the project may ask;
     folds: of a validation, instead of the project's; profile: parameters that get a profile
-    interval, beside those of the project.
+    interval, beside those of the project; report: whether report.html is written as well.
 
     The files are written, all or none, also where the fit did not converge: `objection` tells.
     Raises InputError for what cannot be used and UsageError for a method that is none.
@@ -138,6 +139,7 @@ def run_calibration(
         inputs=read.inputs,
         warnings=warnings,
         found=told,
+        report=report,
     )
     asked = require_identifiable or read.fit.require_identifiable
     return Calibration(result, told, written, warnings, _objection(result, told, asked))
@@ -151,16 +153,30 @@ def write_result(
     inputs: Mapping[str, Any] | None = None,
     warnings: tuple[str, ...] = (),
     found: Findings | None = None,
+    report: bool = False,
 ) -> WrittenResult:
     """Write result.json, residuals.csv and mechanism.toml (calibrated), all or none.
 
     The folder is made if need be; title, inputs (the project as it was read) and warnings go to
-    result.json, with what `findings` tells, or `found`. Raises InputError, naming the file, the
-    reason and a remedy, where they cannot be written.
+    result.json, with what `findings` tells, or `found`; report: whether report.html comes with
+    them. Raises InputError, naming the file, the reason and a remedy, where they cannot be written.
     """
+
+    def page(document: Mapping[str, Any]) -> str:
+        from loopcal.report.page import report_html
+        from loopcal.report.source import source_of
+
+        return report_html([source_of(result, document, folder)])
+
     fields = (found or findings(result)).document()
     return result_file.write_result(
-        result, folder, title=title, inputs=inputs, warnings=warnings, findings=fields
+        result,
+        folder,
+        title=title,
+        inputs=inputs,
+        warnings=warnings,
+        findings=fields,
+        report=page if report else None,
     )
 
 

@@ -26,9 +26,11 @@ def test_the_summary_is_printed_and_the_files_are_named(folder: Path, run: Run) 
     assert done.code == 0
     assert done.err == ""
     assert done.out.startswith("A planar arm\n")
-    assert done.out.endswith("written to here: result.json, residuals.csv, mechanism.toml\n")
+    files = "result.json, residuals.csv, mechanism.toml, report.html"
+    assert done.out.endswith(f"written to here: {files}\n")
     assert sorted(path.name for path in (folder / "here").iterdir()) == [
         "mechanism.toml",
+        "report.html",
         "residuals.csv",
         "result.json",
     ]

@@ -101,8 +101,11 @@ def calibrate(
             metavar="GLOB", help="Parameters that get a profile likelihood interval; repeatable."
         ),
     ] = None,
+    no_report: Annotated[
+        bool, typer.Option("--no-report", help="Write no report.html; an earlier one goes.")
+    ] = False,
 ) -> None:
-    """Fit the parameters; write result.json, residuals.csv and mechanism.toml; print a summary."""
+    """Fit; write result.json, residuals.csv, mechanism.toml and report.html; print a summary."""
     from loopcal.cli.progress import Progress
     from loopcal.workflow import run_calibration
 
@@ -116,6 +119,7 @@ def calibrate(
             require_identifiable=require_identifiable,
             folds=folds,
             profile=profile or (),
+            report=not no_report,
             progress=progress,
         )
     for warning in done.warnings:
@@ -210,6 +214,27 @@ def compare(
         print_json(done.document())
     else:
         print_out(str(done))
+
+
+@app.command()
+def report(
+    results: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="RESULT...", help="Folders of calibrations, or the result.json in them."
+        ),
+    ],
+    out: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE", help="The page [default: report.html beside the only result]."
+        ),
+    ] = None,
+) -> None:
+    """One self-contained HTML page of one result, or of several side by side."""
+    from loopcal.cli.reporting import run_report
+
+    print_out(f"written to {run_report(results, out)}")
 
 
 @app.command()

@@ -193,6 +193,10 @@ def _result(
     quantities = mechanism.tape.quantities
     corrections = solution.corrections
     sds = np.broadcast_to(problem.uncertainty.sd, corrections.shape)
+    differences = (
+        _differences(problem, problem.start),
+        _differences(problem, solution.parameters, corrections),
+    )
     result = Result(
         method=method,
         status=solution.status,
@@ -207,8 +211,10 @@ def _result(
         reading_sds=frozen(dict(zip(quantities, sds, strict=True))),
         residuals_before=_residuals(problem, problem.start),
         residuals_after=_residuals(problem, solution.parameters, corrections),
-        accuracy_before=_accuracy(problem, problem.start),
-        accuracy_after=_accuracy(problem, solution.parameters, corrections),
+        differences_before=differences[0],
+        differences_after=differences[1],
+        accuracy_before=_accuracy(mechanism, differences[0]),
+        accuracy_after=_accuracy(mechanism, differences[1]),
         identifiability=identifiability,
         dataset=data,
         problem=problem,
@@ -285,16 +291,22 @@ def _residuals(
     return frozen(dict(zip(tape.loops, out, strict=True)))
 
 
-def _accuracy(
+def _differences(
     problem: Problem, parameters: Array, corrections: Array | None = None
-) -> Accuracy | None:
+) -> Mapping[str, Array]:
     """Computed minus measured outputs; quantities that no sensor reads come from the loops."""
-    mechanism = problem.mechanism
+    outputs = problem.mechanism.outputs
+    if not outputs:
+        return {}
+    found = output_differences(problem, parameters, corrections)
+    return frozen(dict(zip(outputs, found, strict=True)))
+
+
+def _accuracy(mechanism: Mechanism, differences: Mapping[str, Array]) -> Accuracy | None:
     units = {mechanism.quantities[q] for q in mechanism.outputs}
     if len(units) != 1:
         return None
-    differences = output_differences(problem, parameters, corrections)
-    return Accuracy.of(differences, units.pop())
+    return Accuracy.of(np.array(list(differences.values())), units.pop())
 
 
 def _warnings(result: Result) -> tuple[str, ...]:

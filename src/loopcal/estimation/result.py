@@ -127,9 +127,10 @@ class Result:
     parameter (sd None if fixed, inf if not identifiable); covariance: (n, n) of the estimated
     ones in the order of `estimated`; corrections: quantity -> (N,) estimated true value minus
     reading; residuals_before, residuals_after: loop -> (N,) values of the loop equations;
-    accuracy is None where the mechanism has no outputs, or outputs of several units. problem,
-    spectrum and information (the parameter system with and without the prior) are what further
-    statistics start from.
+    differences_before, differences_after: output -> (N,) computed from the readings of the rest
+    minus measured, at nominal and at calibrated parameters; accuracy sums them up and is None where
+    the mechanism has no outputs, or outputs of several units. problem, spectrum and information
+    (the parameter system with and without the prior) are what further statistics start from.
     """
 
     method: str
@@ -145,6 +146,8 @@ class Result:
     reading_sds: Mapping[str, Array]
     residuals_before: Mapping[str, Array]
     residuals_after: Mapping[str, Array]
+    differences_before: Mapping[str, Array]
+    differences_after: Mapping[str, Array]
     accuracy_before: Accuracy | None
     accuracy_after: Accuracy | None
     identifiability: Identifiability

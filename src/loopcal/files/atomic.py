@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,10 +37,13 @@ def write_atomic(path: str | Path, data: str | bytes) -> None:
     write_files(path.parent, {path.name: data})
 
 
-def write_files(folder: str | Path, files: Mapping[str, str | bytes]) -> None:
+def write_files(
+    folder: str | Path, files: Mapping[str, str | bytes], *, remove: Sequence[str] = ()
+) -> None:
     """Write several files (name -> contents, text as UTF-8) into one folder, all or none.
 
-    The folder is made if need be. Raises InputError, naming the file, the reason and a remedy.
+    The folder is made if need be; files to remove go, where they are, as the others come. Raises
+    InputError, naming the file, the reason and a remedy.
     """
     work = _Work(Path(folder))
     try:
@@ -48,6 +51,7 @@ def write_files(folder: str | Path, files: Mapping[str, str | bytes]) -> None:
         for name, data in files.items():
             work.write(name, _bytes(data))
         work.rename()
+        work.remove(remove)
     except OSError as error:
         work.undo()
         raise _unwritable(work.current, error) from None
@@ -98,6 +102,14 @@ class _Work:
             path.replace(target)
             self.renamed.append(name)
         _sync_folder(self.folder)
+
+    def remove(self, names: Sequence[str]) -> None:
+        for name in names:
+            self.current = target = self.folder / name
+            if target.is_file():
+                keep = self.folder / f".{name}.{secrets.token_hex(6)}.old"
+                target.replace(keep)
+                self.old[name] = keep
 
     def undo(self) -> None:
         for name in self.renamed:

@@ -45,6 +45,14 @@ def read_mechanism(path: str | Path, *, function: Loops | Mechanism | None = Non
     )
 
 
+def read_arm(path: str | Path) -> Mechanism | None:
+    """The mechanism of a file that says all of it; None of one whose loops are Python code.
+
+    Raises InputError as `read_mechanism` does.
+    """
+    return None if read_toml(path).get("type") == "function" else read_mechanism(path)
+
+
 def mechanism_from_data(
     data: Mapping[str, Any],
     place: Place | str,

@@ -12,11 +12,18 @@ Array = NDArray[np.float64]
 
 
 def residuals_csv(result: Result) -> bytes:
+    """The bytes of residuals.csv: `residual_columns` as a table."""
+    return table_bytes(residual_columns(result))
+
+
+def residual_columns(result: Result) -> dict[str, Column]:
     """One row per pose used, SI: its id, loops before and after, readings and corrections.
 
     Columns: pose; for every loop "residual NAME before [unit]" and "... after [unit]" (at the
     readings and nominal parameters; at the corrected readings and calibrated parameters); for
-    every quantity "NAME [unit]", the reading, "NAME correction [unit]", estimated true value
+    every output "NAME computed - measured before [unit]" and "... after [unit]" (computed from
+    the uncorrected readings of the rest, with nominal and with calibrated parameters); for every
+    quantity "NAME [unit]", the reading, "NAME correction [unit]", estimated true value
     minus reading, and "NAME correction/sd". Empty: not measured; the last also where exact.
     """
     columns: dict[str, Column] = {"pose": result.dataset.poses}
@@ -24,6 +31,10 @@ def residuals_csv(result: Result) -> bytes:
         unit = result.mechanism.quantities.get(loop, "SI")
         columns[f"residual {loop} before [{unit}]"] = before
         columns[f"residual {loop} after [{unit}]"] = result.residuals_after[loop]
+    for output, before in result.differences_before.items():
+        unit = result.mechanism.quantities[output]
+        columns[f"{output} computed - measured before [{unit}]"] = before
+        columns[f"{output} computed - measured after [{unit}]"] = result.differences_after[output]
     nothing = np.full(len(result.dataset), np.nan)
     for quantity, unit in result.mechanism.quantities.items():
         reading = result.dataset.readings.get(quantity, nothing)
@@ -32,7 +43,7 @@ def residuals_csv(result: Result) -> bytes:
         columns[f"{quantity} [{unit}]"] = reading
         columns[f"{quantity} correction [{unit}]"] = correction
         columns[f"{quantity} correction/sd"] = _over_sd(correction, sd)
-    return table_bytes(columns)
+    return columns
 
 
 def _over_sd(correction: Array, sd: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -122,12 +122,14 @@ def write_result(
     inputs: Mapping[str, Any] | None = None,
     warnings: tuple[str, ...] = (),
     findings: Mapping[str, Any] | None = None,
+    report: Callable[[Mapping[str, Any]], str] | None = None,
 ) -> WrittenResult:
     """Write result.json, residuals.csv and mechanism.toml (calibrated), all or none.
 
-    The folder is made if need be; all but the result goes to result.json as `result_document`
-    says. Raises InputError, naming the file, the reason and a remedy, where they cannot be
-    written.
+    report: makes report.html of the document; without it an earlier report goes, which would
+    tell of another result. The folder is made if need be; all the rest goes to result.json as
+    `result_document` says. Raises InputError, naming the file, the reason and a remedy, where they
+    cannot be written.
     """
     document = result_document(
         result, title=title, inputs=inputs, warnings=warnings, findings=findings
@@ -137,7 +139,9 @@ def write_result(
         "residuals.csv": residuals_csv(result),
         "mechanism.toml": mechanism_to_toml(result.calibrated),
     }
-    write_files(folder, files)
+    if report is not None:
+        files["report.html"] = report(document)
+    write_files(folder, files, remove=() if report else ("report.html",))
     return WrittenResult(Path(folder), tuple(files), document)
 
 

@@ -1,0 +1,1 @@
+"""Figures of a calibration as data for plotly; no layer above knows how they are drawn."""

@@ -1,0 +1,127 @@
+"""How far the model is from the measured points, before and after: histogram and pose by pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from loopcal.figures.figure import (
+    AFTER,
+    BEFORE,
+    COLOURS,
+    Array,
+    Figure,
+    axis,
+    layout,
+    names,
+    numbers,
+    shown_text,
+)
+from loopcal.figures.thinning import thinned
+
+BINS = 40
+
+
+def distance_histogram(before: Array, after: Array, unit: str) -> Figure | None:
+    """How the distances (N,) [unit] of all poses are distributed; None where there are none."""
+    parts = {"before": before[np.isfinite(before)], "after": after[np.isfinite(after)]}
+    positive = np.concatenate([part[part > 0.0] for part in parts.values()])
+    if not positive.size:
+        return None
+    logarithmic = positive.max() > 30.0 * np.median(positive[positive <= np.median(positive)])
+    low = max(positive.min(), positive.max() * 1e-6)
+    space = np.geomspace(low, positive.max(), BINS + 1)
+    edges = space if logarithmic else np.linspace(0.0, positive.max(), BINS + 1)
+    edges[-1] = positive.max() * (1.0 + 1e-12)
+    data = []
+    for (name, values), colour in zip(parts.items(), (BEFORE, AFTER), strict=True):
+        counts = np.histogram(np.maximum(values, edges[0]), edges)[0].astype(float)
+        data.append(
+            {
+                "type": "scatter",
+                "name": f"{name} calibration",
+                "x": numbers(edges),
+                "y": numbers(np.append(counts, counts[-1])),
+                "line": {"shape": "hv", "color": colour, "width": 2},
+                "fill": "tozeroy",
+                "mode": "lines",
+            }
+        )
+    scale = {"type": "log"} if logarithmic else {"rangemode": "tozero"}
+    hint = " The scale of distances is logarithmic." if logarithmic else ""
+    medians = {name: float(np.median(v)) for name, v in parts.items() if v.size}
+    told = ", ".join(f"median {m:.3g} {unit} {name}" for name, m in medians.items())
+    return Figure(
+        "histogram",
+        "Distances between computed and measured points",
+        "Each step counts the poses at that distance. The calibration helped where blue lies left "
+        f"of grey; a tail to the right of blue is poses worth a look.{hint}",
+        f"Histogram of distances before and after calibration: {told}.",
+        tuple(data),
+        layout(
+            300,
+            xaxis=axis(f"distance [{unit}]", **scale),
+            yaxis=axis("poses", rangemode="tozero"),
+        ),
+    )
+
+
+def over_poses(
+    before: Mapping[str, Array],
+    after: Mapping[str, Array],
+    ids: Sequence[str],
+    unit: str,
+    what: str,
+) -> Figure | None:
+    """Values (N,) [unit] against pose number, one panel before and one after; None without any."""
+    panels = [panel for panel in (before, after) if panel]
+    if not panels:
+        return None
+    sizes = np.nanmax(np.abs(_stack(panels)), axis=0, initial=0.0)
+    chosen = thinned(sizes)
+    data: list[dict[str, Any]] = []
+    for number, panel in enumerate(panels, 1):
+        for i, (name, values) in enumerate(panel.items()):
+            data.append(
+                {
+                    "type": "scatter",
+                    "mode": "markers",
+                    "name": shown_text(name),
+                    "legendgroup": str(i),
+                    "showlegend": number == 1,
+                    "x": (chosen.index + 1).tolist(),
+                    "y": numbers(values[chosen.index]),
+                    "text": names([ids[j] for j in chosen.index]),
+                    "marker": {"color": COLOURS[i % len(COLOURS)], "size": 4},
+                    "yaxis": "y" if number == 1 else "y2",
+                }
+            )
+    more = {"yaxis": axis(f"before [{unit}]", zeroline=True)}
+    if len(panels) == 2:
+        more["yaxis"]["domain"] = [0.55, 1.0]
+        more["yaxis2"] = axis(f"after [{unit}]", domain=[0.0, 0.45], zeroline=True, anchor="x")
+    worst = [float(np.nanmax(np.abs(_stack([panel])), initial=0.0)) for panel in panels]
+    told = " and ".join(
+        f"at most {w:.3g} {unit} {when}"
+        for w, when in zip(worst, ("before", "after"), strict=False)
+    )
+    return Figure(
+        "residuals",
+        f"{what} against pose number",
+        "Mind the two scales. Before, patterns show what is wrong with the nominal model; after, "
+        "only scatter without pattern should be left. A drift or a step points to something that "
+        f"moved during the measurement.{chosen.words}",
+        f"{what} of {len(sizes)} poses in order, {told}.",
+        tuple(data),
+        layout(
+            520 if len(panels) == 2 else 320,
+            xaxis=axis("number of the pose", anchor="y2" if len(panels) == 2 else "y"),
+            **more,
+        ),
+    )
+
+
+def _stack(panels: Sequence[Mapping[str, Array]]) -> Array:
+    return np.array([values for panel in panels for values in panel.values()])

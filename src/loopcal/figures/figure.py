@@ -1,0 +1,72 @@
+"""A figure as data: traces and layout in plotly's terms, its caption and its text alternative."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+BEFORE, AFTER = "#8d8f96", "#2b7bd6"
+"""Colours before and after a calibration, legible on light and on dark."""
+COLOURS = ("#2b7bd6", "#d9622b", "#2c9a62", "#a25bc4", "#b8860b", "#c74372", "#4a8f9c", "#7d7f3a")
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """caption: what to see in it; label: the text alternative; data, layout: plotly's."""
+
+    key: str
+    title: str
+    caption: str
+    label: str
+    data: tuple[Mapping[str, Any], ...]
+    layout: Mapping[str, Any]
+
+    def json(self) -> str:
+        """For a script element: nothing in it can end that element or begin a comment."""
+        content = {"data": self.data, "layout": self.layout}
+        text = json.dumps(content, allow_nan=False, separators=(",", ":"))
+        return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def numbers(values: Array) -> list[Any]:
+    """Numbers to six significant digits, which no eye can tell apart; None where there is none."""
+    return [float(f"{v:.6g}") if v - v == 0.0 else None for v in values.tolist()]
+
+
+def shown_text(text: str) -> str:
+    """A user's text for plotly, which reads some markup: shown as it was written."""
+    return escape(text, quote=False)
+
+
+def names(texts: Sequence[str]) -> list[str]:
+    """Several texts for plotly."""
+    return [shown_text(text) for text in texts]
+
+
+def axis(title: str, **more: Any) -> dict[str, Any]:
+    """An axis with a title of its own."""
+    return {"title": {"text": title}, "automargin": True, **more}
+
+
+def layout(height: int, **more: Any) -> dict[str, Any]:
+    """What all figures have in common; colours of text and grid are those of the page."""
+    return {
+        "height": height,
+        "margin": {"l": 8, "r": 8, "t": 16, "b": 8},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
+        **more,
+    }
+
+
+def plotly_javascript() -> str:
+    """The program that draws the figures, from the installed plotly."""
+    from plotly.offline import get_plotlyjs
+
+    return str(get_plotlyjs())

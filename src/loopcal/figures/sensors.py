@@ -1,0 +1,113 @@
+"""Corrections of the readings over their sds: against the normal curve, and over the poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from loopcal.figures.figure import (
+    COLOURS,
+    Array,
+    Figure,
+    axis,
+    layout,
+    names,
+    numbers,
+    shown_text,
+)
+from loopcal.figures.thinning import POINTS, thinned
+
+
+def normalised(corrections: Mapping[str, Array]) -> Figure | None:
+    """Densities of corrections (N,) over their sds, beside the normal curve; None without any."""
+    usable = {name: values[np.isfinite(values)] for name, values in corrections.items()}
+    usable = {name: values for name, values in usable.items() if values.size}
+    if not usable:
+        return None
+    reach = min(max(4.0, *(float(np.abs(v).max()) for v in usable.values())), 12.0)
+    curve = np.linspace(-reach, reach, 121)
+    edges = np.linspace(-reach, reach, 41)
+    data: list[dict[str, Any]] = [
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": "normal curve",
+            "x": numbers(curve),
+            "y": numbers(np.exp(-0.5 * curve**2) / np.sqrt(2.0 * np.pi)),
+            "line": {"color": "#8d8f96", "width": 3, "dash": "dot"},
+        }
+    ]
+    for i, (name, values) in enumerate(usable.items()):
+        counts = np.histogram(np.clip(values, -reach, reach), edges)[0]
+        density = counts / (values.size * (edges[1] - edges[0]))
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": shown_text(name),
+                "x": numbers(0.5 * (edges[1:] + edges[:-1])),
+                "y": numbers(density),
+                "line": {"shape": "hvh", "color": COLOURS[i % len(COLOURS)], "width": 1.5},
+            }
+        )
+    told = ", ".join(
+        f"{shown_text(n)} rms {np.sqrt(np.square(v).mean()):.2f}" for n, v in usable.items()
+    )
+    return Figure(
+        "normalised",
+        "Corrections over their sds, beside the normal curve",
+        "A sensor that the loops hardly check is corrected by less than its sd, so its curve is "
+        "narrower than the dotted one. Wider, skewed or with two humps: its sd is too small, or "
+        "something else than noise is in it. Values beyond the ends are counted at the ends.",
+        f"Distributions of corrections over their sds beside the normal curve: {told}.",
+        tuple(data),
+        layout(340, xaxis=axis("correction / sd"), yaxis=axis("density", rangemode="tozero")),
+    )
+
+
+def drift(corrections: Mapping[str, Array], ids: Sequence[str]) -> Figure | None:
+    """Corrections (N,) over their sds against pose number, a panel each; None without any."""
+    usable = {n: v for n, v in corrections.items() if np.isfinite(v).any()}
+    if not usable:
+        return None
+    count = len(usable)
+    data: list[dict[str, Any]] = []
+    more: dict[str, Any] = {}
+    words = ""
+    for i, (name, values) in enumerate(usable.items()):
+        chosen = thinned(values, max(POINTS * 4 // count, 300) if count > 4 else POINTS)
+        words = words or chosen.words
+        suffix = "" if i == 0 else str(i + 1)
+        top = 1.0 - i / count
+        domain = [top - 0.88 / count, top]
+        more[f"yaxis{suffix}"] = axis(shown_text(name), domain=domain, zeroline=True, nticks=4)
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": shown_text(name),
+                "showlegend": False,
+                "x": (chosen.index + 1).tolist(),
+                "y": numbers(values[chosen.index]),
+                "text": names([ids[j] for j in chosen.index]),
+                "marker": {"color": COLOURS[i % len(COLOURS)], "size": 3},
+                "yaxis": f"y{suffix}",
+            }
+        )
+    anchor = "y" if count == 1 else f"y{count}"
+    return Figure(
+        "drift",
+        "Corrections over their sds against pose number",
+        "Each panel should be a level band without pattern. A slope is drift, a step is something "
+        f"that was touched, waves are errors that depend on the position.{words}",
+        f"Corrections over their sds against pose number, one panel for each of {count} sensors.",
+        tuple(data),
+        layout(
+            110 * count + 80,
+            xaxis=axis("number of the pose", anchor=anchor),
+            showlegend=False,
+            **more,
+        ),
+    )

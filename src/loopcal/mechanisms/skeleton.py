@@ -1,0 +1,51 @@
+"""The skeleton of an arm: where its joints and its tool point are in one pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.mechanisms.chain import product
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.placement import ChainPlacement
+from loopcal.mechanisms.serial import chain_steps, tool_names
+
+Array = NDArray[np.float64]
+
+
+def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
+    """Points (k, 3), or (k, 2) of a planar arm, [m] from the first joint to the tool point.
+
+    joints: readings [m, rad] of one pose. In the instrument's frame, with the mechanism's own
+    parameters; None for mechanisms that are not arms of a known kind.
+    """
+    values = {p.name: p.nominal for p in mechanism.parameters}
+    described = mechanism.description or {}
+    if described.get("type") == "planar-two-link":
+        return _planar(values, joints)
+    if isinstance(mechanism.placement, ChainPlacement):
+        steps, tool = mechanism.placement.steps, mechanism.placement.tool
+    elif described.get("type") == "serial":
+        steps = chain_steps(described["joints"], described["base"])
+        tool = tool_names(described["joints"])
+    else:
+        return None
+    T, points = np.eye(4), []
+    for step in steps:
+        if step.joint is not None:
+            points.append(T[:3, 3])
+        T = T @ product([step], joints, values)
+    points += [T[:3, 3], T[:3, :3] @ [values[name] for name in tool] + T[:3, 3]]
+    return np.array(points)
+
+
+def _planar(values: Mapping[str, float], joints: Mapping[str, float]) -> Array:
+    first = joints["phi2"] + values["phi20"]
+    second = first + joints["phi3"] + values["phi30"]
+    base = np.array([values["xA"], values["yA"]])
+    elbow = base + values["l2"] * np.array([np.cos(first), np.sin(first)])
+    return np.array(
+        [base, elbow, elbow + values["l3"] * np.array([np.cos(second), np.sin(second)])]
+    )

@@ -1,0 +1,116 @@
+"""The page: sources in, one self-contained HTML text out."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from loopcal.errors import UsageError
+from loopcal.figures.figure import plotly_javascript
+from loopcal.report import tables
+from loopcal.report.drawn import figures
+from loopcal.report.source import Source
+from loopcal.report.verdict import verdict
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+MOST = 8
+"""So many results stand side by side; a browser draws some sixteen scenes in space at most."""
+METHODS = {
+    "implicit-loop": "Implicit loop: every sensor is uncertain. Readings are corrected until all "
+    "loops close, with the least squares of corrections over their sds.",
+    "implicit-loop-undamped": "Implicit loop by the undamped iteration of the seed: every sensor "
+    "is uncertain, full Gauss-Newton steps.",
+    "reweighted": "Reweighted least squares: the open loops, weighed by the noise that the "
+    "readings bring into them.",
+    "least-squares": "Least squares: the open loops at the readings, all weighed alike; the "
+    "sensors are taken as exact.",
+}
+
+
+def report_html(sources: Sequence[Source]) -> str:
+    """The report of one result, or of several side by side.
+
+    Everything is inside: styles, program and data; nothing is asked of any network. Raises
+    UsageError for more results than a page can hold.
+    """
+    if not 1 <= len(sources) <= MOST:
+        raise UsageError(
+            f"{len(sources)} results for one report", remedy=f"give from 1 to {MOST} of them"
+        )
+    program, drawing = plotly_javascript(), _part("draw.js")
+    several = len(sources) > 1
+    return (
+        _environment()
+        .get_template("report.html")
+        .render(
+            title=", ".join(dict.fromkeys(source.title for source in sources)),
+            results=[_result(source, number) for number, source in enumerate(sources, 1)],
+            comparison=tables.comparison_table(sources) if several else None,
+            style=_part("style.css"),
+            program=program,
+            drawing=drawing,
+            hashes=" ".join(f"'sha256-{_sha256(text)}'" for text in (program, drawing)),
+        )
+    )
+
+
+def _result(source: Source, number: int) -> dict[str, Any]:
+    """What the template says of one result."""
+    document = source.document
+    drawn = figures(source)
+    return {
+        "name": source.name,
+        "title": source.title,
+        "id": f"r{number}",
+        "document": document,
+        "verdict": verdict(document),
+        "figures": drawn,
+        "accuracy": tables.accuracy_table(document),
+        "sensors": tables.sensor_table(source),
+        "parameters": tables.parameter_table(document),
+        "outliers": tables.outlier_table(document),
+        "facts": tables.facts_table(document),
+        "identifiability": identifiability_words(document),
+        "method": METHODS[document["method"]],
+        "inputs": json.dumps(document["inputs"], indent=1, ensure_ascii=False),
+    }
+
+
+def identifiability_words(document: Any) -> list[str]:
+    """Which directions the poses determine, which hardly, which not at all."""
+    found = document["identifiability"]
+    words = [f"{found['rank']} of {found['parameters']} parameters are determined."]
+    words += [f"Not determined: {entry['words']}" for entry in found["not_identifiable"]]
+    words += [entry["words"] for entry in found["weak_directions"] or []]
+    words += [entry["words"] for entry in found["data_versus_prior"] or []]
+    return words
+
+
+def _sha256(text: str) -> str:
+    return base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
+
+
+@cache
+def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    return Environment(
+        loader=PackageLoader("loopcal.report", "template"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def _part(name: str) -> str:
+    """The text of a part that is no template."""
+    environment = _environment()
+    assert environment.loader is not None
+    return environment.loader.get_source(environment, name)[0]

@@ -1,0 +1,182 @@
+"""The tables of the report, as text: numbers of result.json in the units of the summary."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from loopcal.report.source import Source
+from loopcal.report.words import NONE, by_sd, chance, percent, size, unit_shown
+
+
+@dataclass(frozen=True)
+class Table:
+    """caption: what it holds; head: names of columns; rows: cells, the first names the row."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def accuracy_table(document: Mapping[str, Any]) -> Table | None:
+    """Mean, rms, 95 % and largest distance, before, after, and on poses not used."""
+    accuracy = document["accuracy"]
+    if accuracy is None:
+        return None
+    shown = {"nominal": accuracy["before"], "calibrated": accuracy["after"]}
+    validation = document["validation"]
+    if validation is not None and validation["accuracy"] is not None:
+        shown["on poses not used"] = validation["accuracy"]
+    unit = accuracy["unit"]
+    rows = [
+        (name, *(size(values[key], unit) for key in ("mean", "rms", "p95", "max")))
+        for name, values in shown.items()
+    ]
+    return Table(
+        "Distance between computed and measured point, the readings not corrected",
+        ("accuracy", *(f"{key} [{unit_shown(unit)}]" for key in ("mean", "rms", "95 %", "max"))),
+        tuple(rows),
+    )
+
+
+def sensor_table(source: Source) -> Table | None:
+    """The sds that the readings were given, and how large their corrections are beside them."""
+    rows = []
+    for entry in source.document["noise"]:
+        unit = entry["unit"]
+        parts = [source.columns.normalised(q) for q in entry["quantities"]]
+        used = [part[np.isfinite(part)] for part in parts if part is not None]
+        values = np.concatenate(used) if used else np.empty(0)
+        rms = f"{np.sqrt(np.square(values).mean()):.2f}" if values.size else NONE
+        mean = f"{values.mean():+.2f}" if values.size else NONE
+        rows.append(
+            (
+                ", ".join(entry["quantities"]),
+                size(entry["sd"], unit, 3, fine=True),
+                size(entry["sd_of_sd"], unit, 2, fine=True),
+                size(entry["upper"], unit, 2, fine=True),
+                unit_shown(unit, fine=True),
+                entry["source"],
+                rms,
+                mean,
+            )
+        )
+    if not rows:
+        return None
+    head = ("sensor", "sd", "sd of sd", "at most", "unit", "from", "rms corr./sd", "mean corr./sd")
+    return Table("Sds of the sensors, and corrections over them", head, tuple(rows))
+
+
+def parameter_table(document: Mapping[str, Any]) -> Table:
+    """Nominal and calibrated value, sd, change in sds, and how much of it the prior says."""
+    with_error = any(entry["error"] is not None for entry in document["parameters"])
+    head = ["parameter", "nominal", "value", "change", "sd", "unit", "change/sd", "prior's share"]
+    rows = [_parameter(entry, with_error) for entry in document["parameters"]]
+    if with_error:
+        head.append("error")
+    caption = "Parameters; the prior's share is (sd / prior sd)², 0 % where the data alone decide"
+    return Table(caption, tuple(head), tuple(rows))
+
+
+def _parameter(entry: Mapping[str, Any], with_error: bool) -> tuple[str, ...]:
+    unit, sd, change = entry["unit"], entry["sd"], entry["value"] - entry["nominal"]
+    cells = [entry["name"], by_sd(entry["nominal"], sd, unit), by_sd(entry["value"], sd, unit)]
+    if entry["fixed"]:
+        cells += [NONE, "fixed", unit_shown(unit), NONE, NONE]
+    else:
+        prior = entry["prior_sd"]
+        share = None if sd is None else 0.0 if not prior else min((sd / prior) ** 2, 1.0)
+        cells += [
+            by_sd(change, sd, unit, sign=True),
+            "not determined" if sd is None else size(sd, unit, 2),
+            unit_shown(unit),
+            f"{change / sd:+.1f}" if sd else NONE,
+            percent(share),
+        ]
+    if with_error:
+        error = entry["error"]
+        cells.append(NONE if error is None else by_sd(error, sd, unit, sign=True))
+    return tuple(cells)
+
+
+def outlier_table(document: Mapping[str, Any]) -> Table | None:
+    """Poses that do not fit the others, the worst first."""
+    entries = document["outliers"]
+    if not entries:
+        return None
+    rows = [
+        (
+            entry["pose"],
+            entry["quantity"] or "the whole pose",
+            size(entry["statistic"], "1", 3),
+            chance(entry["p_value"]),
+            NONE
+            if entry["size"] is None
+            else f"{size(entry['size'], entry['unit'] or '1', 3)} "
+            f"{unit_shown(entry['unit'] or '1')}",
+            (entry["cause"] or NONE) + (" (verified)" if entry["verified"] else ""),
+        )
+        for entry in entries
+    ]
+    head = ("pose", "reading", "statistic", "p-value", "off by", "probable cause")
+    return Table("Poses that do not fit the others", head, tuple(rows))
+
+
+def facts_table(document: Mapping[str, Any]) -> Table:
+    """Poses, chi-squared, closure and observability."""
+    chi, closure, data = document["chi_squared"], document["closure"], document["data"]
+    rows = [
+        ("poses used", f"{data['used']:,} of {data['poses']:,}"),
+        ("poses left out", ", ".join(data["excluded"]) or "none"),
+        ("loop equations, rms before", size(closure["before"]["rms"], "1", 3)),
+        ("loop equations, rms after (no accuracy)", size(closure["after"]["rms"], "1", 3)),
+    ]
+    if data["every"] > 1:
+        rows.append(("thinning", f"one row of {data['every']}"))
+    if chi is not None:
+        rows += [
+            ("chi-squared", size(chi["value"], "1", 5)),
+            ("degrees of freedom", str(chi["degrees_of_freedom"])),
+            ("chi-squared per degree", size(chi["variance_factor"], "1", 3)),
+            ("p-value", chance(chi["p_value"])),
+        ]
+    return Table("Fit", ("fact", "value"), tuple(rows))
+
+
+def comparison_table(sources: Sequence[Source]) -> Table:
+    """Several results side by side: what matters of each, and their parameters."""
+    documents = [source.document for source in sources]
+    rows = [
+        ("converged", *("yes" if d["status"]["converged"] else "no" for d in documents)),
+        ("method", *(d["method"] for d in documents)),
+        ("poses used", *(f"{d['data']['used']:,}" for d in documents)),
+    ]
+    for when in ("before", "after"):
+        parts = [d["accuracy"] and d["accuracy"][when] for d in documents]
+        rows.append((f"rms {when}", *map(_rms, documents, parts)))
+    parts = [d["validation"] and d["validation"]["accuracy"] for d in documents]
+    rows.append(("rms on poses not used", *map(_rms, documents, parts)))
+    names = dict.fromkeys(entry["name"] for d in documents for entry in d["parameters"])
+    entries = [{entry["name"]: entry for entry in d["parameters"]} for d in documents]
+    for name in names:
+        rows.append((name, *(_value(its.get(name)) for its in entries)))
+    head = ("result", *(source.name for source in sources))
+    return Table("Results side by side: value ± sd", head, tuple(rows))
+
+
+def _rms(document: Mapping[str, Any], found: Mapping[str, Any] | None) -> str:
+    if not found:
+        return NONE
+    unit = document["accuracy"]["unit"]
+    return f"{size(found['rms'], unit)} {unit_shown(unit)}"
+
+
+def _value(entry: Mapping[str, Any] | None) -> str:
+    if entry is None:
+        return NONE
+    unit, sd = entry["unit"], entry["sd"]
+    spread = "" if sd is None else f" ± {size(sd, unit, 2)}"
+    return f"{by_sd(entry['value'], sd, unit)}{spread} {unit_shown(unit)}"

@@ -1,0 +1,141 @@
+"""The verdict in one paragraph: converged? trustworthy? how accurate? what to do next?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from loopcal.report.words import chance, size, unit_shown
+
+REJECTED = 0.01
+"""p-value of chi-squared below which stated sds and corrections do not go together."""
+WORSE = 1.5
+"""Ratio of rms on poses not used to rms on poses used that is called too large."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """grade: "good", "care" or "bad"; headline: in a few words; paragraph: in full."""
+
+    grade: str
+    headline: str
+    paragraph: str
+
+
+def verdict(document: Mapping[str, Any]) -> Verdict:
+    """What result.json amounts to."""
+    status = document["status"]
+    steps = f"{status['iterations']} iteration" + ("" if status["iterations"] == 1 else "s")
+    used = document["data"]["used"]
+    if not status["converged"]:
+        return Verdict(
+            "bad",
+            "Not converged: do not use this result",
+            f"The fit of {used:,} poses stopped after {steps} without an optimum "
+            f"({status['reason']}). {status['message']}",
+        )
+    doubts = _doubts(document)
+    sentences = [f"The fit converged in {steps} on {used:,} poses.", *_accuracy(document)]
+    if doubts:
+        reasons = "; ".join(reason for reason, _ in doubts)
+        todo = "; ".join(dict.fromkeys(remedy for _, remedy in doubts))
+        sentences += [f"Take care: {reasons}.", f"Next: {todo}."]
+        return Verdict("care", "Converged, to be used with care", " ".join(sentences))
+    sentences.append("Nothing in the data speaks against it: sds, poses and model agree.")
+    sentences.append("Next: put the calibrated mechanism.toml to use, and check it now and then.")
+    return Verdict("good", "Converged and trustworthy", " ".join(sentences))
+
+
+def _accuracy(document: Mapping[str, Any]) -> list[str]:
+    accuracy = document["accuracy"]
+    if accuracy is None:
+        return ["Its accuracy is not known, for there are no outputs that it could predict."]
+    unit = accuracy["unit"]
+    before, after = (size(accuracy[when]["rms"], unit) for when in ("before", "after"))
+    told = (
+        f"On these poses the model predicted the measured point to {before} {unit_shown(unit)} rms "
+        f"before and to {after} {unit_shown(unit)} rms after"
+    )
+    validation = document["validation"]
+    if validation is None or validation["accuracy"] is None:
+        return [f"{told}; on poses not used it was not tried."]
+    unseen = size(validation["accuracy"]["rms"], unit)
+    return [f"{told}, and to {unseen} {unit_shown(unit)} rms on poses that the fit had not seen."]
+
+
+def _doubts(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Reasons for care, each with what to do about it."""
+    return [*_of_data(document), *_of_model(document), *_of_validation(document)]
+
+
+def _of_data(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    found = []
+    faults = document["column_faults"] or []
+    for fault in faults:
+        found.append((fault["words"], "put the columns right and calibrate again"))
+    poses = sorted({entry["pose"] for entry in document["outliers"] or []})
+    if poses:
+        named = ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")
+        count = f"{len(poses)} pose{'s do' if len(poses) > 1 else ' does'} not fit the others"
+        found.append((f"{count} ({named})", "look at these poses, and put right or leave out"))
+    return found
+
+
+def _of_model(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    found = []
+    loose = document["identifiability"]["not_identifiable"]
+    if loose:
+        names = sorted({name for entry in loose for name in entry["combination"]})
+        found.append(
+            (
+                f"these poses do not determine {', '.join(names)}",
+                "fix or give a prior to what is not determined, or measure other poses",
+            )
+        )
+    chi = document["chi_squared"]
+    if chi is not None and chi["p_value"] is not None and chi["p_value"] < REJECTED:
+        more = ""
+        extra = document["model_discrepancy"]
+        if extra is not None and document["accuracy"]:
+            unit = document["accuracy"]["unit"]
+            more = f"; a model error of {size(extra, unit, 3)} {unit_shown(unit)} would explain it"
+        found.append(
+            (
+                "the corrections are larger than the stated sds allow "
+                f"(p = {chance(chi['p_value'])}{more}), so the sds of the parameters are too small",
+                "check the sds of the sensors, estimate them, or allow for an error of the model",
+            )
+        )
+    if document["method"] == "least-squares":
+        found.append(
+            (
+                "all sensors but the output were taken as exact",
+                "compare with the implicit loop, which weighs every sensor",
+            )
+        )
+    return found
+
+
+def _of_validation(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    accuracy, validation = document["accuracy"], document["validation"]
+    found = []
+    if accuracy is not None and accuracy["after"]["rms"] >= accuracy["before"]["rms"]:
+        found.append(("the calibration did not improve the accuracy", "look at the residuals"))
+    if accuracy is not None and validation is None:
+        found.append(
+            (
+                "the accuracy is that of the poses the fit has seen",
+                "validate it on others (--folds 10)",
+            )
+        )
+        return found
+    unseen = validation and validation["accuracy"]
+    if accuracy is not None and unseen and unseen["rms"] > WORSE * accuracy["after"]["rms"]:
+        found.append(
+            (
+                "poses not used are predicted much worse than those used",
+                "measure more poses, or poses more like those the machine shall go to",
+            )
+        )
+    return found

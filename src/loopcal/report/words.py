@@ -1,0 +1,49 @@
+"""Numbers as the report shows them: the units and digits of the printed summary."""
+
+from __future__ import annotations
+
+from loopcal.estimation.rounding import rounded_by_sd, significant
+from loopcal.estimation.summary import FINE, SHOWN
+from loopcal.units import from_si
+
+NONE = "–"
+
+
+def unit_shown(unit: str, *, fine: bool = False) -> str:
+    """The unit in which values of an SI unit are shown; fine: sds of sensors."""
+    return (FINE if fine else SHOWN).get(unit, unit)
+
+
+def factor(unit: str) -> float:
+    """SI value of one of the units in which values of an SI unit are shown."""
+    return 1.0 / float(from_si(1.0, unit_shown(unit))) if unit in SHOWN else 1.0
+
+
+def size(value: float | None, unit: str, digits: int = 4, *, fine: bool = False) -> str:
+    """An SI value in the unit shown, without that unit."""
+    if value is None:
+        return NONE
+    return significant(in_unit(value, unit, fine=fine), digits)
+
+
+def in_unit(value: float, unit: str, *, fine: bool = False) -> float:
+    """An SI value as a number of the unit shown."""
+    shown = unit_shown(unit, fine=fine)
+    return value if shown == unit else float(from_si(value, shown))
+
+
+def by_sd(value: float, sd: float | None, unit: str, *, sign: bool = False) -> str:
+    """An SI value in the unit shown, to the digits of its sd."""
+    if sd is None:
+        return significant(in_unit(value, unit), 9 if not sign else 3)
+    return rounded_by_sd(in_unit(value, unit), in_unit(sd, unit), sign=sign)
+
+
+def chance(value: float | None) -> str:
+    """A probability."""
+    return NONE if value is None else f"{value:.2g}"
+
+
+def percent(value: float | None) -> str:
+    """A share."""
+    return NONE if value is None else f"{value:.0%}"
