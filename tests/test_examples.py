@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import runpy
 from pathlib import Path
 
 import pytest
@@ -90,3 +91,29 @@ def test_the_measured_arms(project, data, method, rms, within, shared_data, monk
     if project == "right_arm_workspace" and result.chi_squared is not None:
         assert result.chi_squared.variance_factor == pytest.approx(1080, rel=0.05)
         assert any("model error" in warning for warning in result.warnings)
+
+
+def test_halves_of_measured_sets_give_the_table_12_that_the_documentation_tells(
+    shared_data, monkeypatch
+):
+    path = shared_data("motoman_ma1400_leica/left_arm_grid.csv")
+    monkeypatch.setenv("LOOPCAL_DATA", str(path.parents[1]))
+    table = runpy.run_path(str(EXAMPLES / "seed" / "table_12.py"))
+    grid, workspace = (
+        [table["halves"](name, method) for method in table["METHODS"]]
+        for name in table["SETS"].values()
+    )
+    for one in (*grid, *workspace):
+        assert all(fit.status.converged for fit in one.fits)
+    inside = [sum(abs(p.z) <= 1.96 for p in one.compared.parameters) for one in grid]
+    assert inside == [18, 21]
+    assert grid[0].compared.p_value < 0.05 < grid[1].compared.p_value
+    assert max(grid[0].elsewhere + grid[1].elsewhere) < 0.09e-3
+    for basic, new in zip(
+        workspace[0].compared.parameters, workspace[1].compared.parameters, strict=True
+    ):
+        assert new.a == pytest.approx(basic.a, abs=1e-4)
+        assert abs(new.z) < 2.5
+    told = "\n".join(table["report"]("grid", grid))
+    assert "diff of diffs" in told
+    assert "on the other half's poses" in told
