@@ -33,6 +33,7 @@ from loopcal.files.truth_file import read_truth, truth_json
 from loopcal.files.validation_entries import ValidationSpec, validation_arguments
 from loopcal.measurements.noise import Noise, resolve_noise
 from loopcal.simulation.poses import grid_poses, random_poses, stream
+from loopcal.report.page import page_of
 from loopcal.simulation.simulate import Simulation, simulate
 from loopcal.statistics.check import Check, check
 from loopcal.statistics.findings import Findings, findings
@@ -161,22 +162,10 @@ def write_result(
     result.json, with what `findings` tells, or `found`; report: whether report.html comes with
     them. Raises InputError, naming the file, the reason and a remedy, where they cannot be written.
     """
-
-    def page(document: Mapping[str, Any]) -> str:
-        from loopcal.report.page import report_html
-        from loopcal.report.source import source_of
-
-        return report_html([source_of(result, document, folder)])
-
     fields = (found or findings(result)).document()
+    page = page_of(result, folder) if report else None
     return result_file.write_result(
-        result,
-        folder,
-        title=title,
-        inputs=inputs,
-        warnings=warnings,
-        findings=fields,
-        report=page if report else None,
+        result, folder, title=title, inputs=inputs, warnings=warnings, findings=fields, report=page
     )
 
 

@@ -5,15 +5,17 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import UsageError
+from loopcal.estimation.result import Result
 from loopcal.figures.figure import plotly_javascript
 from loopcal.report import tables
 from loopcal.report.drawn import figures
-from loopcal.report.source import Source
+from loopcal.report.source import Source, source_of
 from loopcal.report.verdict import verdict
 
 if TYPE_CHECKING:
@@ -58,6 +60,11 @@ def report_html(sources: Sequence[Source]) -> str:
             hashes=" ".join(f"'sha256-{_sha256(text)}'" for text in (program, drawing)),
         )
     )
+
+
+def page_of(result: Result, folder: str | Path) -> Callable[[Mapping[str, Any]], str]:
+    """Makes the report of a result from its document, before both are written to a folder."""
+    return lambda document: report_html([source_of(result, document, folder)])
 
 
 def _result(source: Source, number: int) -> dict[str, Any]:
