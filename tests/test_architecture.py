@@ -19,6 +19,7 @@ LAYERS = (
     ("mechanisms", "measurements"),
     ("estimation", "simulation"),
     ("statistics", "planning", "files"),
+    ("studies",),
     ("figures",),
     ("report",),
     ("workflow",),

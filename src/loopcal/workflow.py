@@ -10,7 +10,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.calibrate import METHODS, calibrate
@@ -26,13 +25,11 @@ from loopcal.files.python_function import load_function
 from loopcal.files.readings_file import readings_table
 from loopcal.files.result_file import WrittenResult
 from loopcal.files.result_folder import read_result_folder
-from loopcal.files.simulation_entries import SimulationSpec
 from loopcal.files.table_writer import check_ending, table_bytes
 from loopcal.files.templates import TEMPLATES
 from loopcal.files.truth_file import read_truth, truth_json
 from loopcal.files.validation_entries import ValidationSpec, validation_arguments
 from loopcal.measurements.noise import Noise, resolve_noise
-from loopcal.simulation.poses import grid_poses, random_poses, stream
 from loopcal.report.page import page_of
 from loopcal.simulation.simulate import Simulation, simulate
 from loopcal.statistics.check import Check, check
@@ -45,7 +42,6 @@ from loopcal.statistics.validation import validate
 if TYPE_CHECKING:
     from loopcal.statistics.repeats import Repeats
 
-Array = NDArray[np.float64]
 SCHEMAS = ("project", "result")
 
 
@@ -264,10 +260,10 @@ def run_simulation(
     try:
         made = simulate(
             read.mechanism,
-            _poses(read.simulation, seed),
+            read.simulation.driven(seed),
             noise=noise,
             seed=seed,
-            truth=_true_parameters(read, seed),
+            truth=read.simulation.machine(read.mechanism.parameters, seed),
         )
     except InputError as error:
         raise error.at(read.name) from None
@@ -284,29 +280,6 @@ def run_simulation(
         },
     )
     return Simulated(made, out, truth_file)
-
-
-def _poses(spec: SimulationSpec, seed: int) -> dict[str, Array]:
-    if spec.grid:
-        values = {
-            name: [span.start] if span.values is None else span.values
-            for name, span in spec.ranges.items()
-        }
-        return grid_poses(values)
-    ranges = {name: (span.start, span.stop) for name, span in spec.ranges.items()}
-    return random_poses(ranges, spec.poses, seed=seed)
-
-
-def _true_parameters(project: Project, seed: int) -> dict[str, float]:
-    """The truth the project states, and random deviations where it asks for these."""
-    assert project.simulation is not None
-    truth = dict(project.simulation.truth)
-    draws = stream(seed, "machine").standard_normal(len(project.mechanism.parameters))
-    for parameter, z in zip(project.mechanism.parameters, draws.tolist(), strict=True):
-        sd = project.simulation.perturb.get(parameter.name)
-        if sd is not None:
-            truth[parameter.name] = truth.get(parameter.name, parameter.nominal) + sd * z
-    return truth
 
 
 @dataclass(frozen=True)

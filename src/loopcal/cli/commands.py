@@ -292,6 +292,45 @@ def simulate(
 
 
 @app.command()
+def study(
+    study: Annotated[
+        str, typer.Argument(metavar="STUDY", help="Study file (TOML); - reads standard input.")
+    ],
+    draws: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, help="Draws of each scenario, not the study's."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Processes [default: one for each core].")
+    ] = None,
+    out: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of the draws; goes on with those it holds [default: NAME-study beside "
+            "NAME.toml].",
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+    mechanism: FunctionOption = None,
+) -> None:
+    """Monte Carlo: the errors of one or more methods over many draws of each scenario."""
+    from loopcal.cli.progress import Counted
+    from loopcal.studies.run import run_study
+
+    with Counted() as progress:
+        done = run_study(
+            study, draws=draws, workers=workers, out=out, function=mechanism, progress=progress
+        )
+    where = f"written to {done.folder}: draws.parquet, summary.json, summary.txt"
+    if as_json:
+        print_json(done.document)
+        log(where)
+    else:
+        print_out(f"{done.text}\n\n{where}")
+
+
+@app.command()
 def new(
     name: Annotated[
         str, typer.Argument(metavar="NAME", help="Folder of the project, NAME/project.toml.")

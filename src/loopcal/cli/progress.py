@@ -1,40 +1,42 @@
-"""Progress of a long fit on stderr: one line that changes on a terminal, else a line at times."""
+"""Progress of long work on stderr: one line that changes on a terminal, else a line at times."""
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from types import TracebackType
-from typing import TextIO
+from typing import Self, TextIO
 
 AFTER, ON_TERMINAL, ELSEWHERE = 2.0, 0.2, 10.0
 """Seconds until the first line, and between lines."""
 
 
-class Progress:
-    """Called by the solver at every iteration; a context that leaves a clean line behind."""
+class _Line:
+    """A context that leaves a clean line behind."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self.stream = stream or sys.stderr
         self.terminal = self.stream.isatty()
-        self.due = time.monotonic() + AFTER
+        self.began = time.monotonic()
+        self.due = self.began + AFTER
         self.shown = 0
 
-    def __call__(self, iteration: int, chi_squared: float, decrease: float) -> None:
-        """Show iteration, chi-squared and its predicted decrease, if it is time to."""
+    def show(self, line: Callable[[float], str]) -> None:
+        """Show what `line` makes of the seconds since the beginning, if it is time to."""
         now = time.monotonic()
         if now < self.due:
             return
         self.due = now + (ON_TERMINAL if self.terminal else ELSEWHERE)
-        line = f"iteration {iteration}: chi-squared {chi_squared:.6g}, to gain {decrease:.2g}"
+        text = line(now - self.began)
         if self.terminal:
-            self.stream.write("\r" + line.ljust(self.shown))
-            self.shown = len(line)
+            self.stream.write("\r" + text.ljust(self.shown))
+            self.shown = len(text)
         else:
-            self.stream.write(line + "\n")
+            self.stream.write(text + "\n")
         self.stream.flush()
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -46,3 +48,39 @@ class Progress:
         if self.shown:
             self.stream.write("\r" + " " * self.shown + "\r")
             self.stream.flush()
+
+
+class Progress(_Line):
+    """Called by the solver at every iteration."""
+
+    def __call__(self, iteration: int, chi_squared: float, decrease: float) -> None:
+        """Show iteration, chi-squared and its predicted decrease, if it is time to."""
+        self.show(
+            lambda _: (
+                f"iteration {iteration}: chi-squared {chi_squared:.6g}, to gain {decrease:.2g}"
+            )
+        )
+
+
+class Counted(_Line):
+    """Called when another piece of work is done."""
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show how much is done and what time the rest will take, if it is time to."""
+        self.show(
+            lambda since: f"{done} of {total} fits, {_time(since / done * (total - done))} left"
+        )
+
+
+def _time(seconds: float) -> str:
+    """A duration in its two largest units.
+
+    >>> _time(7.2), _time(92), _time(7500)
+    ('7 s', '1 min 32 s', '2 h 05 min')
+    """
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02} min"

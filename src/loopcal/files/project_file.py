@@ -24,6 +24,7 @@ from loopcal.units import unit
 
 if TYPE_CHECKING:
     from loopcal.files.project_schema import DataEntry, FitEntry, ProjectModel, SdEntry
+    from loopcal.files.study_schema import StudyModel
 
 _VARIABLE = re.compile(r"\$\{(\w+)\}")
 
@@ -120,7 +121,7 @@ def read_project(
         simulation=None
         if model.simulation is None
         else simulation_spec(model.simulation, machine, noise, place.at("simulation")),
-        inputs=_plain(data),
+        inputs=plain(data),
     )
 
 
@@ -170,6 +171,23 @@ def _mechanism(
     given: Loops | Mechanism | None,
     place: Place,
 ) -> Mechanism:
+    made = stated_mechanism(model, data, folder, given, place)
+    parameters = changed(made.parameters, model.parameters, place.at("parameters"))
+    return made.with_parameters(changed(parameters, priors(model.prior), place.at("prior")))
+
+
+def stated_mechanism(
+    model: ProjectModel | StudyModel,
+    data: Mapping[str, Any],
+    folder: Path,
+    given: Loops | Mechanism | None,
+    place: Place,
+) -> Mechanism:
+    """The mechanism of a project or study, without what these say of its parameters.
+
+    given: the loops of a mechanism of the type "function", or a whole mechanism for a file that
+    describes none. Raises InputError where there is none, or one that cannot be read.
+    """
     stated = data.get("mechanism")
     here = place.at("mechanism")
     if stated is None:
@@ -181,18 +199,15 @@ def _mechanism(
                 remedy='add [mechanism] with file = "..." or type = "serial", "planar-two-link", '
                 '"motoman-ma1400" or "function"',
             )
-        made = given
-    elif "file" in stated:
+        return given
+    if "file" in stated:
         path = expanded(stated["file"], folder, here.at("file"))
-        made = read_mechanism(path, function=given)
-    else:
-        made = mechanism_from_data(stated, here, function=given, parameters=model.parameters)
-    parameters = changed(made.parameters, model.parameters, place.at("parameters"))
-    priors = _priors(model.prior)
-    return made.with_parameters(changed(parameters, priors, place.at("prior")))
+        return read_mechanism(path, function=given)
+    return mechanism_from_data(stated, here, function=given, parameters=model.parameters)
 
 
-def _priors(entries: Mapping[str, SdEntry]) -> dict[str, Any]:
+def priors(entries: Mapping[str, SdEntry]) -> dict[str, Any]:
+    """Prior sds as entries of parameters."""
     from loopcal.files.mechanism_schema import ParameterEntry
 
     return {key: ParameterEntry(sd=entry.sd, unit=entry.unit) for key, entry in entries.items()}
@@ -249,10 +264,10 @@ def _unit(stated: str | None, si: str, file_wide: Mapping[str, str]) -> str | No
     return stated or file_wide.get(unit(si).dimension)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """TOML data as JSON can hold it: infinite numbers become the texts "inf" and "-inf"."""
     if isinstance(value, dict):
-        return {key: _plain(inner) for key, inner in value.items()}
+        return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, list):
-        return [_plain(inner) for inner in value]
+        return [plain(inner) for inner in value]
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -15,6 +15,8 @@ from loopcal.files.noise_entries import NoiseSpec, noise_spec
 from loopcal.files.parameter_entries import in_si
 from loopcal.files.place import Place
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameters
+from loopcal.simulation.poses import grid_poses, random_poses, stream
 
 if TYPE_CHECKING:
     from loopcal.files.project_schema import SimulationEntry
@@ -54,6 +56,23 @@ class SimulationSpec:
     truth: Mapping[str, float]
     perturb: Mapping[str, float]
     noise: NoiseSpec
+
+    def driven(self, seed: int) -> dict[str, NDArray[np.float64]]:
+        """Where the driven quantities stand [SI]; the seed chooses where there is no grid."""
+        if self.grid:
+            return grid_poses({name: span.values for name, span in self.ranges.items()})
+        ranges = {name: (span.start, span.stop) for name, span in self.ranges.items()}
+        return random_poses(ranges, self.poses, seed=seed)
+
+    def machine(self, parameters: Parameters, seed: int) -> dict[str, float]:
+        """The truth that is stated [SI], and random deviations where these are asked for."""
+        truth = dict(self.truth)
+        draws = stream(seed, "machine").standard_normal(len(parameters))
+        for parameter, z in zip(parameters, draws.tolist(), strict=True):
+            sd = self.perturb.get(parameter.name)
+            if sd is not None:
+                truth[parameter.name] = truth.get(parameter.name, parameter.nominal) + sd * z
+        return truth
 
 
 def simulation_spec(

@@ -24,18 +24,24 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
     Raises InputError, with line and column, for what is no TOML file of a reasonable size.
     """
-    name = shown(path)
+    return toml_data(read_text(path), shown(path))
+
+
+def read_text(path: str | Path) -> bytes:
+    """The bytes of a TOML file, "-" being standard input; at most one more than are read of one.
+
+    Raises InputError for a file that cannot be read.
+    """
     if str(path) == "-":
-        return toml_data(sys.stdin.buffer.read(MOST_BYTES + 1), name)
+        return sys.stdin.buffer.read(MOST_BYTES + 1)
     path = Path(path)
     try:
         if path.is_dir():
-            raise InputError("this is a folder", place=name, remedy="name a file inside it")
+            raise InputError("this is a folder", place=shown(path), remedy="name a file inside it")
         with path.open("rb") as stream:
-            head = stream.read(MOST_BYTES + 1)
+            return stream.read(MOST_BYTES + 1)
     except (OSError, ValueError) as error:
         raise unreadable(path, error) from None
-    return toml_data(head, name)
 
 
 def shown(path: str | Path) -> str:

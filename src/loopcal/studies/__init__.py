@@ -1,0 +1,1 @@
+"""Monte Carlo studies: the same experiment many times, and what methods make of it."""
