@@ -62,8 +62,9 @@ def _layout(dimensions: int) -> dict[str, Any]:
         return layout(
             480, xaxis=axis("[m]"), yaxis=axis("[m]", scaleanchor="x", scaleratio=1), dragmode="pan"
         )
-    scene = {"aspectmode": "data", **{f"{a}axis": {"title": {"text": f"{a} [m]"}} for a in "xyz"}}
-    return layout(560, scene=scene)
+    scene = {f"{a}axis": {"title": {"text": f"{a} [m]"}} for a in "xyz"}
+    camera = {"eye": {"x": 1.6, "y": 1.6, "z": 0.9}}
+    return layout(560, scene={"aspectmode": "data", "camera": camera, **scene})
 
 
 def _trace(coordinates: Array, name: str, line: dict[str, Any]) -> dict[str, Any]:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 MOST = 8
 """So many results stand side by side; a browser draws some sixteen scenes in space at most."""
+LITTLE = 0.5
+"""Sd over prior sd above which it is said that the data tell little."""
 METHODS = {
     "implicit-loop": "Implicit loop: every sensor is uncertain. Readings are corrected until all "
     "loops close, with the least squares of corrections over their sds.",
@@ -95,7 +97,8 @@ def identifiability_words(document: Any) -> list[str]:
     words = [f"{found['rank']} of {found['parameters']} parameters are determined."]
     words += [f"Not determined: {entry['words']}" for entry in found["not_identifiable"]]
     words += [entry["words"] for entry in found["weak_directions"] or []]
-    words += [entry["words"] for entry in found["data_versus_prior"] or []]
+    told = found["data_versus_prior"] or []
+    words += [entry["words"] for entry in told if entry["ratio"] > LITTLE]
     return words
 
 

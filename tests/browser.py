@@ -1,0 +1,64 @@
+"""Chromium without a window, as tests of pages use it; tests skip where it is absent."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
+ARGUMENTS += ["--enable-unsafe-swiftshader"]
+
+
+@dataclass
+class Seen:
+    """An opened page, what it asked for beside itself, and what it complained about."""
+
+    page: Any
+    requests: list[str] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """A browser; skips the test where playwright or Chromium is absent."""
+    sync_api = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is absent; `make partners` installs it"
+    )
+    path = shutil.which("chromium") or shutil.which("google-chrome")
+    if path is None:
+        pytest.skip("chromium is absent; `make partners` installs it")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+@contextmanager
+def opened(browser: Any, path: Path, *, width: int = 1440, **context: Any) -> Iterator[Seen]:
+    """A page from the disk, all its figures drawn."""
+    where = browser.new_context(viewport={"width": width, "height": 900}, **context)
+    seen = Seen(where.new_page())
+    address = path.resolve().as_uri()
+
+    def asked(request: Any) -> None:
+        # blob: and data: are the page's own memory
+        if request.url != address and not request.url.startswith(("blob:", "data:")):
+            seen.requests.append(request.url)
+
+    def said(message: Any) -> None:
+        if message.type == "error":
+            seen.complaints.append(message.text)
+
+    seen.page.on("request", asked)
+    seen.page.on("console", said)
+    seen.page.on("pageerror", lambda error: seen.complaints.append(str(error)))
+    seen.page.goto(address)
+    seen.page.wait_for_selector("body[data-drawn=all]", timeout=60_000)
+    yield seen
+    where.close()

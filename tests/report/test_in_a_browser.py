@@ -1,0 +1,148 @@
+"""The report as a reader meets it: opened from the disk by a browser, on desk, phone and paper."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from loopcal.report.page import report_html
+from loopcal.report.source import read_source
+from tests.browser import Seen, chromium, opened
+
+# What every figure has drawn: marks of its kind in the picture itself, and colours in its still.
+MARKS = """() => Object.fromEntries([...document.querySelectorAll(".plot")].map((plot) => {
+  const svg = plot.querySelectorAll(
+    ".scatterlayer .trace .js-line, .scatterlayer .points path, .hm image, .heatmaplayer image");
+  const gl = plot.querySelectorAll(".gl-container canvas");
+  return [plot.id, {svg: svg.length, gl: gl.length, traces: plot.data.length}];
+}))"""
+COLOURS = """async () => {
+  const found = {};
+  for (const image of document.querySelectorAll(".still")) {
+    const copy = new Image(); copy.src = image.src; await copy.decode();
+    const canvas = document.createElement("canvas");
+    canvas.width = copy.naturalWidth; canvas.height = copy.naturalHeight;
+    const context = canvas.getContext("2d", {willReadFrequently: true});
+    context.drawImage(copy, 0, 0);
+    const pixels = context.getImageData(0, 0, canvas.width, canvas.height).data;
+    let coloured = 0;
+    for (let i = 0; i < pixels.length; i += 4) {
+      const [r, g, b, a] = pixels.slice(i, i + 4);
+      if (a > 100 && Math.max(r, g, b) - Math.min(r, g, b) > 40) coloured += 1;
+    }
+    found[image.id] = coloured;
+  }
+  return found;
+}"""
+
+SETTLED = """() => new Promise((done) => {
+  const fits = () => [...document.querySelectorAll(".plot .main-svg")]
+    .every((svg) => svg.clientWidth <= innerWidth);
+  const look = () => fits() ? done() : requestAnimationFrame(look);
+  look();
+})"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def both(
+    browser: Any, planar: Path, six_axis: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Seen]:
+    """Two results side by side, opened once."""
+    page = tmp_path_factory.mktemp("both") / "report.html"
+    page.write_text(report_html([read_source(planar), read_source(six_axis)]), "utf-8")
+    with opened(browser, page, color_scheme="dark") as seen:
+        yield seen
+
+
+def test_nothing_leaves_the_machine_and_every_figure_is_drawn(both: Seen) -> None:
+    marks = both.page.evaluate(MARKS)
+    colours = both.page.evaluate(COLOURS)
+    assert both.requests == []
+    assert both.complaints == []
+    assert both.page.evaluate("document.querySelectorAll('.plot:not([aria-label])').length") == 0
+    keys = ("histogram", "residuals", "arrows", "normalised", "drift", "correlations")
+    assert set(marks) == {f"r{i}-{key}" for i in (1, 2) for key in keys}
+    in_space = {name for name, drawn in marks.items() if drawn["gl"]}
+    assert in_space == {"r2-arrows"}
+    for name in set(marks) - in_space:
+        assert marks[name]["svg"] >= marks[name]["traces"] > 0, name
+    assert {name.removesuffix("-still") for name, n in colours.items() if n > 150} == set(marks)
+
+
+@pytest.mark.parametrize("width", [390, 1440])
+def test_it_never_scrolls_sideways(both: Seen, width: int) -> None:
+    both.page.set_viewport_size({"width": width, "height": 900})
+    both.page.evaluate(SETTLED)  # figures follow the width
+    assert both.page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_on_paper_every_figure_is_there(both: Seen) -> None:
+    both.page.emulate_media(media="print")
+    sizes = both.page.evaluate(
+        "[...document.querySelectorAll('.still')].map((i) => [i.offsetWidth, i.offsetHeight])"
+    )
+    paper = both.page.pdf()
+    both.page.emulate_media(media="screen")
+    assert len(sizes) == 12
+    assert all(width > 300 and height > 100 for width, height in sizes)
+    assert paper.startswith(b"%PDF")
+    assert paper.count(b"/Subtype /Image") >= 1  # the scene in space
+
+
+def test_it_follows_the_reader_into_the_dark(browser: Any, planar: Path) -> None:
+    shades = {}
+    with opened(browser, planar / "report.html", color_scheme="light") as seen:
+        for scheme in ("light", "dark"):
+            seen.page.emulate_media(color_scheme=scheme)
+            paper = seen.page.evaluate("getComputedStyle(document.body).backgroundColor")
+            inks = seen.page.evaluate(
+                "[...document.querySelectorAll('.plot')].map((p) => p.layout.font.color)"
+            )
+            shades[scheme] = (paper, *set(inks))
+    assert shades == {
+        "light": ("rgb(255, 255, 255)", "#1c1e21"),
+        "dark": ("rgb(21, 23, 26)", "#e6e7ea"),
+    }
+
+
+def test_markup_is_shown_and_never_run(browser: Any, hostile: Path) -> None:
+    with opened(browser, hostile / "report.html") as seen:
+        title = seen.page.title()
+        images = seen.page.evaluate("document.querySelectorAll('img:not(.still)').length")
+        scripts = seen.page.evaluate("document.scripts.length")
+        figures = seen.page.evaluate("document.querySelectorAll('.plot').length")
+        text = seen.page.inner_text("body")
+        drawn = seen.page.evaluate(
+            "[...document.querySelectorAll('.plot svg text')].map((t) => t.textContent).join(' ')"
+        )
+    assert title.startswith("<img/src=x")
+    assert images == 0
+    assert scripts == 2 + figures  # the two that draw, and the data of every figure
+    assert seen.requests == []
+    assert seen.complaints == []
+    for name in ("a</script><script>", "b<img/src=x"):
+        assert name in text
+    assert "x<img/src=x/onerror" in drawn
+
+
+def test_a_table_can_be_copied(browser: Any, planar: Path) -> None:
+    page = planar / "report.html"
+    with opened(browser, page, permissions=["clipboard-read", "clipboard-write"]) as seen:
+        seen.page.click("button.copy >> nth=0")
+        seen.page.wait_for_selector("button:has-text('copied')")
+        copied = seen.page.evaluate("navigator.clipboard.readText()")
+    assert [line.split("\t")[0] for line in copied.splitlines()] == [
+        "accuracy",
+        "nominal",
+        "calibrated",
+        "on poses not used",
+    ]
