@@ -98,6 +98,7 @@ def result_document(
         "outliers": None,
         "outlier_tests": None,
         "column_faults": None,
+        "other_optima": None,
         "data": _data(result),
         "warnings": [*warnings, *result.warnings],
         "inputs": finite_only(inputs or {}),

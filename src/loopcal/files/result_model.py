@@ -270,6 +270,13 @@ class ColumnFaultEntry(Model):
     after: Sd = Field(description="The same with the fault put right.")
 
 
+class OtherOptimumEntry(Model):
+    """Another optimum of the same readings."""
+
+    parameters: dict[str, float] = Field(description="Those that differ [SI].")
+    chi_squared: float
+
+
 class DataEntry(Model):
     """Which readings were used."""
 
@@ -330,6 +337,9 @@ class ResultDocument(Model):
         default=None,
         description="Columns that are exchanged, in another unit or counted the other way round; "
         "where there are any, single poses are not tested.",
+    )
+    other_optima: list[OtherOptimumEntry] | None = Field(
+        default=None, description="Optima that fit about as well; null: not sought."
     )
     data: DataEntry
     warnings: list[str] = Field(description="What the summary warns of.")

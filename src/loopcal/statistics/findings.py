@@ -11,6 +11,7 @@ from loopcal.estimation.rounding import significant
 from loopcal.estimation.summary import SHOWN
 from loopcal.statistics.identifiability import WhatDataSay, what_data_say
 from loopcal.statistics.observability import Observability, data_spectrum, observability
+from loopcal.statistics.optima import OtherOptimum, other_optima
 from loopcal.statistics.outliers import Outliers, find_outliers
 from loopcal.statistics.predictor import Predictor, predictor
 from loopcal.units import from_si
@@ -19,12 +20,13 @@ from loopcal.units import from_si
 @dataclass(frozen=True, eq=False)
 class Findings:
     """identifiability: data beside prior; observability: of the poses; predictor: or None;
-    outliers: what does not fit."""
+    outliers: what does not fit; optima: others that fit about as well."""
 
     identifiability: WhatDataSay
     observability: Observability
     predictor: Predictor | None
     outliers: Outliers
+    optima: tuple[OtherOptimum, ...]
 
     def document(self) -> dict[str, Any]:
         """The fields of result.json that these figures fill or add to."""
@@ -33,6 +35,7 @@ class Findings:
             "observability": self.observability.document(),
             "prediction": self.predictor and self.predictor.document(),
             **self.outliers.document(),
+            "other_optima": [optimum.document() for optimum in self.optima],
         }
 
     def words(self) -> str:
@@ -46,7 +49,8 @@ class Findings:
                     f"prediction: the parameters cause an sd of up to {size} {shown} at 95 % of "
                     "these poses"
                 )
-        return "\n".join(lines + self.identifiability.words() + self.outliers.lines())
+        lines += self.identifiability.words() + self.outliers.lines()
+        return "\n".join(lines + [str(optimum) for optimum in self.optima])
 
 
 def findings(result: Result) -> Findings:
@@ -56,6 +60,7 @@ def findings(result: Result) -> Findings:
         observability(result.information, len(result.problem.poses)),
         predictor(result),
         find_outliers(result),
+        other_optima(result),
     )
 
 

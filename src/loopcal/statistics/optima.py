@@ -1,0 +1,129 @@
+"""Another optimum of the same readings: parameters exchanged that a very uncertain angle leaves so.
+
+The likelihood of a loop has one optimum while the noise of the angles is small. Where an angle is
+read to a few degrees only, or not at all, a linkage may stand in another form: two links exchanged
+meet the same end points nearly as well. Such exchanges are tried, each by a fit of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.result import Result
+from loopcal.estimation.rounding import significant
+from loopcal.estimation.scratch import one_blas_thread
+from loopcal.estimation.solver import solve
+from loopcal.estimation.summary import SHOWN
+from loopcal.units import from_si
+
+Array = NDArray[np.float64]
+VAGUE = 0.02
+"""From this sd of an angle on [rad] a loop is no longer straight within its noise."""
+ALIKE = 2.0
+"""An optimum is told of if its chi-squared is at most this many times that of the result."""
+APART = 10.0
+"""Parameters fewer sds apart than this are the same, exchanged or not."""
+LIKE_SIZE = 1 / 3
+"""Two parameters of more different size are no two links that could stand for each other."""
+_MOST = 30
+_SAME = 1e-6
+
+
+@dataclass(frozen=True)
+class OtherOptimum:
+    """Another optimum: its parameters [SI] that differ, and its chi-squared beside the result's."""
+
+    parameters: dict[str, float]
+    units: dict[str, str]
+    chi_squared: float
+    of_result: float
+
+    def document(self) -> dict[str, Any]:
+        """Its entry in result.json."""
+        return {"parameters": self.parameters, "chi_squared": self.chi_squared}
+
+    def __str__(self) -> str:
+        told = []
+        for name, value in self.parameters.items():
+            unit = SHOWN.get(self.units[name], self.units[name])
+            told.append(f"{name} {significant(float(from_si(value, unit)), 4)} {unit}")
+        values = ", ".join(told)
+        mine, its = (significant(v, 4) for v in (self.of_result, self.chi_squared))
+        if self.chi_squared < self.of_result:
+            verdict = "it fits better: start there (fit.start), or state prior sds"
+        else:
+            times = significant(math.sqrt(self.chi_squared / max(self.of_result, 1e-300)), 3)
+            verdict = (
+                f"it would fit as well with sds {times} times as large: make sure, by the drawing "
+                "or a prior, which one is meant"
+            )
+        return f"another optimum: {values}, chi-squared {its} beside {mine}; {verdict}"
+
+
+def other_optima(result: Result) -> tuple[OtherOptimum, ...]:
+    """Optima of the implicit loop with two parameters exchanged that fit about as well.
+
+    Sought where an angle is read with an sd of at least VAGUE, or not at all; elsewhere, and for
+    other methods and losses, none. An optimum with the same chi-squared is the same machine
+    written otherwise, and is not told of.
+    """
+    usable = result.method == "implicit-loop" and result.loss == "gaussian"
+    if not (usable and result.status.converged and result.chi_squared and _vague(result)):
+        return ()
+    best = result.chi_squared.value
+    found: dict[float, OtherOptimum] = {}
+    with one_blas_thread():
+        for start in _exchanged(result):
+            try:
+                other = solve(replace(result.problem, start=start), max_iterations=60)
+            except InputError:
+                continue  # no loop closes with these two exchanged
+            chi = other.chi_squared
+            new = all(abs(chi - known) > _SAME * max(best, 1.0) for known in (best, *found))
+            if other.status.converged and new and chi <= ALIKE * best:
+                found[chi] = _told(result, other.parameters, chi)
+    return tuple(found[chi] for chi in sorted(found))
+
+
+def _vague(result: Result) -> bool:
+    quantities = result.mechanism.quantities
+    sds = (sd for name, sd in result.reading_sds.items() if quantities[name] == "rad")
+    return any(bool((sd >= VAGUE).any()) for sd in sds)
+
+
+def _exchanged(result: Result) -> Iterator[Array]:
+    """Parameters with two of one unit and like size exchanged, those farthest apart first."""
+    names = result.mechanism.parameters.names
+    values = np.array([result.value[name] for name in names])
+    sds = {name: result.sd[name] or 0.0 for name in result.estimated}
+    pairs = []
+    for a, b in combinations(result.estimated, 2):
+        alike = result.mechanism.parameters[a].unit == result.mechanism.parameters[b].unit
+        apart = abs(result.value[a] - result.value[b])
+        small, large = sorted((abs(result.value[a]), abs(result.value[b])))
+        if alike and small > LIKE_SIZE * large and apart > APART * math.hypot(sds[a], sds[b]):
+            pairs.append((apart, names.index(a), names.index(b)))
+    for _, i, j in sorted(pairs, reverse=True)[:_MOST]:
+        start = values.copy()
+        start[[i, j]] = start[[j, i]]
+        yield start
+
+
+def _told(result: Result, parameters: Array, chi_squared: float) -> OtherOptimum:
+    values = dict(zip(result.mechanism.parameters.names, parameters.tolist(), strict=True))
+    moved = {
+        name: values[name]
+        for name in result.estimated
+        if abs(values[name] - result.value[name]) > 3.0 * (result.sd[name] or 0.0)
+    }
+    units = {name: result.mechanism.parameters[name].unit for name in moved}
+    assert result.chi_squared is not None
+    return OtherOptimum(moved, units, chi_squared, result.chi_squared.value)

@@ -1,0 +1,54 @@
+"""The exchanged links of the seed's table 7 are found, told, and settled by a prior."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from loopcal.statistics.optima import other_optima
+
+STEPS = np.radians(np.arange(0.0, 91.0, 10.0))
+TRUTH = lc.planar_two_link().with_nominal({"l2": 0.8, "l3": 0.6})
+START = lc.planar_two_link().with_nominal({"l2": 0.802, "l3": 0.597})
+WEAK = {"xP": 1e-4, "yP": 1e-4, "phi2": 0.1, "phi3": 1e-3}
+
+
+def fitted(sds, prior, seed: int, **how) -> lc.Result:
+    poses = lc.grid_poses({"phi2": STEPS, "phi3": STEPS})
+    made = lc.simulate(TRUTH, poses, noise=lc.Noise(sds), seed=seed)
+    return lc.calibrate(START, made.dataset, noise=lc.Noise(sds), prior=lc.Prior(prior), **how)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_exchanged_links_are_found_and_fit_worse(seed: int) -> None:
+    result = fitted(WEAK, {"*": np.inf}, seed)
+    assert result.value["l2"] == pytest.approx(0.8, abs=0.01)
+    (other,) = other_optima(result)
+    # a negative link is the same link turned round
+    assert abs(other.parameters["l2"]) == pytest.approx(0.6, abs=0.01)
+    assert abs(other.parameters["l3"]) == pytest.approx(0.8, abs=0.01)
+    assert other.of_result < other.chi_squared < 2.0 * other.of_result
+    assert "another optimum" in lc.findings(result).words()
+    assert lc.findings(result).document()["other_optima"] == [other.document()]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_prior_settles_it(seed: int) -> None:
+    result = fitted(WEAK, {"*": 0.01}, seed)  # 10 mm and 10 mrad
+    assert result.value["l2"] == pytest.approx(0.8, abs=0.01)
+    assert other_optima(result) == ()
+
+
+def test_a_start_at_the_exchange_is_told_that_it_is_not_the_best() -> None:
+    start = {"l2": 0.6, "l3": 0.8}
+    result = fitted(WEAK, {"*": np.inf}, 0, start=start)
+    assert result.value["l2"] == pytest.approx(0.6, abs=0.01)
+    (other,) = other_optima(result)
+    assert other.chi_squared < other.of_result
+    assert "fits better" in str(other)
+
+
+def test_good_encoders_leave_one_optimum() -> None:
+    good = WEAK | {"phi2": 1e-3}
+    assert other_optima(fitted(good, {"*": np.inf}, 0)) == ()
