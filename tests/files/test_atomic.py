@@ -169,3 +169,15 @@ def test_a_folder_where_a_file_is_needed(tmp_path):
         write_atomic(tmp_path, "x")
     with pytest.raises(InputError, match="name is too long"):
         write_atomic(tmp_path / ("x" * 300), "x")
+
+
+def test_what_is_to_go_goes_with_the_rest_or_stays(tmp_path: Path) -> None:
+    write_files(tmp_path, {"a": "1", "old": "2"})
+    write_files(tmp_path, {"a": "3"}, remove=("old", "absent"))
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "3"}
+    write_files(tmp_path, {"old": "4"})
+    (tmp_path / "b").mkdir()
+    with pytest.raises(InputError, match="in the way"):
+        write_files(tmp_path, {"a": "5", "b": "6"}, remove=("old",))
+    (tmp_path / "b").rmdir()
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "3", "old": "4"}

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,6 +50,10 @@ def report_html(sources: Sequence[Source]) -> str:
         )
     program, drawing = plotly_javascript(), _part("draw.js")
     several = len(sources) > 1
+    if len({source.name for source in sources}) < len(sources):
+        sources = [
+            replace(source, name=f"{n}: {source.name}") for n, source in enumerate(sources, 1)
+        ]
     return (
         _environment()
         .get_template("report.html")

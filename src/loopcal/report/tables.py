@@ -51,7 +51,7 @@ def sensor_table(source: Source) -> Table | None:
         used = [part[np.isfinite(part)] for part in parts if part is not None]
         values = np.concatenate(used) if used else np.empty(0)
         rms = f"{np.sqrt(np.square(values).mean()):.2f}" if values.size else NONE
-        mean = f"{values.mean():+.2f}" if values.size else NONE
+        mean = f"{round(float(values.mean()), 2) + 0.0:+.2f}" if values.size else NONE
         rows.append(
             (
                 ", ".join(entry["quantities"]),

@@ -1,0 +1,145 @@
+"""The page as text: numbers of result.json, verdicts with reasons, everything inside, thinning."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loopcal.errors import InputError, UsageError
+from loopcal.files.result_columns import ResultColumns
+from loopcal.report.page import MOST, report_html
+from loopcal.report.source import read_source
+from loopcal.report.tables import accuracy_table, comparison_table, parameter_table
+from loopcal.report.verdict import verdict
+from tests.golden import page_text
+
+
+def document_of(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "result.json").read_text("utf-8"))
+    return found
+
+
+def test_a_page_made_again_from_the_files_is_the_same(planar: Path, six_axis: Path) -> None:
+    for folder in (planar, six_axis):
+        again = report_html([read_source(folder)])
+        assert again == (folder / "report.html").read_text("utf-8")
+        assert report_html([read_source(folder / "result.json")]) == again
+
+
+def test_its_accuracy_is_that_of_the_columns_and_of_result_json(planar: Path) -> None:
+    source = read_source(planar)
+    for when in ("before", "after"):
+        lengths = np.linalg.norm(list(source.columns.differences(when).values()), axis=0)
+        told = source.document["accuracy"][when]
+        assert told["rms"] == pytest.approx(np.sqrt(np.mean(lengths**2)), rel=1e-12)
+        assert told["max"] == pytest.approx(lengths.max(), rel=1e-12)
+    table = accuracy_table(source.document)
+    assert table is not None
+    assert [row[0] for row in table.rows] == ["nominal", "calibrated", "on poses not used"]
+    validated = source.document["validation"]["accuracy"]["rms"]
+    assert float(table.rows[2][2]) == pytest.approx(1e3 * validated, rel=1e-3)
+
+
+def test_it_holds_everything_and_is_small(six_axis: Path) -> None:
+    page = (six_axis / "report.html").read_bytes()
+    assert len(page) < 7_000_000
+    head = page.decode().split("<script>")[0] + page.decode().rsplit("</script>", 1)[1]
+    assert not re.search(r"(?:src|href)\s*=\s*[\"']?(?:https?:)?//", head)
+    assert "default-src 'none'" in head
+
+
+def test_a_hundred_thousand_poses_are_thinned_in_the_figures_only(planar: Path) -> None:
+    source = read_source(planar)
+    times = 1000
+    columns = {name: np.tile(values, times) for name, values in source.columns.columns.items()}
+    ids = tuple(str(i) for i in range(times * len(source.columns.poses)))
+    page = report_html([replace(source, columns=ResultColumns(ids, columns))])
+    assert len(page.encode()) < 7_000_000
+    text = page_text(page)
+    assert "of 100,000 poses" in text
+    # the corrections' rms is that of all poses, which are copies of the first hundred
+    assert re.findall(r"xP, yP \|.*", text) == re.findall(
+        r"xP, yP \|.*", page_text((planar / "report.html").read_text("utf-8"))
+    )
+
+
+def test_results_of_one_name_are_told_apart(planar: Path) -> None:
+    source = read_source(planar)
+    text = page_text(report_html([source, source]))
+    assert "1: planar" in text
+    assert "2: planar" in text
+    table = comparison_table([source, source])
+    assert all(len(row) == 3 and row[1] == row[2] for row in table.rows)
+
+
+def test_there_is_an_end_to_side_by_side(planar: Path) -> None:
+    with pytest.raises(UsageError, match="9 results"):
+        report_html([read_source(planar)] * (MOST + 1))
+
+
+def test_a_folder_without_a_result_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_source(tmp_path)
+
+
+def test_a_good_result_is_called_good(planar: Path) -> None:
+    told = verdict(document_of(planar))
+    assert told.grade == "good"
+    assert "on poses that the fit had not seen" in told.paragraph
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "grade", "words"),
+    [
+        ("status.converged", False, "bad", "do not use"),
+        ("validation", None, "care", "--folds"),
+        ("chi_squared.p_value", 1e-6, "care", "larger than the stated sds"),
+        ("validation.accuracy.rms", 9.0, "care", "much worse"),
+        ("accuracy.after.rms", 9.0, "care", "did not improve"),
+        ("method", "least-squares", "care", "taken as exact"),
+        (
+            "identifiability.not_identifiable",
+            [{"combination": {"l2": 1.0}, "words": "l2"}],
+            "care",
+            "do not determine l2",
+        ),
+        (
+            "column_faults",
+            [{"quantities": ["xP"], "words": "xP is in another unit", "before": 1, "after": 0}],
+            "care",
+            "another unit",
+        ),
+        ("outliers", [{"pose": "17"}], "care", "1 pose does not fit the others (17)"),
+    ],
+)
+def test_every_doubt_is_told(planar: Path, path: str, value: Any, grade: str, words: str) -> None:
+    document = copy.deepcopy(document_of(planar))
+    *parents, last = path.split(".")
+    inner = document
+    for key in parents:
+        inner = inner[key]
+    inner[last] = value
+    told = verdict(document)
+    assert told.grade == grade
+    assert words in f"{told.headline} {told.paragraph}"
+
+
+def test_parameters_stand_with_change_and_share_of_the_prior(planar: Path) -> None:
+    document = document_of(planar)
+    entry = document["parameters"][2]
+    entry["prior_sd"] = 2.0 * entry["sd"]
+    document["parameters"][3] |= {"fixed": True, "sd": None}
+    rows = {row[0]: row for row in parameter_table(document).rows}
+    row = rows[entry["name"]]
+    assert row[-1] == "25%"
+    assert float(row[-2]) == pytest.approx(
+        (entry["value"] - entry["nominal"]) / entry["sd"], abs=0.05
+    )
+    assert "fixed" in rows[document["parameters"][3]["name"]]

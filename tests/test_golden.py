@@ -1,0 +1,33 @@
+"""The printed summary and the report's text, word for word; see tests/golden.py."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from loopcal.cli import main
+from tests import golden
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+
+
+@pytest.mark.parametrize("name", ["planar", "six_axis"])
+def test_summary_and_report_say_what_they_said(
+    name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    project = EXAMPLES / name / "project.toml"
+    assert main(["calibrate", str(project), "--out", "out", "--folds", "4"]) == 0
+    golden.check(f"{name}_summary.txt", capsys.readouterr().out)
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    golden.check(f"{name}_report.txt", golden.page_text(page))
+
+
+def test_only_what_may_differ_is_taken_out() -> None:
+    text = "rms  1.2345 mm, 3.1e-16, 2,345 poses, x6B, SHA " + "ab" * 32
+    assert golden.normalised(text) == "rms 1.23 mm, tiny, 2,345 poses, x6B, SHA HASH\n"
+    assert golden.page_text("<p>a<b>b</b></p><script>x</script><td>1</td>") == "ab\n1 |"
