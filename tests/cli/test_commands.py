@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from loopcal import workflow
-from loopcal.cli.progress import Progress
+from loopcal.cli.progress import Counted, Progress
 from tests import command_line
 from tests.cli.conftest import PROJECT, Run, contents
 
@@ -342,3 +342,17 @@ def test_elsewhere_progress_is_plain_lines_now_and_then(monkeypatch: pytest.Monk
     lines = stream.getvalue().splitlines()
     assert [line.split(":")[0] for line in lines] == ["iteration 2", "iteration 12", "iteration 22"]
     assert "\r" not in stream.getvalue()
+
+
+def test_counted_work_says_what_time_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    ticking(monkeypatch, 1.0)
+    stream = Terminal(False)
+    with Counted(stream) as progress:
+        for done in range(1, 31):
+            progress(10 * done, 300)
+    lines = stream.getvalue().splitlines()
+    assert lines == [
+        "20 of 300 fits, 28 s left",
+        "120 of 300 fits, 18 s left",
+        "220 of 300 fits, 8 s left",
+    ]

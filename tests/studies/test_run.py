@@ -81,7 +81,7 @@ def test_workers_and_interruptions_change_no_value(path: Path, tmp_path: Path) -
 
 
 def test_a_killed_study_goes_on(path: Path, tmp_path: Path) -> None:
-    path.write_text(STUDY.replace("draws = 60", "draws = 250"), "utf-8")
+    path.write_text(STUDY.replace("draws = 60", "draws = 150"), "utf-8")
     out = tmp_path / "out"
     command = [sys.executable, "-m", "loopcal", "study", str(path), "--out", str(out)]
     with subprocess.Popen(
@@ -90,7 +90,7 @@ def test_a_killed_study_goes_on(path: Path, tmp_path: Path) -> None:
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     ) as killed:
-        while killed.poll() is None and len(list(out.glob("parts/*.parquet"))) < 3:
+        while killed.poll() is None and len(list(out.glob("parts/*.parquet"))) < 2:
             time.sleep(0.01)
         killed.send_signal(signal.SIGKILL)
     assert killed.returncode == -signal.SIGKILL
@@ -99,7 +99,7 @@ def test_a_killed_study_goes_on(path: Path, tmp_path: Path) -> None:
     whole = run_study(path, workers=1, out=tmp_path / "whole")
     assert json.loads(resumed.stdout) == json.loads(json.dumps(whole.document))
     assert {part: part.stat().st_mtime_ns for part in done} == done  # nothing was done twice
-    assert len(list(out.glob("parts/*.parquet"))) == 2 * 5
+    assert len(list(out.glob("parts/*.parquet"))) == 2 * 3
 
 
 def test_a_changed_study_is_refused(path: Path, tmp_path: Path) -> None:
@@ -158,3 +158,36 @@ def test_the_implicit_loop_holds_its_intervals_and_least_squares_is_further_off(
     ratios = {a.name: a.ratio for a in scenario.paired[0].advantages}
     assert all(ratio is not None and ratio < 1.0 for ratio in ratios.values())
     assert "implicit-loop against least-squares, 400 draws" in done.text
+
+
+DYING = """
+import multiprocessing
+import os
+
+
+def loops(x, p):
+    if multiprocessing.parent_process() is not None:
+        os._exit(1)
+    return (p.a * x.u - x.v,)
+"""
+
+
+def test_workers_that_die_are_a_message_and_one_process_does_without(tmp_path: Path) -> None:
+    (tmp_path / "dying.py").write_text(DYING, "utf-8")
+    study = tmp_path / "study.toml"
+    study.write_text(
+        "schema = 1\ndraws = 60\n[mechanism]\ntype = 'function'\noutputs = ['v']\n"
+        "[mechanism.quantities]\nu = 'm'\nv = 'm'\n"
+        "[parameters]\na = { value = 2, unit = '1' }\n[noise]\n'*' = 1e-3\n"
+        "[simulation.ranges]\nu = { from = 1, to = 5, step = 1 }\n"
+        "[[scenarios]]\nname = 's'\n[[methods]]\nmethod = 'implicit-loop'\n",
+        "utf-8",
+    )
+    named, out = f"{tmp_path / 'dying.py'}:loops", tmp_path / "out"
+    with pytest.raises(InputError, match="a worker ended"):
+        run_study(study, workers=2, out=out, function=named)
+    done = run_study(study, workers=1, out=out, function=named)
+    assert [spread.name for spread in done.tables.scenarios[0].methods[0].spreads] == [
+        "a",
+        "end point",
+    ]

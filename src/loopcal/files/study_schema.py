@@ -52,7 +52,7 @@ class MethodEntry(Model):
     """One way to estimate the parameters from the readings of a draw."""
 
     name: Name | None = Field(default=None, description="Without one, that of the method.")
-    method: Literal["implicit-loop", "least-squares", "reweighted"]
+    method: Literal["implicit-loop", "least-squares", "reweighted", "implicit-loop-undamped"]
     noise: NoiseEntries = Field(default={}, description="What this method is told instead.")
     prior: Sds = Field(default={})
 

@@ -14,12 +14,13 @@ from hashlib import sha256
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError
+from loopcal.errors import DomainError
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem import Problem, build_problem
 from loopcal.estimation.reduction import undetermined
 from loopcal.estimation.reweighted import solve_reweighted
 from loopcal.estimation.scratch import one_blas_thread
+from loopcal.estimation.seed_iteration import iterate_undamped
 from loopcal.estimation.solver import Solution, solve
 from loopcal.files.study_file import Scenario, StudyMethod
 from loopcal.measurements.dataset import Dataset
@@ -98,7 +99,7 @@ def _row(method: StudyMethod, made: Simulation, points: _Points) -> dict[str, st
     )
     try:
         found = _solved(method, problem)
-    except InputError:
+    except DomainError:
         return _without_result(problem, "cannot_evaluate", 0)
     if not found.status.converged:
         return _without_result(problem, found.status.reason, found.status.iterations)
@@ -136,6 +137,8 @@ def _without_result(problem: Problem, reason: str, iterations: int) -> dict[str,
 def _solved(method: StudyMethod, problem: Problem) -> Solution:
     if method.method == "reweighted":
         return solve_reweighted(problem)
+    if method.method == "implicit-loop-undamped":
+        return iterate_undamped(problem)
     return solve(problem, exact=method.method == "least-squares")
 
 
@@ -151,14 +154,19 @@ def _covariance(method: StudyMethod, problem: Problem, found: Solution) -> Array
 def _is_elsewhere(
     method: StudyMethod, problem: Problem, found: Solution, truth: Array, sd: Array
 ) -> bool:
-    """Whether a fit that starts at the truth ends at another optimum."""
+    """Whether a fit that starts at the truth ends at another optimum.
+
+    That fit is damped for the undamped method too, whose first step may leave the truth far behind.
+    """
     off = np.abs(truth - found.parameters)[problem.free]
     rounding = 1e-6 * np.maximum(np.abs(truth[problem.free]), 1.0)
     if not (off > np.maximum(_SUSPICIOUS * sd, rounding)).any():
         return False
     try:
+        if method.method == "implicit-loop-undamped":
+            method = replace(method, method="implicit-loop")
         other = _solved(method, replace(problem, start=truth))
-    except InputError:
+    except DomainError:
         return False
     apart = np.abs(other.parameters - found.parameters)[problem.free]
     return bool(other.status.converged and (apart > np.maximum(_ELSEWHERE * sd, rounding)).any())

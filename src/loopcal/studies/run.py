@@ -7,6 +7,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from pathlib import Path
@@ -134,6 +135,12 @@ def _computed(
         waiting = {pool.submit(_work, part): part for part in missing}
         for future in as_completed(waiting):
             yield waiting.pop(future), future.result()
+    except BrokenProcessPool:
+        raise InputError(
+            "a worker ended before its work was done, killed or out of memory",
+            place=study.name,
+            remedy="run the study again, with fewer --workers: it goes on where it was",
+        ) from None
     finally:
         pool.shutdown(cancel_futures=True)
 
