@@ -1,7 +1,9 @@
 """Gross errors in a six-axis arm: accuracy of the robust fits, and which errors are named.
 
 5 % of the poses carry one: 1 to 50 mm on a coordinate, or 1 degree on a joint. Accuracy is that
-of end points predicted for clean poses that took no part, against the truth.
+of end points predicted for clean poses that took no part, against the truth. Of every fit
+also: how often the 95 % intervals of the parameters hold the truth, with the standard error of
+that figure, in which a draw counts once.
 
     python analyses/gross_errors.py [DRAWS]
 """
@@ -23,13 +25,18 @@ from tests.reference.simulated import MA1400_RANGES, Simulated, arm_at, ma1400
 
 POSES, SHARE = 100, 0.05
 LOSSES = ("gaussian", "huber", "student-t")
+SIGMAS = 1.959963984540054
 
 
 @dataclass
 class Counts:
-    """rms: fit -> squared errors of predicted points, mean of each draw; errors, poses counted."""
+    """Of each fit in each draw: mean square of predicted points, share of intervals that held.
+
+    The rest counts gross errors, poses and readings.
+    """
 
     square: dict[str, list[float]]
+    held: dict[str, list[float]]
     gross: int = 0
     found: int = 0
     named: int = 0
@@ -42,6 +49,11 @@ class Counts:
     def rms(self, fit: str) -> float:
         """Rms error of predicted points over all draws [m]."""
         return float(np.sqrt(np.mean(self.square[fit])))
+
+    def coverage(self, fit: str) -> tuple[float, float]:
+        """Share of 95 % intervals that held the truth, and its standard error."""
+        held = np.array(self.held[fit])
+        return float(held.mean()), float(held.std(ddof=1) / np.sqrt(len(held)))
 
 
 def sds(arm: Simulated) -> dict[str, float]:
@@ -74,16 +86,24 @@ def run(draws: Iterable[int]) -> Counts:
     joints = np.random.default_rng(77).uniform(low, high, (200, 6)).T
     held_out = arm_at(arm.truth, joints)
     start, noise = arm.off(2e-3, 4e-3), lc.Noise(sds(arm))
-    counts = Counts({name: [] for name in ("clean", *LOSSES)})
+    clean_fits = {"clean" if loss == "gaussian" else f"clean, {loss}": loss for loss in LOSSES}
+    fitted = (*clean_fits, *LOSSES)
+    counts = Counts({name: [] for name in fitted}, {name: [] for name in fitted})
+    true = np.array(list(arm.values.values()))
     exact = np.array(list(held_out.exact.values()))
     points = np.array([held_out.exact[q] for q in arm.truth.outputs])
     for draw in draws:
         clean = arm.read(sds(arm), seed=1000 + draw)
         data, where = with_gross_errors(clean, seed=5000 + draw)
-        fits = {"clean": lc.calibrate(start, clean, noise=noise)}
+        fits = {
+            name: lc.calibrate(start, clean, noise=noise, loss=loss)
+            for name, loss in clean_fits.items()
+        }
         fits |= {name: lc.calibrate(start, data, noise=noise, loss=name) for name in LOSSES}
         for name, result in fits.items():
             values = np.array([result.value[n] for n in arm.truth.parameters.names])
+            sd = np.sqrt(np.diag(result.covariance))
+            counts.held[name].append(float(np.mean(np.abs(values - true) <= SIGMAS * sd)))
             reached = predict_outputs(arm.truth, values, exact, np.empty((0, exact.shape[1])))
             counts.square[name].append(float(np.square(reached - points).sum(axis=0).mean()))
         _count(counts, lc.find_outliers(fits["gaussian"]), where, len(data), len(data.quantities))
@@ -111,10 +131,14 @@ def _count(
 def main() -> None:
     """Print the table."""
     counts = run(range(int(sys.argv[1]) if len(sys.argv) > 1 else 200))
-    print(f"{'fit':12} rms error of predicted points [um], beside the clean fit's")
+    print("fit               rms error of points [um]  beside clean   95 % intervals that hold [%]")
     for name in counts.square:
         ratio = counts.rms(name) / counts.rms("clean")
-        print(f"{name:12} {1e6 * counts.rms(name):10.2f} {ratio:8.3f}")
+        share, its_error = counts.coverage(name)
+        print(
+            f"{name:18}{1e6 * counts.rms(name):24.2f}{ratio:14.3f}"
+            f"{100 * share:20.2f} +- {100 * its_error:.2f}"
+        )
     print(
         f"gross errors: {counts.gross}, pose named {counts.found / counts.gross:.2%}, "
         f"reading among those named {counts.named / counts.gross:.2%}, "

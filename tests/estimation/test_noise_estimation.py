@@ -9,13 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 import loopcal as lc
+from analyses.variance_components import SMALL, SmallNoise
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.linear_model import fit as mixed_fit
 from loopcal.estimation.linear_model import linear_model
 from loopcal.estimation.problem import build_problem
 from loopcal.estimation.result import Result
+from loopcal.estimation.variance_components import estimate_ratios, upper_bound
 from loopcal.mechanisms.model_error import with_model_error
 
 
@@ -115,6 +118,10 @@ def test_two_sensors_that_only_show_as_a_sum_are_named() -> None:
     noise = lc.Noise({"a": 0.5, "b": 0.5}, estimate={"?": "each"})
     result = calibrate(machine, readings, noise=noise)
     assert any("'a'" in w and "'b'" in w and "told apart" in w for w in result.warnings)
+    for entry, true in zip(result.noise, (1.0, 1.0), strict=True):
+        assert entry.sd_of_sd is None  # any share of the sum fits as well
+        assert entry.upper is not None
+        assert entry.upper > true
 
 
 def test_the_model_s_own_error_takes_what_no_sensor_explains() -> None:
@@ -178,15 +185,22 @@ def test_what_cannot_be_estimated_is_refused() -> None:
         calibrate(arm, data, noise=shared)
 
 
-def test_the_bound_of_a_small_noise_holds_it() -> None:
-    """Of an encoder that these poses hardly see: at 200 draws the bound held it in 98.5 %."""
-    arm, poses = lc.planar_two_link(), planar_poses()
-    truth = lc.Noise({"?P": 1e-4, "phi2": 1e-3, "phi3": 1e-4})
-    start = lc.Noise({"?P": 1e-4, "phi?": 1e-3}, estimate={"phi?": "each"})
-    bounds = []
-    for draw in range(40):
-        data = lc.simulate(arm, poses, noise=truth, seed=draw).dataset
-        result = calibrate(arm, data, noise=start)
-        bounds += [e.upper for e in result.noise if e.quantities == ("phi3",) and e.upper]
-    assert len(bounds) > 15
-    assert np.mean(np.array(bounds) >= 1e-4) >= 0.9
+@pytest.mark.parametrize("case", SMALL[:3], ids=str)
+def test_the_bound_of_a_small_noise_holds_it(case: SmallNoise) -> None:
+    """`analyses/variance_components.py` does the same, and a fourth case, at full size."""
+    bounds = np.array([b for b in case.bounds(range(30)) if b is not None])
+    assert len(bounds) > 12
+    assert np.mean(bounds >= 1.0) >= 0.9
+    assert np.median(bounds) < 3.0  # and is of use
+
+
+def test_the_bound_of_one_sd_of_equal_readings_is_that_of_chi_squared() -> None:
+    """Where theory has it: n readings of one mean, S / quantile of n - 1 degrees."""
+    machine = lc.Mechanism.from_function(lambda x, p: x.a - p.c, {"a": "m"}, {"c": (0.0, "m")})
+    readings = {"a": np.random.default_rng(3).normal(size=6)}
+    noise = lc.Noise({"a": 1.0}, estimate={"a": "each"})
+    problem = build_problem(machine, lc.Dataset.from_arrays(readings), noise)
+    model = linear_model(problem, np.zeros(1), np.zeros((1, 6)), [[0]])
+    bound = upper_bound(model, estimate_ratios(model), 0)
+    sum_of_squares = float(np.square(readings["a"] - readings["a"].mean()).sum())
+    assert bound == pytest.approx(sum_of_squares / chdtri(5, 0.975), rel=1e-3)

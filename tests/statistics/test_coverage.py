@@ -46,6 +46,8 @@ def test_the_standard_error_counts_a_draw_once() -> None:
     """Intervals that all hold or all miss say no more than one of them would."""
     one = np.random.default_rng(1).random(400) < 0.95
     alike = np.repeat(one[:, None], 10, axis=1)
-    assert standard_error(1.0 * alike) == pytest.approx(one.std(ddof=1) / 20)
+    assert standard_error(np.where(alike, 1.0, 0.0)) == pytest.approx(one.std(ddof=1) / 20)
     apart = np.random.default_rng(2).random((400, 10)) < 0.95
-    assert standard_error(1.0 * apart) == pytest.approx(sqrt(0.95 * 0.05 / 4000), rel=0.15)
+    assert standard_error(np.where(apart, 1.0, 0.0)) == pytest.approx(
+        sqrt(0.95 * 0.05 / 4000), rel=0.15
+    )

@@ -46,6 +46,15 @@ def test_gross_errors_cost_a_robust_fit_little(loss: str) -> None:
     assert gross().rms("gaussian") > 10 * gross().rms("clean")
 
 
+@pytest.mark.parametrize("loss", ["huber", "student-t"])
+def test_intervals_of_a_robust_fit_hold_in_spite_of_gross_errors(loss: str) -> None:
+    """Few draws here; `analyses/gross_errors.py` does the same at full size."""
+    a_draw_counts_once = np.sqrt(0.95 * 0.05 / 8)
+    for fit in (loss, f"clean, {loss}"):
+        assert abs(gross().coverage(fit)[0] - 0.95) < 2 * a_draw_counts_once
+    assert gross().coverage("gaussian")[0] < 0.5
+
+
 def test_gross_errors_are_named_and_good_readings_are_not() -> None:
     counts = gross()
     assert counts.named >= 0.95 * counts.gross

@@ -40,10 +40,12 @@ _UNCERTAIN = 0.5
 class EstimatedSd:
     """What the calibration says of one component's sd.
 
-    name; quantities: positions; ratio: estimated over stated sd; sd_of_ratio: its sd, None at zero;
-    upper_ratio: 95 % upper bound, where the estimate is zero or uncertain; likelihood_ratio:
-    by how much -2 log of the restricted likelihood rises without the component, None where
-    the loops could not close without it; p_value: of so large a rise if there were none of it.
+    name; quantities: positions; ratio: estimated over stated sd; sd_of_ratio: its sd, None at zero
+    or where the data leave it open; upper_ratio: 95 % upper bound, where the estimate is zero,
+    uncertain or hardly told apart from another (None also where nothing bounds it);
+    likelihood_ratio: by how much -2 log of the restricted likelihood rises without the component,
+    None where the loops could not close without it; p_value: of so large a rise if there were
+    none of it.
     """
 
     name: str
@@ -92,12 +94,14 @@ def estimate_noise(
             best = again
             doubtful = list(search.doubtful(best))
     model, found = best.model, best.found
+    alike = _alike(found, components)
+    unsure = {name for pair in alike for name in pair}
     return NoiseEstimate(
         best.present,
         replace(best.solution, status=replace(best.solution.status, iterations=best.iterations)),
-        tuple(_judged(model, found, i, c) for i, c in enumerate(components)),
+        tuple(_judged(model, found, i, c, c.name in unsure) for i, c in enumerate(components)),
         found.criterion,
-        _alike(found, components),
+        alike,
         best.settled,
     )
 
@@ -179,17 +183,16 @@ def _change(before: Array, after: Array) -> float:
     return float(np.abs(np.log(after[both] / before[both])).max(initial=0.0))
 
 
-def _judged(model: LinearModel, found: Estimate, which: int, component: Component) -> EstimatedSd:
+def _judged(
+    model: LinearModel, found: Estimate, which: int, component: Component, unsure: bool
+) -> EstimatedSd:
     from scipy.special import chdtrc
 
-    variance_ratio = float(found.ratios[which])
-    ratio = math.sqrt(variance_ratio)
-    sd = None
-    if variance_ratio > 0.0:
-        sd = math.sqrt(max(float(found.covariance[which, which]), 0.0)) / (2.0 * ratio)
+    ratio, sd = math.sqrt(float(found.ratios[which])), found.sd_of_root(which)
     upper = None
-    if sd is None or sd > _UNCERTAIN * ratio:
-        upper = math.sqrt(upper_bound(model, found, which))
+    if unsure or sd is None or sd > _UNCERTAIN * ratio:
+        bound = upper_bound(model, found, which)
+        upper = None if bound is None else math.sqrt(bound)
     without = None if len(found.ratios) == 1 else without_component(model, found, which)
     rise = None if without is None else max(without - found.criterion, 0.0)
     # at the boundary the rise is zero in half of all cases (Self and Liang 1987)

@@ -22,6 +22,12 @@ _SEED = 1e-4
 """Where a component that the data want back begins again."""
 _NOTHING = 0.5
 """A component that takes less than this of one degree of freedom is tried at zero."""
+_OPEN = 1e-4
+"""Information on the logarithm of a ratio, below which the data leave it open."""
+_FEW, _MANY = 0.05, 1e6
+"""Degrees of freedom outside which the rise to a bound is at its limit."""
+_FARTHEST = 20.0
+"""No bound is searched beyond so many powers of e above the estimate."""
 ALIKE = 0.95
 """Two estimates correlated beyond this cannot be separated by the data."""
 
@@ -45,6 +51,13 @@ class Estimate:
     covariance: Array
     criterion: float
     converged: bool
+
+    def sd_of_root(self, which: int) -> float | None:
+        """Sd of the root of a ratio, to first order; None at zero, or if data leave it open."""
+        ratio, variance = float(self.ratios[which]), float(self.covariance[which, which])
+        if ratio == 0.0 or variance > ratio * ratio / _OPEN:
+            return None
+        return 0.5 * math.sqrt(variance / ratio)
 
 
 def estimate_ratios(
@@ -76,7 +89,7 @@ def estimate_ratios(
         if gain < 1e-9 or np.abs(step[free]).max(initial=0.0) < 1e-6:
             returning = ~free & (current.score > 1e-6 * current.contribution)
             if not returning.any() or gain == 0.0:
-                return Estimate(ratios, _covariance(current, free), current.criterion, True)
+                return Estimate(ratios, _covariance(current, ratios, free), current.criterion, True)
             free |= returning
             ratios[returning] = _SEED
             current = _at(model, ratios)
@@ -89,7 +102,7 @@ def estimate_ratios(
         ratios, following = moved
         gain = current.criterion - following.criterion
         current = following
-    return Estimate(ratios, _covariance(current, free), current.criterion, False)
+    return Estimate(ratios, _covariance(current, ratios, free), current.criterion, False)
 
 
 def _at(model: LinearModel, ratios: Array) -> MixedFit:
@@ -128,6 +141,8 @@ def _vanished(
     model: LinearModel, ratios: Array, free: NDArray[np.bool_], current: MixedFit
 ) -> int | None:
     """A component that is next to nothing and does no harm at zero."""
+    if not free.any():
+        return None
     share = np.where(free, ratios * current.contribution, np.inf)
     smallest = int(np.argmin(share))
     if share[smallest] > _NOTHING:
@@ -139,12 +154,17 @@ def _vanished(
     return smallest if gone else None
 
 
-def _covariance(current: MixedFit, free: NDArray[np.bool_]) -> Array:
+def _covariance(current: MixedFit, ratios: Array, free: NDArray[np.bool_]) -> Array:
     covariance = np.zeros_like(current.information)
     index = np.flatnonzero(free)
     if index.size:
-        own = current.information[np.ix_(index, index)]
-        covariance[np.ix_(index, index)] = np.linalg.pinv(own, rcond=1e-12, hermitian=True)
+        scale = ratios[index]
+        own = current.information[np.ix_(index, index)] * np.outer(scale, scale)
+        values, vectors = np.linalg.eigh(own)
+        # what only shows in a sum is left open by the data: almost no information on it
+        values = np.maximum(values, _OPEN / 10.0)
+        root = scale[:, None] * vectors / np.sqrt(values)
+        covariance[np.ix_(index, index)] = root @ root.T
     return covariance
 
 
@@ -153,39 +173,74 @@ def without_component(model: LinearModel, estimate: Estimate, which: int) -> flo
 
     None where the loops could not close without it.
     """
-    rest = [j for j in range(model.components) if j != which]
-    smaller = _restricted(model, rest)
-    start = estimate.ratios[rest]
+    smaller, start = _held(model, which, 0.0), np.delete(estimate.ratios, which)
     if fit(smaller, start) is None:
         return None
     return estimate_ratios(smaller, start).criterion
 
 
-def _restricted(model: LinearModel, rest: list[int]) -> LinearModel:
-    blocks = tuple(replace(b, parts=b.parts[rest]) for b in model.blocks)
+def _held(model: LinearModel, which: int, ratio: float) -> LinearModel:
+    """The model with one component no longer estimated but taken as given at this ratio."""
+    blocks = tuple(
+        replace(b, fixed=b.fixed + ratio * b.parts[which], parts=np.delete(b.parts, which, axis=0))
+        for b in model.blocks
+    )
     return replace(model, blocks=blocks)
 
 
-def upper_bound(model: LinearModel, estimate: Estimate, which: int, level: float = 0.95) -> float:
-    """The ratio up to which one component is compatible with the data, the others held.
+def upper_bound(
+    model: LinearModel, estimate: Estimate, which: int, level: float = 0.95
+) -> float | None:
+    """The ratio up to which one component is compatible with the data; None if nothing bounds it.
 
-    Where the criterion has risen by the chi-squared quantile with one degree of freedom that a
-    one-sided bound of this level needs (2.71 for 95 %).
+    Where the criterion, least over all other components, has risen as far as `_rise` says. The
+    others must give way: held where they are, they would leave no room for what is hidden in
+    them. It is the upper end of a two-sided interval, because a bound is asked for only where the
+    estimate came out low, which is half of all draws: so it holds in `level` of these.
     """
     from scipy.optimize import brentq
-    from scipy.special import ndtri
 
-    rise = float(ndtri(level)) ** 2
-    present = float(estimate.ratios[which])
+    present, others = float(estimate.ratios[which]), np.delete(estimate.ratios, which)
+    beyond = 0.5 * (1.0 - level)
 
     def excess(logarithm: float) -> float:
-        ratios = estimate.ratios.copy()
-        ratios[which] = math.exp(logarithm)
-        found = fit(model, ratios)
-        return math.inf if found is None else found.criterion - estimate.criterion - rise
+        ratio = math.exp(logarithm)
+        found = estimate_ratios(_held(model, which, ratio), others)
+        information = _left(_at(model, np.insert(found.ratios, which, ratio)), found.ratios, which)
+        needed = _rise(2.0 * ratio * ratio * information, beyond)
+        return found.criterion - estimate.criterion - needed
 
+    information = float(_at(model, estimate.ratios).information[which, which])
+    if information <= 0.0:
+        return None
     low = math.log(max(present, 1e-12))
-    high = max(low, math.log(1e-6)) + 1.0
-    while excess(high) < 0.0 and high < 60.0:
-        high += 1.0
-    return math.exp(float(brentq(excess, high - 1.0 if excess(high - 1.0) < 0 else low, high)))
+    high = math.log(present + 1.0 / math.sqrt(information))
+    farthest = high + _FARTHEST
+    while excess(high) < 0.0:
+        if high > farthest:
+            return None
+        low, high = high, high + 1.0
+    return math.exp(float(brentq(excess, low, high, xtol=1e-4)))
+
+
+def _left(at: MixedFit, others: Array, which: int) -> float:
+    """The information on one ratio that estimating the others leaves."""
+    free = np.insert(others > 0.0, which, False)
+    own, cross = float(at.information[which, which]), at.information[which, free]
+    shared = np.linalg.lstsq(at.information[np.ix_(free, free)], cross, rcond=1e-12)[0]
+    return max(own - float(cross @ shared), 1e-9 * own)
+
+
+def _rise(freedom: float, beyond: float) -> float:
+    """By how much -2 log likelihood rises from a variance's estimate to its upper bound.
+
+    Exact for a sum of squares of so many degrees of freedom: m (x - 1 - log x), where m x is the
+    quantile of chi-squared with m degrees; the square of the normal quantile at many.
+    """
+    from scipy.special import chdtri, ndtri
+
+    if freedom > _MANY:
+        return float(ndtri(beyond)) ** 2
+    freedom = max(freedom, _FEW)
+    x = float(chdtri(freedom, 1.0 - beyond)) / freedom
+    return freedom * (x - 1.0 - math.log(x))

@@ -183,9 +183,12 @@ def _separated(group: SeparatedSd) -> str:
         return f"{from_si(value, small):.3g} {small}"
 
     raw = f"of {text(group.raw)} raw scatter"
-    if group.sd_of_sd is None:
-        return f"no noise of its own found {raw}; below {text(group.upper or 0.0)} (95 %)"
-    words = f"sd = {text(group.sd)} +- {text(group.sd_of_sd)} {raw}"
+    if group.sd == 0.0:
+        words = f"no noise of its own found {raw}"
+    elif group.sd_of_sd is None:
+        words = f"sd = {text(group.sd)} {raw}, and not told apart from the rest"
+    else:
+        words = f"sd = {text(group.sd)} +- {text(group.sd_of_sd)} {raw}"
     return words if group.upper is None else f"{words}; below {text(group.upper)} (95 %)"
 
 

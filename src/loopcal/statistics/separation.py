@@ -44,8 +44,9 @@ class SeparatedSd:
     """The sd [SI unit] that a group of sensors has in common.
 
     raw: scatter of its readings about their means, real motion included; sd_of_sd: None where sd
-    is zero; upper: 95 % bound, where sd is zero or unsure, else None; p_value: of such readings
-    if this group had no noise, None where the loops could not do without it.
+    is zero or the readings leave it open; upper: 95 % bound, where sd is zero or unsure, else
+    None; p_value: of such readings if this group had no noise, None where the loops could not do
+    without it.
     """
 
     name: str
@@ -215,17 +216,16 @@ def _judged(model: LinearModel, found: Estimate, which: int, group: SeparatedSd)
     from scipy.special import chdtrc
 
     ratio = math.sqrt(float(found.ratios[which]))
-    sd_of_ratio = None
-    if ratio > 0.0:
-        sd_of_ratio = math.sqrt(max(float(found.covariance[which, which]), 0.0)) / (2.0 * ratio)
+    sd_of_ratio = found.sd_of_root(which)
     unsure = sd_of_ratio is None or sd_of_ratio > _UNCERTAIN * ratio
+    bound = upper_bound(model, found, which) if unsure else None
     without = None if len(found.ratios) == 1 else without_component(model, found, which)
     rise = None if without is None else max(without - found.criterion, 0.0)
     return replace(
         group,
         sd=ratio * group.raw,
         sd_of_sd=None if sd_of_ratio is None else sd_of_ratio * group.raw,
-        upper=math.sqrt(upper_bound(model, found, which)) * group.raw if unsure else None,
+        upper=None if bound is None else math.sqrt(bound) * group.raw,
         # at the boundary the rise is zero in half of all cases (Self and Liang 1987)
         p_value=None if rise is None else 0.5 * float(chdtrc(1, rise)) if rise > 0.0 else 1.0,
     )
