@@ -13,7 +13,7 @@ from measuring import Times, in_turns
 from six_axis import JOINT_SD, POINT_SD, six_axis
 
 POSES = 300
-COMMAND, BARE = "loopcal calibrate, 300 poses", "python -c 'import numpy'"
+COMMAND, BARE = "loopcal calibrate --no-report, 300 poses", "python -c 'import numpy'"
 DEMANDED = 15.0
 
 _PROJECT = f"""
@@ -46,7 +46,7 @@ def measure(rounds: int) -> dict[str, Times]:
         rows = np.vstack([problem.joints, problem.points]).T
         np.savetxt(Path(folder, "poses.csv"), rows, delimiter=",", header=header, comments="")
         Path(folder, "project.toml").write_text(_PROJECT)
-        command = [sys.executable, "-m", "loopcal", "calibrate", "project.toml"]
+        command = [sys.executable, "-m", "loopcal", "calibrate", "project.toml", "--no-report"]
         programs = {
             COMMAND: partial(_run, command, folder),
             BARE: partial(_run, [sys.executable, "-c", "import numpy"], folder),

@@ -1,4 +1,4 @@
-"""The printed summary and the report's text, word for word; see tests/golden.py."""
+"""The printed summary and the report's text, word for word; see tests/golden_files.py."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from loopcal.cli import main
-from tests import golden
+from tests import golden_files as golden
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 

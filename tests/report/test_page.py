@@ -18,7 +18,7 @@ from loopcal.report.page import MOST, report_html
 from loopcal.report.source import read_source
 from loopcal.report.tables import accuracy_table, comparison_table, parameter_table
 from loopcal.report.verdict import verdict
-from tests.golden import page_text
+from tests.golden_files import page_text
 
 
 def document_of(folder: Path) -> dict[str, Any]:
