@@ -14,7 +14,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 BEFORE, AFTER = "#8d8f96", "#2b7bd6"
 """Colours before and after a calibration, legible on light and on dark."""
-COLOURS = ("#2b7bd6", "#d9622b", "#2c9a62", "#a25bc4", "#b8860b", "#c74372", "#4a8f9c", "#7d7f3a")
+COLOURS = (
+    *("#2b7bd6", "#d9622b", "#2c9a62", "#a25bc4", "#b8860b"),
+    *("#c74372", "#4a8f9c", "#7d7f3a", "#8a6d5a", "#6a6fd8"),
+)
 
 
 @dataclass(frozen=True, eq=False)
