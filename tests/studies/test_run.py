@@ -136,6 +136,16 @@ def test_a_draw_is_what_calibrate_makes_of_it(path: Path) -> None:
             assert columns[f"sd.{name}"][i] == pytest.approx(found.sd[name], rel=1e-12)
 
 
+def test_a_method_may_hold_a_parameter_fixed(path: Path, tmp_path: Path) -> None:
+    fixing = '[[methods]]\nname = "fixing"\nmethod = "implicit-loop"\nprior = { l2 = 0 }\n'
+    path.write_text(STUDY + fixing, "utf-8")
+    scenario = run_study(path, draws=3, workers=1, out=tmp_path / "out").tables.scenarios[0]
+    by_name = {spread.name: spread for spread in scenario.methods[2].spreads}
+    assert (by_name["l2"].rms, by_name["l2"].held) == (0.0, 1.0)  # the nominal value is true
+    assert by_name["l3"].rms > 0.0
+    assert [a.name for a in scenario.paired[1].advantages] == list(by_name)
+
+
 def test_streams_belong_to_draws(path: Path) -> None:
     scenario = read_study(path).scenarios[0]
     several = run_draws(scenario, 5, range(4), [0])

@@ -56,6 +56,12 @@ class Scenario:
     methods: tuple[StudyMethod, ...]
     published: Mapping[str, Mapping[str, float]]
 
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """The parameters that at least one method estimates; another may hold them fixed."""
+        free = {p.name for m in self.methods for p in m.mechanism.parameters if not p.fixed}
+        return tuple(name for name in self.mechanism.parameters.names if name in free)
+
 
 @dataclass(frozen=True)
 class Study:

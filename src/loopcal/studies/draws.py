@@ -82,7 +82,7 @@ def run_draws(
                     "method": method.name,
                     "draw": float(draw),
                 }
-                rows.append(head | _row(method, made, points))
+                rows.append(head | _row(method, scenario.estimated, made, points))
     return {
         name: [str(row[name]) for row in rows]
         if isinstance(rows[0][name], str)
@@ -91,7 +91,10 @@ def run_draws(
     }
 
 
-def _row(method: StudyMethod, made: Simulation, points: _Points) -> dict[str, str | float]:
+def _row(
+    method: StudyMethod, names: Sequence[str], made: Simulation, points: _Points
+) -> dict[str, str | float]:
+    """One fit; a parameter that this method holds fixed has an error, and the sd 0."""
     problem = build_problem(
         method.mechanism,
         made.dataset,
@@ -100,36 +103,37 @@ def _row(method: StudyMethod, made: Simulation, points: _Points) -> dict[str, st
     try:
         found = _solved(method, problem)
     except DomainError:
-        return _without_result(problem, "cannot_evaluate", 0)
+        return _without_result(names, "cannot_evaluate", 0)
     if not found.status.converged:
-        return _without_result(problem, found.status.reason, found.status.iterations)
+        return _without_result(names, found.status.reason, found.status.iterations)
     truth = np.array([made.parameters[name] for name in method.mechanism.parameters.names])
     covariance = _covariance(method, problem, found)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     for combination in undetermined(found.spectrum, problem.names):
         sd[[problem.names.index(name) for name in combination]] = np.inf
-    error = (truth - found.parameters)[problem.free]
+    errors = dict(zip(method.mechanism.parameters.names, truth - found.parameters, strict=True))
+    sds = dict(zip(problem.names, sd.tolist(), strict=True))
     row: dict[str, str | float] = {
         "reason": found.status.reason,
         "converged": 1.0,
         "iterations": float(found.status.iterations),
         "chi_squared": found.chi_squared,
     }
-    row |= {f"error.{name}": e for name, e in zip(problem.names, error.tolist(), strict=True)}
-    row |= {f"sd.{name}": s for name, s in zip(problem.names, sd.tolist(), strict=True)}
+    row |= {f"error.{name}": float(errors[name]) for name in names}
+    row |= {f"sd.{name}": sds.get(name, 0.0) for name in names}
     row |= _end_point(method.mechanism, problem.names, found.parameters, covariance, points)
     row["other_optimum"] = float(_is_elsewhere(method, problem, found, truth, sd))
     return row
 
 
-def _without_result(problem: Problem, reason: str, iterations: int) -> dict[str, str | float]:
+def _without_result(names: Sequence[str], reason: str, iterations: int) -> dict[str, str | float]:
     row: dict[str, str | float] = {
         "reason": reason,
         "converged": 0.0,
         "iterations": float(iterations),
         "chi_squared": math.nan,
     }
-    row |= {f"{kind}.{name}": math.nan for kind in ("error", "sd") for name in problem.names}
+    row |= {f"{kind}.{name}": math.nan for kind in ("error", "sd") for name in names}
     row |= dict.fromkeys(("end_point_rms", "end_point_max", "end_point_held"), math.nan)
     return row | {"other_optimum": 0.0}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,7 +160,7 @@ def _scenario(study: Study, scenario: Scenario, columns: Columns) -> ScenarioTab
 def _units(scenario: Scenario) -> dict[str, str]:
     """SI units of the estimated parameters, and of the end point where there is one."""
     mechanism = scenario.mechanism
-    units = {p.name: p.unit for p in mechanism.parameters if not p.fixed}
+    units = {name: mechanism.parameters[name].unit for name in scenario.estimated}
     ends = {mechanism.quantities[name] for name in mechanism.outputs}
     return units | ({END_POINT: ends.pop()} if len(ends) == 1 else {})
 
@@ -181,20 +181,20 @@ def _method(
     reasons = [str(reason) for reason in own["reason"][~good]]
     published = scenario.published.get(name, {})
     spreads = []
-    for parameter, unit in units.items() if good.any() else ():
-        errors = own[_column(parameter)][good].astype(float)
-        if not np.isfinite(errors).any():
-            continue  # an end point that no draw could reach
-        errors = errors[np.isfinite(errors)]
+    for parameter, unit in units.items():
+        errors = own[_column(parameter)].astype(float)
+        known = good & np.isfinite(errors)
+        if not known.any():
+            continue  # nothing converged, or no end point can be predicted
+        errors = errors[known]
         if parameter == END_POINT:
-            held = float(np.nanmean(own["end_point_held"][good].astype(float)))
+            held = float(own["end_point_held"][known].astype(float).mean())
         else:
-            sd = own[f"sd.{parameter}"][good].astype(float)
+            sd = own[f"sd.{parameter}"][known].astype(float)
             held = float(np.mean(np.abs(errors) <= SIGMAS * sd))
         spread = Spread.of(parameter, unit, errors, held)
         if parameter in published:
-            placed = Placed.of(published[parameter], errors)
-            spread = Spread(**{**vars(spread), "published": placed})
+            spread = replace(spread, published=Placed.of(published[parameter], errors))
         spreads.append(spread)
     return MethodTable(
         name,
