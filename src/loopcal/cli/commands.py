@@ -316,13 +316,15 @@ def study(
 ) -> None:
     """Monte Carlo: the errors of one or more methods over many draws of each scenario."""
     from loopcal.cli.progress import Counted
+    from loopcal.report.study_page import PAGE, write_study_page
     from loopcal.studies.run import run_study
 
     with Counted() as progress:
         done = run_study(
             study, draws=draws, workers=workers, out=out, function=mechanism, progress=progress
         )
-    where = f"written to {done.folder}: draws.parquet, summary.json, summary.txt"
+    write_study_page(done)
+    where = f"written to {done.folder}: draws.parquet, summary.json, summary.txt, {PAGE}"
     if as_json:
         print_json(done.document)
         log(where)

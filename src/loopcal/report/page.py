@@ -48,23 +48,23 @@ def report_html(sources: Sequence[Source]) -> str:
         raise UsageError(
             f"{len(sources)} results for one report", remedy=f"give from 1 to {MOST} of them"
         )
-    program, drawing = plotly_javascript(), _part("draw.js")
+    program, drawing = plotly_javascript(), part("draw.js")
     several = len(sources) > 1
     if len({source.name for source in sources}) < len(sources):
         sources = [
             replace(source, name=f"{n}: {source.name}") for n, source in enumerate(sources, 1)
         ]
     return (
-        _environment()
+        environment()
         .get_template("report.html")
         .render(
             title=", ".join(dict.fromkeys(source.title for source in sources)),
             results=[_result(source, number) for number, source in enumerate(sources, 1)],
             comparison=tables.comparison_table(sources) if several else None,
-            style=_part("style.css"),
+            style=part("style.css"),
             program=program,
             drawing=drawing,
-            hashes=" ".join(f"'sha256-{_sha256(text)}'" for text in (program, drawing)),
+            hashes=" ".join(f"'sha256-{sha256(text)}'" for text in (program, drawing)),
         )
     )
 
@@ -107,12 +107,14 @@ def identifiability_words(document: Any) -> list[str]:
     return words
 
 
-def _sha256(text: str) -> str:
+def sha256(text: str) -> str:
+    """For a content security policy."""
     return base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
 
 
 @cache
-def _environment() -> Environment:
+def environment() -> Environment:
+    """The templates of this package; whatever is put into them is escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     return Environment(
@@ -124,8 +126,8 @@ def _environment() -> Environment:
     )
 
 
-def _part(name: str) -> str:
+def part(name: str) -> str:
     """The text of a part that is no template."""
-    environment = _environment()
-    assert environment.loader is not None
-    return environment.loader.get_source(environment, name)[0]
+    templates = environment()
+    assert templates.loader is not None
+    return templates.loader.get_source(templates, name)[0]

@@ -36,8 +36,9 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class StudyDone:
-    """A study that ran to its end: its tables, and the folder with all draws."""
+    """A study that ran to its end: what it is, its tables, and the folder with all draws."""
 
+    study: Study
     tables: StudyTables
     folder: Path
     text: str
@@ -94,7 +95,7 @@ def run_study(
     made = tables(study, draws, join_parts(folder, parts))
     text, told = summary(made), document(made)
     write_summary(folder, told, text)
-    return StudyDone(made, folder, text, told)
+    return StudyDone(study, made, folder, text, told)
 
 
 def _default_folder(study: Study) -> Path:

@@ -1,0 +1,88 @@
+"""Distributions of errors over many draws, method beside method, a printed draw among them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from loopcal.figures.figure import COLOURS, Figure, axis, layout, shown_text
+
+
+@dataclass(frozen=True)
+class ErrorBar:
+    """An error over all draws: mean, and the ends of the middle 95 %; printed: of one in print."""
+
+    name: str
+    mean: float
+    low: float
+    high: float
+    printed: float | None
+
+
+def error_bars(
+    key: str, title: str, unit: str, methods: Sequence[tuple[str, Sequence[ErrorBar]]]
+) -> Figure | None:
+    """Middle 95 % of every error [unit] by method, on one scale; None where there are none."""
+    shown = [(name, bars) for name, bars in methods if bars]
+    if not shown:
+        return None
+    data: list[dict[str, Any]] = []
+    for i, (method, bars) in enumerate(shown):
+        at = [k + 0.3 * (i - 0.5 * (len(shown) - 1)) for k in range(len(bars))]
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": shown_text(method),
+                "x": at,
+                "y": [bar.mean for bar in bars],
+                "error_y": {
+                    "type": "data",
+                    "symmetric": False,
+                    "array": [bar.high - bar.mean for bar in bars],
+                    "arrayminus": [bar.mean - bar.low for bar in bars],
+                    "thickness": 3,
+                },
+                "marker": {"color": COLOURS[i % len(COLOURS)], "size": 8},
+            }
+        )
+        printed = [(x, bar.printed) for x, bar in zip(at, bars, strict=True)]
+        printed = [(x, y) for x, y in printed if y is not None]
+        if printed:
+            data.append(
+                {
+                    "type": "scatter",
+                    "mode": "markers",
+                    "name": shown_text(f"{method}, printed draw"),
+                    "x": [x for x, _ in printed],
+                    "y": [y for _, y in printed],
+                    "marker": {
+                        "symbol": "diamond-open",
+                        "color": COLOURS[i % len(COLOURS)],
+                        "size": 11,
+                        "line": {"width": 2},
+                    },
+                }
+            )
+    names = [bar.name for bar in shown[0][1]]
+    widest = {method: max(bar.high - bar.low for bar in bars) for method, bars in shown}
+    told = ", ".join(f"{method} up to {width:.3g} {unit} wide" for method, width in widest.items())
+    return Figure(
+        key,
+        title,
+        "Points are means over the draws, bars hold the middle 95 % of them, open diamonds are the "
+        "draw in print. A mean away from zero is bias: no number of draws takes it away. A bar too "
+        "short to be seen is a method far better on this scale.",
+        f"{title} by method: {told}.",
+        tuple(data),
+        layout(
+            340,
+            xaxis=axis(
+                "",
+                tickvals=list(range(len(names))),
+                ticktext=[shown_text(name) for name in names],
+            ),
+            yaxis=axis(f"true minus estimate [{unit}]", zeroline=True),
+        ),
+    )

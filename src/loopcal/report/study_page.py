@@ -1,0 +1,183 @@
+"""The page of a study: every scenario's distributions, tables, first draw, and what they show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from loopcal.estimation.result import Result
+from loopcal.figures.accuracy import over_poses
+from loopcal.figures.distributions import ErrorBar, error_bars
+from loopcal.figures.figure import Figure, plotly_javascript
+from loopcal.figures.space import arrows
+from loopcal.files.atomic import write_files
+from loopcal.files.versions import version
+from loopcal.report.page import environment, part, sha256
+from loopcal.report.tables import Table
+from loopcal.report.words import in_unit, size, unit_shown
+from loopcal.studies.example import first_draw
+from loopcal.studies.paired import Paired
+from loopcal.studies.run import StudyDone
+from loopcal.studies.tables import MethodTable, ScenarioTable, Spread
+
+PAGE = "study.html"
+ROUNDING = 1e-12
+"""Errors below this [SI] tell nothing of a method."""
+KINDS = {"m": ("lengths", "Errors of lengths"), "rad": ("angles", "Errors of angles")}
+
+
+def write_study_page(done: StudyDone) -> None:
+    """Write study.html, one self-contained page, into the folder of a study.
+
+    Raises InputError where it cannot be written.
+    """
+    write_files(done.folder, {PAGE: study_html(done).encode("utf-8")})
+
+
+def study_html(done: StudyDone) -> str:
+    """The page: nothing in it is asked of any network."""
+    program, drawing = plotly_javascript(), part("draw.js")
+    made = done.tables
+    of_name = {scenario.name: scenario for scenario in done.study.scenarios}
+    return (
+        environment()
+        .get_template("study.html")
+        .render(
+            title=made.title,
+            version=version(),
+            draws=made.draws,
+            seed=made.seed,
+            scenarios=[
+                _scenario(table, number, first_draw(of_name[table.scenario], made.seed))
+                for number, table in enumerate(made.scenarios, 1)
+            ],
+            style=part("style.css"),
+            program=program,
+            drawing=drawing,
+            hashes=" ".join(f"'sha256-{sha256(text)}'" for text in (program, drawing)),
+        )
+    )
+
+
+def _scenario(table: ScenarioTable, number: int, drawn: Mapping[str, Result]) -> dict[str, Any]:
+    return {
+        "id": f"s{number}",
+        "name": f"{table.scenario} ({table.poses} poses)",
+        "words": words(table),
+        "figures": {
+            figure.key: figure
+            for unit in KINDS
+            if (figure := _bars(table.methods, unit)) is not None
+        },
+        "tables": [_method(method) for method in table.methods],
+        "paired": [_paired(pair) for pair in table.paired],
+        "examples": [
+            {"id": f"s{number}m{i}", "name": name, "figures": _example(result)}
+            for i, (name, result) in enumerate(drawn.items(), 1)
+        ],
+    }
+
+
+def words(table: ScenarioTable) -> list[str]:
+    """What the draws show in plain words, where a method does not help as well."""
+    if all(s.rms < ROUNDING for method in table.methods for s in method.spreads):
+        return [f"Every error is rounding, below {ROUNDING:g} m or rad: all methods are right."]
+    told = []
+    for pair in table.paired:
+        first, second = pair.methods
+        said = [a for a in pair.advantages if a.ratio is not None and a.ratio_high is not None]
+        better = [a.name for a in said if (a.ratio_high or 0.0) < 0.95]
+        worse = [a.name for a in said if (a.ratio_low or 0.0) > 1.05]
+        alike = [a.name for a in said if a.name not in (*better, *worse)]
+        least = min((a.ratio or 0.0 for a in said if a.name in better), default=None)
+        if better:
+            told.append(
+                f"{first} has smaller rms errors than {second} in {', '.join(better)} "
+                f"(down to {least:.2g} of them)."
+            )
+        if alike:
+            told.append(f"It does not help, within 5 %, in {', '.join(alike)}.")
+        if worse:
+            told.append(f"It is worse in {', '.join(worse)}.")
+    for method in table.methods:
+        failed = sum(method.failures.values())
+        if failed:
+            told.append(f"{method.method} did not converge in {failed} of {method.draws} draws.")
+        if method.other_optimum:
+            told.append(f"{method.method} ended at another optimum in {method.other_optimum}.")
+        low = [s.name for s in method.spreads if s.held < 0.9 and s.bias != 0.0]
+        if low:
+            told.append(f"Intervals of {method.method} that hold too seldom: {', '.join(low)}.")
+        out = [s.name for s in method.spreads if s.published and s.published.outside]
+        if out:
+            told.append(f"The printed draw of {method.method} does not belong: {', '.join(out)}.")
+    return told
+
+
+def _bars(methods: Sequence[MethodTable], unit: str) -> Figure | None:
+    key, title = KINDS[unit]
+    shown = unit_shown(unit, fine=True)
+    groups = [(m.method, [_bar(s, unit) for s in m.spreads if s.unit == unit]) for m in methods]
+    return error_bars(key, title, shown, groups)
+
+
+def _bar(spread: Spread, unit: str) -> ErrorBar:
+    def at(value: float) -> float:
+        return float(f"{in_unit(value, unit, fine=True):.6g}")
+
+    printed = None if spread.published is None else at(spread.published.error)
+    return ErrorBar(spread.name, at(spread.bias), at(spread.low), at(spread.high), printed)
+
+
+def _method(table: MethodTable) -> Table:
+    rows = []
+    for s in table.spreads:
+        values = [size(v, s.unit, fine=True) for v in (s.bias, s.sd, s.rms, s.low, s.high)]
+        placed = "" if s.published is None else f"{s.published.percentile:.1f} %"
+        rows.append((s.name, unit_shown(s.unit, fine=True), *values, f"{s.held:.1%}", placed))
+    head = ("error", "unit", "bias", "sd", "rms", "2.5 %", "97.5 %", "held", "printed draw at")
+    converged = table.draws - sum(table.failures.values())
+    caption = f"{table.method}: {converged} of {table.draws} draws converged"
+    return Table(caption, head, tuple(rows))
+
+
+def _paired(pair: Paired) -> Table:
+    first, second = pair.methods
+    rows = []
+    for a in pair.advantages:
+        ratio = "" if a.ratio is None else f"{a.ratio:.2g} [{a.ratio_low:.2g}, {a.ratio_high:.2g}]"
+        rows.append((a.name, f"{a.closer:.1%} [{a.closer_low:.1%}, {a.closer_high:.1%}]", ratio))
+    caption = f"{first} beside {second} on the same {pair.draws} draws"
+    return Table(caption, ("error", "closer in", "rms ratio"), tuple(rows))
+
+
+def _example(result: Result) -> dict[str, Figure]:
+    """Residuals of every loop before and after, and arrows in space, of one draw."""
+    poses = result.dataset.poses
+    found: Iterable[Figure | None] = (_residuals(result, poses), _arrows(result))
+    return {figure.key: figure for figure in found if figure is not None}
+
+
+def _residuals(result: Result, poses: Sequence[str]) -> Figure | None:
+    figure = over_poses(
+        result.residuals_before, result.residuals_after, poses, "SI", "Values of the loop equations"
+    )
+    if figure is None or result.method == "least-squares":
+        return figure
+    closed = " That corrected readings close the loops to rounding is no accuracy."
+    return replace(figure, caption=figure.caption + closed)
+
+
+def _arrows(result: Result) -> Figure | None:
+    outputs = result.mechanism.outputs
+    accuracy = result.accuracy_after
+    if accuracy is None or accuracy.unit != "m" or len(outputs) not in (2, 3):
+        return None
+    points = np.array([result.dataset.readings[q] for q in outputs])
+    differences = np.array([result.differences_after[q] for q in outputs])
+    if not np.abs(differences).max(initial=0.0) > ROUNDING:
+        return None
+    return arrows(points, differences, None, "mm", 1e-3)
