@@ -113,7 +113,7 @@ def test_a_good_result_is_called_good(planar: Path) -> None:
         (
             "column_faults",
             [{"quantities": ["xP"], "words": "xP is in another unit", "before": 1, "after": 0}],
-            "care",
+            "bad",
             "another unit",
         ),
         ("outliers", [{"pose": "17"}], "care", "1 pose does not fit the others (17)"),
@@ -143,3 +143,16 @@ def test_parameters_stand_with_change_and_share_of_the_prior(planar: Path) -> No
         (entry["value"] - entry["nominal"]) / entry["sd"], abs=0.05
     )
     assert "fixed" in rows[document["parameters"][3]["name"]]
+
+
+def test_a_column_at_fault_is_the_verdict_and_another_optimum_a_doubt(planar: Path) -> None:
+    document = document_of(planar)
+    other = {"parameters": {"l2": 0.6}, "chi_squared": 250.0, "words": "another optimum: l2 600 mm"}
+    told = verdict({**document, "other_optima": [other]})
+    assert told.grade == "care"
+    assert "another optimum: l2 600 mm" in told.paragraph
+    words = "the columns of phi2 and phi3 are exchanged"
+    fault = {"quantities": ["phi2", "phi3"], "words": words, "before": 0.1, "after": 1e-4}
+    told = verdict({**document, "column_faults": [fault]})
+    assert told.grade == "bad"
+    assert words in told.paragraph

@@ -275,6 +275,7 @@ class OtherOptimumEntry(Model):
 
     parameters: dict[str, float] = Field(description="Those that differ [SI].")
     chi_squared: float
+    words: str
 
 
 class DataEntry(Model):

@@ -28,6 +28,15 @@ def verdict(document: Mapping[str, Any]) -> Verdict:
     status = document["status"]
     steps = f"{status['iterations']} iteration" + ("" if status["iterations"] == 1 else "s")
     used = document["data"]["used"]
+    faults = "; ".join(fault["words"] for fault in document["column_faults"] or [])
+    if faults:
+        return Verdict(
+            "bad",
+            "Columns at fault: do not use this result",
+            f"{used:,} poses were read as they stand, and {faults}. Put right, the machine meets "
+            "the readings far better. Next: correct the file, or the columns in the project, and "
+            "calibrate again.",
+        )
     if not status["converged"]:
         return Verdict(
             "bad",
@@ -71,9 +80,6 @@ def _doubts(document: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _of_data(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     found = []
-    faults = document["column_faults"] or []
-    for fault in faults:
-        found.append((fault["words"], "put the columns right and calibrate again"))
     poses = sorted({entry["pose"] for entry in document["outliers"] or []})
     if poses:
         named = ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")
@@ -84,6 +90,8 @@ def _of_data(document: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _of_model(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     found = []
+    for other in document["other_optima"] or []:
+        found.append((other["words"], "say by a prior what the drawing says"))
     loose = document["identifiability"]["not_identifiable"]
     if loose:
         names = sorted({name for entry in loose for name in entry["combination"]})

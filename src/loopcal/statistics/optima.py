@@ -48,7 +48,11 @@ class OtherOptimum:
 
     def document(self) -> dict[str, Any]:
         """Its entry in result.json."""
-        return {"parameters": self.parameters, "chi_squared": self.chi_squared}
+        return {
+            "parameters": self.parameters,
+            "chi_squared": self.chi_squared,
+            "words": str(self),
+        }
 
     def __str__(self) -> str:
         told = []
