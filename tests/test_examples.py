@@ -115,5 +115,5 @@ def test_halves_of_measured_sets_give_the_table_12_that_the_documentation_tells(
         assert new.a == pytest.approx(basic.a, abs=1e-4)
         assert abs(new.z) < 2.5
     told = "\n".join(table["report"]("grid", grid))
-    assert "diff of diffs" in told
+    assert "difference of these" in told
     assert "on the other half's poses" in told

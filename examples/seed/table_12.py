@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import loopcal as lc
-from loopcal.estimation.rounding import significant
+from loopcal.estimation.rounding import rounded_by_sd, significant
 from loopcal.estimation.summary import SHOWN, columns
 from loopcal.units import from_si
 
@@ -64,36 +64,41 @@ def _rms(fit: lc.Result, data: lc.Dataset) -> float:
 
 
 def report(title: str, found: list[Halves]) -> list[str]:
-    """Table 12 of one data set, and what it means."""
+    """Table 12 of one data set, and what it means; z beyond 1.96 is marked."""
     lines = [title, "=" * len(title), ""]
-    head = ["parameter"]
     for one in found:
-        short = "basic" if one.method == "least-squares" else "new"
-        head += [f"{short} {half}" for half in HALVES] + [f"{short} diff", "sd", "z"]
-    rows = [[*head, "diff of diffs", "unit"]]
-    first = found[0].compared.parameters
-    for i, parameter in enumerate(first):
-        if parameter.name not in found[0].fits[0].estimated:
+        lines += [one.method, "", *_table(one), "", _words(one), ""]
+    basic, new = (one.compared.parameters for one in found)
+    rows = [["parameter", "basic difference", "new difference", "difference of these", "unit"]]
+    for b, n in zip(basic, new, strict=True):
+        unit = SHOWN.get(b.unit, b.unit)
+        values = (b.difference, n.difference, b.difference - n.difference)
+        rows.append([b.name, *(f"{float(from_si(v, unit)):+.4f}" for v in values), unit])
+    return [*lines, *columns(rows), ""]
+
+
+def _table(one: Halves) -> list[str]:
+    rows = [["parameter", *HALVES, "difference", "sd", "z", "unit"]]
+    for p in one.compared.parameters:
+        unit = SHOWN.get(p.unit, p.unit)
+        row = [p.name]
+        for value, fit in zip((p.a, p.b), one.fits, strict=True):
+            row.append(_with_sd(float(from_si(value, unit)), fit.sd[p.name], unit))
+        change = float(from_si(p.difference, unit))
+        if p.sd is None or p.z is None:
+            rows.append([*row, f"{change:+.4f}", "unknown", "", unit])
             continue
-        unit = SHOWN.get(parameter.unit, parameter.unit)
-        row, changes = [parameter.name], []
-        for one in found:
-            p = one.compared.parameters[i]
-            changes.append(float(from_si(p.difference, unit)))
-            row += [f"{float(from_si(v, unit)):.4f}" for v in (p.a, p.b, p.difference)]
-            row += (
-                ["unknown", ""]
-                if p.sd is None
-                else [
-                    significant(float(from_si(p.sd, unit)), 2),
-                    "" if p.z is None else f"{p.z:+.1f}",
-                ]
-            )
-        rows.append([*row, f"{changes[0] - changes[1]:+.4f}", unit])
-    lines += [*columns(rows), ""]
-    for one in found:
-        lines += [_words(one), ""]
-    return lines
+        sd, mark = float(from_si(p.sd, unit)), " *" if abs(p.z) > 1.96 else ""
+        changed = rounded_by_sd(change, sd, sign=True)
+        rows.append([*row, changed, significant(sd, 2), f"{p.z:+.1f}{mark}", unit])
+    return columns(rows)
+
+
+def _with_sd(value: float, sd: float | None, unit: str) -> str:
+    if sd is None:
+        return significant(value, 6)
+    shown = float(from_si(sd, unit))
+    return f"{rounded_by_sd(value, shown)} ± {significant(shown, 2)}"
 
 
 def _words(one: Halves) -> str:
