@@ -156,3 +156,13 @@ def test_a_column_at_fault_is_the_verdict_and_another_optimum_a_doubt(planar: Pa
     told = verdict({**document, "column_faults": [fault]})
     assert told.grade == "bad"
     assert words in told.paragraph
+
+
+def test_what_the_machine_model_lacks_is_part_of_the_verdict(planar: Path) -> None:
+    document = document_of(planar)
+    model = {**document["noise"][0], "quantities": ["model_x"], "unit": "m", "sd": 1.37e-3}
+    told = verdict({**document, "noise": [*document["noise"], model]})
+    assert told.grade == "care"
+    assert "the model of the machine is off by an sd of 1.37 mm" in told.paragraph
+    nothing = verdict({**document, "noise": [*document["noise"], {**model, "sd": 0.0}]})
+    assert nothing == verdict(document)

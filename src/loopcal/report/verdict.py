@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from loopcal.mechanisms.model_error import PREFIX
 from loopcal.report.words import chance, size, unit_shown
 
 REJECTED = 0.01
@@ -90,6 +91,16 @@ def _of_data(document: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _of_model(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     found = []
+    for entry in document["noise"]:
+        if entry["quantities"][0].startswith(PREFIX) and entry["sd"]:
+            unit = entry["unit"]
+            found.append(
+                (
+                    "apart from every sensor, the model of the machine is off by an sd of "
+                    f"{size(entry['sd'], unit, 3)} {unit_shown(unit)}",
+                    "look for what the model lacks (compliance, eccentric gears, drift)",
+                )
+            )
     for other in document["other_optima"] or []:
         found.append((other["words"], "say by a prior what the drawing says"))
     loose = document["identifiability"]["not_identifiable"]
