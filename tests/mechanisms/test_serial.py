@@ -105,7 +105,7 @@ def test_the_chain_of_steps_gives_the_whole_frame_too() -> None:
     joints = [Joint("q1", "dh"), Joint("q2", "mdh", direction=-1)]
     p = {"a_1": 0.3, "d_1": 0.1, "alpha_1": 0.2, "offset_1": 0.4}
     p |= {"a_2": 0.5, "d_2": -0.1, "alpha_2": 0.6, "offset_2": -0.3}
-    T = product(chain_steps(joints, base=False), {"q1": 0.7, "q2": 0.9}, p)
+    T = product(chain_steps(joints), {"q1": 0.7, "q2": 0.9}, p)
     expected = frames.dh(0.3, 0.1, 0.2, 1.1) @ frames.modified_dh(0.5, -0.1, 0.6, -1.2)
     assert pytest.approx(expected, abs=1e-15) == T
 

@@ -36,6 +36,25 @@ class Placement(Protocol):
 
 
 @dataclass(frozen=True)
+class Family:
+    """Loops that stand or fall together: there only in the poses in which their readings are.
+
+    loops: names of its equations; readings: the quantities that belong to it alone, each of
+    which follows from the loops and everything else. In a pose without any of these readings the
+    loops would say nothing, and are left out. form: what the readings are together: "point"
+    (x, y, z or x, y), "spherical" (range, azimuth, elevation), "length", "angle", "pose" (a point
+    and three small turns), "closure" (a machine's own loops in a second pose); placement: how the
+    parameters that place the instrument change when the machine is moved.
+    """
+
+    name: str
+    loops: tuple[str, ...]
+    readings: tuple[str, ...]
+    form: str = "point"
+    placement: Placement | None = None
+
+
+@dataclass(frozen=True)
 class Mechanism:
     """Loop equations f(x, p) = 0 with their names, units and nominal values.
 
@@ -44,6 +63,9 @@ class Mechanism:
     the loop predicts from the rest (the end point of an arm; may be empty); tape: the loops.
     description: what a mechanism file says to build this mechanism, None if it was written as
     a function; placement: how the parameters change when the machine is moved, if known.
+    families: loops that hold only where their own readings are; home: quantity -> value [SI] from
+    which the search for it begins where it is not read; implied: quantity -> reading [SI] that it
+    has in every pose by construction, unless the data say otherwise.
     """
 
     name: str
@@ -54,6 +76,9 @@ class Mechanism:
     known: Mapping[str, str] = field(default_factory=dict)
     description: Mapping[str, Any] | None = None
     placement: Placement | None = None
+    families: tuple[Family, ...] = ()
+    home: Mapping[str, float] = field(default_factory=dict)
+    implied: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def from_function(

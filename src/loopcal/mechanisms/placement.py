@@ -1,9 +1,9 @@
 """Moving a machine rigidly, in terms of its own parameters.
 
 An instrument may stand anywhere, so a calibration starts by moving the nominal machine to where
-the instrument sees it. Where six base parameters hold the placement, only they change. The
-seed's minimal transitions have none: there the joint axes are moved as lines, and every
-transition's parameters are found again from where its axis pierces its plane.
+the instrument sees it. Where a station's parameters hold the placement, only they change (see
+`station`). The seed's minimal transitions have none: there the joint axes are moved as lines, and
+every transition's parameters are found again from where its axis pierces its plane.
 """
 
 from __future__ import annotations
@@ -44,47 +44,28 @@ def yaw_pitch_roll(rotation: Array) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class ChainPlacement:
-    """Placement of a serial chain; `parameters` are those that only say where it stands."""
+    """Placement of a chain of transitions; `parameters` are those that only say where it stands."""
 
     steps: tuple[Step, ...]
     tool: tuple[str, str, str]
-    base: bool
     parameters: tuple[str, ...]
 
     @classmethod
-    def of(
-        cls,
-        steps: Sequence[Step],
-        tool: tuple[str, str, str],
-        *,
-        joints_are_transitions: bool,
-        base: bool,
-    ) -> ChainPlacement | None:
+    def of(cls, steps: Sequence[Step], tool: tuple[str, str, str]) -> ChainPlacement | None:
         """The placement of a chain, None where its parameters cannot express a rigid motion."""
-        if base:
-            names = tuple(s.parameter for s in steps[:6] if s.parameter)
-            return cls(tuple(steps), tool, True, names)
-        if joints_are_transitions and len([s for s in steps if s.joint]) > 1:
-            # six of the first two transitions' eight: the other two are the machine's own
-            names = tuple(s.parameter for s in steps if s.parameter)[:8]
-            second = names[4:]
-            return cls(tuple(steps), tool, False, (*names[:4], second[1], second[3]))
-        return None
+        if len([s for s in steps if s.joint]) < 2:
+            return None
+        # six of the first two transitions' eight: the other two are the machine's own
+        names = tuple(s.parameter for s in steps if s.parameter)[:8]
+        second = names[4:]
+        return cls(tuple(steps), tool, (*names[:4], second[1], second[3]))
 
     def moved(self, values: Mapping[str, float], rotation: Array, shift: Array) -> dict[str, float]:
         """The parameters of the chain moved by p -> rotation @ p + shift, both in 3D."""
-        T = rigid(rotation, shift)
-        if self.base:
-            placed = T @ product(self.steps[:6], _NO_JOINTS, values)
-            angles = yaw_pitch_roll(placed[:3, :3])
-            new = (*placed[:3, 3], *angles)
-            return dict(values) | dict(zip(self.parameters, map(float, new), strict=True))
-        return self._moved_transitions(values, T)
+        return self._moved_transitions(values, rigid(rotation, shift))
 
     def advice(self, values: Mapping[str, float]) -> tuple[str, ...]:
         """Warns of transitions whose axis meets its plane at a flat angle."""
-        if self.base:
-            return ()
         own: list[Step] = []
         words = []
         for step in self.steps:

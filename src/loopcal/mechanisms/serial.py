@@ -18,20 +18,20 @@ A prismatic joint moves along the axis about which a revolute one turns.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from loopcal.errors import InputError, nearest
-from loopcal.expressions.trace import Inputs
-from loopcal.expressions.vectors import vector
-from loopcal.mechanisms.chain import MOTIONS, Step, apply
+from loopcal.mechanisms.chain import MOTIONS, Step
+from loopcal.mechanisms.frame import ChainFrame
+from loopcal.mechanisms.instruments.point import point as cartesian
+from loopcal.mechanisms.machine import Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.placement import ChainPlacement
+from loopcal.mechanisms.station import Station, Target
 
 _PLANES = {"z": "xy", "y": "xz", "x": "yz"}
-BASE = ("x", "y", "z", "rz", "ry", "rx")
-"""The base's placement: T_instrument_base = Tx Ty Tz Rz Ry Rx (yaw, pitch, roll)."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def joint_steps(joint: Joint, number: int) -> list[Step]:
 
 def base_names() -> tuple[str, ...]:
     """Names of the six parameters of the base's placement."""
-    return tuple(f"base_{key}" for key in BASE)
+    return Station("base").parameters
 
 
 def tool_names(joints: Sequence[Joint]) -> tuple[str, str, str]:
@@ -135,15 +135,38 @@ def tool_names(joints: Sequence[Joint]) -> tuple[str, str, str]:
     return ("tool_x", "tool_y", "tool_z")
 
 
-def chain_steps(joints: Sequence[Joint], base: bool) -> tuple[Step, ...]:
-    """All steps of an arm, from the instrument's frame to the last link's."""
-    steps = []
-    if base:
-        motions = [f"t{key}" if len(key) == 1 else key for key in BASE]
-        steps = [Step(m, name) for m, name in zip(motions, base_names(), strict=True)]
-    for number, joint in enumerate(joints, 1):
-        steps += joint_steps(joint, number)
-    return tuple(steps)
+def chain_steps(joints: Sequence[Joint]) -> tuple[Step, ...]:
+    """All steps of an arm, from its base to the last link's frame."""
+    return tuple(
+        step for number, joint in enumerate(joints, 1) for step in joint_steps(joint, number)
+    )
+
+
+def chain_machine(
+    steps: Sequence[Step], *, name: str, description: Mapping[str, Any] | None = None
+) -> Machine:
+    """The machine whose body is the last frame of a chain; its parameters are nominally 0."""
+    steps = tuple(steps)
+    return Machine(
+        name,
+        {step.joint: step.unit for step in steps if step.joint},
+        {s.parameter: Parameter(s.parameter, 0.0, s.unit) for s in steps if s.parameter},
+        lambda x, p: ChainFrame(steps, x, p),
+        description=description or {},
+    )
+
+
+def serial_machine(joints: Sequence[Joint], *, name: str = "serial arm") -> Machine:
+    """A serial arm without any instrument; joints from the base to the tip.
+
+    Raises InputError for an arm without joints, or with two joints of one name.
+    """
+    joints = tuple(joints)
+    if not joints:
+        raise InputError("a serial arm has no joints", remedy="list at least one joint")
+    _check_distinct([joint.name for joint in joints])
+    described = {"type": "serial", "joints": list(joints)}
+    return chain_machine(chain_steps(joints), name=name, description=described)
 
 
 def serial_arm(
@@ -165,49 +188,18 @@ def serial_arm(
 
     Raises InputError for a joint or parameter name that is not one of this arm's.
     """
-    joints = tuple(joints)
-    if not joints:
-        raise InputError("a serial arm has no joints", remedy="list at least one joint")
-    _check_distinct([*(joint.name for joint in joints), *point])
+    machine = serial_machine(joints, name=name)
+    _check_distinct([*machine.quantities, *point])
     tool = tool_names(joints)
-    base = tool[0] == "tool_x" if base is None else base
-    steps = chain_steps(joints, base)
-    units = {s.parameter: s.unit for s in steps if s.parameter} | dict.fromkeys(tool, "m")
-    for given in nominal:
-        if given not in units:
-            raise InputError(f"there is no parameter {given!r}", remedy=nearest(given, units))
-
-    def loops(x: Inputs, p: Inputs) -> list[Any]:
-        tip = vector(*(p[t] for t in tool))
-        reached = apply(steps, tip, x, p)  # type: ignore[arg-type]
-        return [reached[i] - x[point[i]] for i in range(3)]
-
-    def parameter(key: str, unit: str) -> Parameter:
-        value = nominal.get(key, 0.0)
-        return value if isinstance(value, Parameter) else Parameter(key, float(value), unit)
-
-    moving = {step.joint: step.unit for step in steps if step.joint}
-    mechanism = Mechanism.from_function(
-        loops,
-        quantities={**moving, **dict.fromkeys(point, "m")},
-        parameters={key: parameter(key, unit) for key, unit in units.items()},
-        outputs=point,
-        loops=point,
-        name=name,
-    )
-    placement = ChainPlacement.of(
-        steps, tool, joints_are_transitions=tool[0] != "tool_x", base=base
-    )
+    transitions = tool[0] != "tool_x"
+    base = not transitions if base is None else base
+    instrument = cartesian(readings=point, station="base" if base else None, target=Target(tool))
+    made = assemble(machine, [instrument], nominal)
+    placement = made.placement
+    if transitions and not base:
+        placement = ChainPlacement.of(chain_steps(joints), tool)
     described = {"type": "serial", "base": base, "point": list(point), "joints": list(joints)}
-    return Mechanism(
-        name,
-        mechanism.tape,
-        mechanism.quantities,
-        mechanism.parameters,
-        mechanism.outputs,
-        description=described,
-        placement=placement,
-    )
+    return replace(made, description=described, placement=placement)
 
 
 def _check_distinct(names: Sequence[str]) -> None:

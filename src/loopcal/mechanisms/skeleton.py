@@ -11,6 +11,7 @@ from loopcal.mechanisms.chain import product
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.serial import chain_steps, tool_names
+from loopcal.mechanisms.station import Station
 
 Array = NDArray[np.float64]
 
@@ -28,7 +29,8 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     if isinstance(mechanism.placement, ChainPlacement):
         steps, tool = mechanism.placement.steps, mechanism.placement.tool
     elif described.get("type") == "serial":
-        steps = chain_steps(described["joints"], described["base"])
+        base = Station("base" if described["base"] else None).steps
+        steps = (*base, *chain_steps(described["joints"]))
         tool = tool_names(described["joints"])
     else:
         return None

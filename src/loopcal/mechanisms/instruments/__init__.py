@@ -1,0 +1,1 @@
+"""Instruments, composable with any machine: see `loopcal.mechanisms.machine`."""

@@ -1,0 +1,62 @@
+"""A point of the body, read as coordinates in the frame of a station: trackers, arms, cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from loopcal.errors import InputError
+from loopcal.mechanisms.frame import Frame, Values
+from loopcal.mechanisms.machine import Instrument
+from loopcal.mechanisms.station import Station, Target
+
+AXES = ("x", "y", "z")
+
+
+def point(
+    name: str = "point",
+    *,
+    readings: Sequence[str] = AXES,
+    station: str | None = "base",
+    target: str | Target = "tool",
+    dimension: int = 3,
+) -> Instrument:
+    """Cartesian coordinates of a target in the frame of a station.
+
+    Loops: T_station_base T_base_body p_target - (x, y, z) = 0 [m], in a plane x and y alone.
+    readings: names of the coordinates; station: name of the station, whose six parameters
+    (three in a plane) are STATION_x ... STATION_rx, None where coordinates are those of the
+    machine's base; target: the point fixed to the body, by its name (parameters TARGET_x, _y, _z)
+    or as a `Target`.
+
+    Raises InputError for a number of coordinates that is not the dimension.
+    """
+    if len(readings) != dimension:
+        raise InputError(
+            f"the instrument {name!r} reads {len(readings)} coordinates of a point in a space of "
+            f"{dimension}",
+            remedy=f"name {dimension} coordinates",
+        )
+    stands = Station(station, dimension)
+    looked_at = Target.named(target, dimension) if isinstance(target, str) else target
+
+    def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
+        seen = stands.seen(frames[0].point(looked_at.point(p)), p)
+        return [seen[i] - x[reading] for i, reading in enumerate(readings)]
+
+    return Instrument(
+        name,
+        dict.fromkeys(readings, "m"),
+        looked_at.declared,
+        equations,
+        "point",
+        placement=stands.declared,
+        place=None if station is None else stands,
+        description={
+            "type": "point",
+            "name": name,
+            "readings": list(readings),
+            "station": station,
+            "target": target if isinstance(target, str) else list(target.parameters),
+        },
+    )

@@ -1,0 +1,165 @@
+"""Machines and instruments apart, and the mechanism that they make together.
+
+A machine says what moves: joints, passive joints and platforms with the loops that tie them, and
+the frame of the body that is looked at. An instrument says what is read of that body. Each of an
+instrument's loops predicts one of its own readings, and it is there in those poses only in which
+the instrument was read. Parameters of the same name are the same parameter, wherever they stand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from loopcal.errors import InputError, nearest
+from loopcal.mechanisms.frame import Frame, Values
+from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
+from loopcal.mechanisms.parameters import Parameter
+
+ENDS = ("", "_b")
+"""What is appended to a machine's quantities where two of its poses stand in one row."""
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What moves, without any instrument.
+
+    quantities: joints, passive joints and platform coordinates, name -> SI unit; parameters by
+    name; frame(x, p): T_base_body; equations(x, p): values of the closure loops, named in
+    `loops`; home: a typical value [SI] of the quantities that nobody may read, from which the
+    search for them begins; known: constants that vary by pose; dimension: 2 for a machine that
+    moves in the plane z = 0; description: what a mechanism file says to build it.
+    """
+
+    name: str
+    quantities: Mapping[str, str]
+    parameters: Mapping[str, Parameter]
+    frame: Callable[[Values, Values], Frame]
+    loops: tuple[str, ...] = ()
+    equations: Callable[[Values, Values], Sequence[Any]] = lambda x, p: ()
+    home: Mapping[str, float] = field(default_factory=dict)
+    known: Mapping[str, str] = field(default_factory=dict)
+    dimension: int = 3
+    description: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """What is read of a machine's body.
+
+    readings: its own quantities, name -> SI unit; equations(frames, x, p): one loop value for
+    each of `loops`, as many as readings, such that each reading follows from the rest; frames are
+    those of the bodies in the machine's base, one for each pose that a row holds (`ends`).
+    placement: parameters that say where it stands, with `place` telling how they change when the
+    machine is moved; parameters: the others (reflector, anchor, length); known: constants that
+    vary by pose; implied: readings that are the same in every pose by construction, such as the
+    gap between a ball and its socket; form: what the readings are together, see `Family`.
+    """
+
+    name: str
+    readings: Mapping[str, str]
+    parameters: Mapping[str, Parameter]
+    equations: Callable[[Sequence[Frame], Values, Values], Sequence[Any]]
+    form: str
+    placement: Mapping[str, Parameter] = field(default_factory=dict)
+    place: Placement | None = None
+    known: Mapping[str, str] = field(default_factory=dict)
+    implied: Mapping[str, float] = field(default_factory=dict)
+    ends: int = 1
+    description: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def loops(self) -> tuple[str, ...]:
+        """Names of its loop equations: those of its readings."""
+        return tuple(self.readings)
+
+
+def assemble(
+    machine: Machine,
+    instruments: Sequence[Instrument] = (),
+    nominal: Mapping[str, float | Parameter] | None = None,
+) -> Mechanism:
+    """The mechanism of a machine and the instruments that look at it.
+
+    nominal: values [SI] of parameters by name, in place of their own. Without instruments only
+    the machine's own loops are there: it calibrates itself if its sensors are redundant.
+
+    Raises InputError for readings or instruments of one name, and for parameters that are not
+    there.
+    """
+    ends = max((i.ends for i in instruments), default=1)
+    quantities = {q + end: u for end in ENDS[:ends] for q, u in machine.quantities.items()}
+    _refuse_repeated([*quantities, *(q for i in instruments for q in i.readings)])
+    _refuse_repeated([i.name for i in instruments], "instruments")
+    closure = [loop + end for end in ENDS[:ends] for loop in machine.loops]
+    known = {name + end: u for end in ENDS[:ends] for name, u in machine.known.items()}
+    parameters: dict[str, Parameter] = {}
+    for part in (
+        *(i.placement for i in instruments),
+        machine.parameters,
+        *(i.parameters for i in instruments),
+    ):
+        parameters |= {name: p for name, p in part.items() if name not in parameters}
+    parameters |= _stated(parameters, nominal or {})
+
+    def loops(x: Any, p: Any) -> list[Any]:
+        own = [*machine.quantities, *machine.known]
+        rows = [{name: x[name + end] for name in own} for end in ENDS[:ends]]
+        values = [value for row in rows for value in machine.equations(row, p)]
+        frames = [machine.frame(row, p) for row in rows]
+        for instrument in instruments:
+            values += instrument.equations(frames, x, p)
+        return values
+
+    measured = {q: u for i in instruments for q, u in i.readings.items()}
+    made = Mechanism.from_function(
+        loops,
+        quantities=quantities | measured,
+        parameters=parameters,
+        outputs=[q for i in instruments for q in i.readings if q not in i.implied],
+        known=known | {name: u for i in instruments for name, u in i.known.items()},
+        loops=[*closure, *measured],
+        name=machine.name,
+    )
+    return replace(
+        made,
+        families=tuple(_families(machine, instruments, ends)),
+        home={q + end: v for end in ENDS[:ends] for q, v in machine.home.items()},
+        implied={q: v for i in instruments for q, v in i.implied.items()},
+        placement=instruments[0].place if len(instruments) == 1 else None,
+        description={**machine.description, "instrument": [i.description for i in instruments]},
+    )
+
+
+def _families(machine: Machine, instruments: Sequence[Instrument], ends: int) -> Iterable[Family]:
+    if ends > 1 and machine.loops:
+        loops = tuple(loop + ENDS[1] for loop in machine.loops)
+        yield Family(
+            "second pose", loops, tuple(q + ENDS[1] for q in machine.quantities), "closure"
+        )
+    for i in instruments:
+        yield Family(i.name, i.loops, tuple(i.readings), i.form, i.place)
+
+
+def _stated(
+    own: Mapping[str, Parameter], nominal: Mapping[str, float | Parameter]
+) -> dict[str, Parameter]:
+    """The parameters that are given other values."""
+    for name in nominal:
+        if name not in own:
+            raise InputError(f"there is no parameter {name!r}", remedy=nearest(name, own))
+    return {
+        name: replace(given, name=name)
+        if isinstance(given, Parameter)
+        else replace(own[name], nominal=float(given))
+        for name, given in nominal.items()
+    }
+
+
+def _refuse_repeated(names: Sequence[str], what: str = "readings") -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"{name!r} names two {what} of the mechanism", remedy="name each differently"
+            )
