@@ -62,7 +62,7 @@ def test_an_unmeasured_coordinate_is_its_equation_left_out() -> None:
 
     def without_z(x: Any, p: Any) -> Any:
         assert machine.description is not None
-        steps = chain_steps(machine.description["joints"], base=False)
+        steps = chain_steps(machine.description["joints"])
         tip = vector(p["x3B"], p["y3B"], p["z3B"])
         reached = apply(steps, tip, x, p)
         return reached[0] - x["x"], reached[1] - x["y"]

@@ -6,43 +6,47 @@ one are in the file's `units`, and without these in SI (m, rad). `mechanism_writ
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError, nearest
-from loopcal.files.parameter_entries import changed, declared_here, in_si
+from loopcal.files.parameter_entries import changed, declared_here
 from loopcal.files.place import Place
+from loopcal.files.serial_entries import motoman, serial
 from loopcal.files.toml_reader import checked_schema, read_toml, shown
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_ma1400
 from loopcal.mechanisms.planar import planar_two_link
-from loopcal.mechanisms.serial import Joint, base_names, parameter_keys, serial_arm, tool_names
-from loopcal.mechanisms.serial import parameter_name as serial_name
 from loopcal.units import unit
 
 if TYPE_CHECKING:
-    from loopcal.files.mechanism_schema import Function, JointEntry, Motoman, Serial, Value
+    from loopcal.files.mechanism_schema import Function, PlanarTwoLink
 
 Loops = Callable[..., Iterable[Any]]
 """A function f(x, p) of loop equations."""
 
 
-def read_mechanism(path: str | Path, *, function: Loops | Mechanism | None = None) -> Mechanism:
+def read_mechanism(
+    path: str | Path,
+    *,
+    function: Loops | Mechanism | None = None,
+    instruments: Sequence[Mapping[str, Any]] | None = None,
+) -> Mechanism:
     """The mechanism of a file.
 
     function: for a file of the type "function", which declares everything but the code: the
-    loops f(x, p), or the mechanism made of them, whose values the file then replaces.
+    loops f(x, p), or the mechanism made of them, whose values the file then replaces;
+    instruments: [[instrument]] tables in place of the file's own.
 
     Raises InputError, naming file and key, for all that cannot be read or does not fit.
     """
     data = read_toml(path)
     place = Place(shown(path))
     checked_schema(data, place)
-    return mechanism_from_data(
-        {key: value for key, value in data.items() if key != "schema"}, place, function=function
-    )
+    stated = {key: value for key, value in data.items() if key != "schema"}
+    if instruments is not None:
+        stated["instrument"] = list(instruments)
+    return mechanism_from_data(stated, place, function=function)
 
 
 def read_arm(path: str | Path) -> Mechanism | None:
@@ -88,93 +92,24 @@ def mechanism_from_data(
             remedy='leave the function out, or describe the mechanism as type = "function"',
         )
     units = model.units.by_dimension()
-    if isinstance(model, schema.Serial):
-        made = _serial(model, units, place)
-    elif isinstance(model, schema.Motoman):
-        made = _motoman(model, units, place)
-    else:
-        made = planar_two_link(name=model.name)
+    try:
+        made = BUILDERS[kind](model, units, place)
+    except InputError as error:
+        raise error if error.place else error.at(str(place)) from None
     entries = changed(made.parameters, model.parameters, place.at("parameters"), units)
     return made.with_parameters(entries)
 
 
-def _serial(model: Serial, units: Mapping[str, str], place: Place) -> Mechanism:
-    _refuse_repeated([joint.name for joint in model.joint], model.point, place)
-    joints, nominal = [], {}
-    for i, entry in enumerate(model.joint):
-        here = place.at("joint", i)
-        joints.append(_joint(entry, units, here))
-        keys = parameter_keys(entry.form)
-        for key, value in entry.nominal().items():
-            if key not in keys:
-                raise InputError(
-                    f"a joint of the form {entry.form!r} has no {key!r}",
-                    place=str(here.at(key)),
-                    remedy=f"its nominal values are {', '.join(keys)}",
-                )
-            si = "rad" if key in ("alpha", "beta", "offset") or key.startswith("phi") else "m"
-            nominal[serial_name(entry.form, key, i + 1)] = _si(value, si, units, here.at(key))
-    tool = dict(zip("xyz", tool_names(joints), strict=True))
-    for axis, name in tool.items():
-        given = getattr(model.tool, axis)
-        if given is not None:
-            nominal[name] = _si(given, "m", units, place.at("tool", axis))
-    base = model.base if isinstance(model.base, bool | None) else True
-    if not isinstance(model.base, bool | None):
-        for name in base_names():
-            key = name.removeprefix("base_")
-            given = getattr(model.base, key)
-            if given is not None:
-                si = "rad" if key.startswith("r") else "m"
-                nominal[name] = _si(given, si, units, place.at("base", key))
-    x, y, z = model.point
-    try:
-        return serial_arm(joints, nominal, base=base, point=(x, y, z), name=model.name)
-    except InputError as error:
-        raise error.at(str(place)) from None
+def _planar(model: PlanarTwoLink, units: Mapping[str, str], place: Place) -> Mechanism:
+    return planar_two_link(name=model.name)
 
 
-def _joint(entry: JointEntry, units: Mapping[str, str], place: Place) -> Joint:
-    return Joint(
-        entry.name,
-        entry.form,
-        entry.kind,
-        entry.direction,
-        _motions(entry.before, units, place.at("before")),
-        _motions(entry.after, units, place.at("after")),
-    )
-
-
-def _motoman(model: Motoman, units: Mapping[str, str], place: Place) -> Mechanism:
-    before = _motions(model.before, units, place.at("before"))
-    return motoman_ma1400(before=before, name=model.name)
-
-
-def _motions(
-    given: Mapping[Any, Value], units: Mapping[str, str], place: Place
-) -> dict[str, float]:
-    return {
-        motion: _si(value, "m" if motion[0] == "t" else "rad", units, place.at(motion))
-        for motion, value in given.items()
-    }
-
-
-def _si(value: Value, si: str, units: Mapping[str, str], place: Place) -> float:
-    number = in_si(value.value, value.unit, si, place, units)
-    if not math.isfinite(number):
-        raise InputError(f"{value.value!r} is given", place=str(place), remedy="give less")
-    return number
-
-
-def _refuse_repeated(joints: list[str], point: list[str], place: Place) -> None:
-    seen: set[str] = set()
-    for i, name in enumerate([*joints, *point]):
-        if name in seen:
-            here = place.at("joint", i, "name") if i < len(joints) else place.at("point")
-            raise InputError(
-                f"{name!r} names two quantities", place=str(here), remedy="name each differently"
-            )
-        seen.add(name)
+BUILDERS: dict[str, Callable[[Any, Mapping[str, str], Place], Mechanism]] = {
+    "planar-two-link": _planar,
+    "serial": serial,
+    "motoman-ma1400": motoman,
+}
+"""By type, what makes a mechanism of the model of its table."""
 
 
 def _function(

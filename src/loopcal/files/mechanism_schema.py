@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag
 
+from loopcal.files.instrument_schema import Instruments
 from loopcal.files.model import Finite, Model, Sd, UnitName, complaint, plain_number_as
 from loopcal.units import unit
 
@@ -157,6 +158,7 @@ class Serial(Model):
         default=["x", "y", "z"], description="Names of the measured coordinates."
     )
     joint: list[JointEntry] = Field(min_length=1, description="From the base to the tip.")
+    instrument: Instruments | None = None
     parameters: ParameterEntries = Field(default={})
 
 
@@ -193,6 +195,12 @@ class Function(Model):
 
 
 AnyMechanism = PlanarTwoLink | Serial | Motoman | Function
+TaggedMechanism = (
+    Annotated[PlanarTwoLink, Tag("planar-two-link")]
+    | Annotated[Serial, Tag("serial")]
+    | Annotated[Motoman, Tag("motoman-ma1400")]
+    | Annotated[Function, Tag("function")]
+)
 TYPES: dict[str, type[AnyMechanism]] = {
     "planar-two-link": PlanarTwoLink,
     "serial": Serial,

@@ -30,7 +30,9 @@ def mechanism_to_toml(mechanism: Mechanism) -> str:
     ]
     parts = [
         *head,
+        *([_line("instrument", [])] if described.get("instrument") == [] else []),
         *_structure(mechanism, described),
+        *_instruments(described.get("instrument", [])),
         "",
         "# value: nominal; sd: how well it is known beforehand, absent where not at all;",
         "# fixed = true: not estimated.",
@@ -48,7 +50,7 @@ _REMARKS = {
 def _structure(mechanism: Mechanism, described: Mapping[str, Any]) -> list[str]:
     match described["type"]:
         case "serial":
-            lines = [_line("base", described["base"]), _line("point", described["point"])]
+            lines = [_line(key, described[key]) for key in ("base", "point") if key in described]
             for joint in described["joints"]:
                 lines += ["", *_joint(joint)]
             return lines
@@ -63,6 +65,14 @@ def _structure(mechanism: Mechanism, described: Mapping[str, Any]) -> list[str]:
             ]
         case _:
             return []
+
+
+def _instruments(listed: Sequence[Mapping[str, Any]]) -> list[str]:
+    return [
+        line
+        for entry in listed
+        for line in ("", "[[instrument]]", *(_line(key, value) for key, value in entry.items()))
+    ]
 
 
 def _joint(joint: Joint) -> list[str]:

@@ -202,7 +202,7 @@ def stated_mechanism(
         return given
     if "file" in stated:
         path = expanded(stated["file"], folder, here.at("file"))
-        return read_mechanism(path, function=given)
+        return read_mechanism(path, function=given, instruments=stated.get("instrument"))
     return mechanism_from_data(stated, here, function=given, parameters=model.parameters)
 
 

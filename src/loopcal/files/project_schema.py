@@ -9,15 +9,8 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from loopcal.files.mechanism_schema import (
-    Function,
-    Motoman,
-    ParameterEntries,
-    PlanarTwoLink,
-    Serial,
-    Units,
-    Value,
-)
+from loopcal.files.instrument_schema import Instruments
+from loopcal.files.mechanism_schema import ParameterEntries, TaggedMechanism, Units, Value
 from loopcal.files.model import (
     Finite,
     Model,
@@ -39,6 +32,9 @@ class MechanismFile(Model):
         "by the environment variable NAME.",
         examples=["arm.toml"],
     )
+    instrument: Instruments | None = Field(
+        default=None, description="What is read of the machine, in place of the file's own."
+    )
 
 
 def _mechanism_form(value: Any) -> str:
@@ -48,12 +44,7 @@ def _mechanism_form(value: Any) -> str:
 
 
 MechanismEntry = Annotated[
-    Annotated[MechanismFile, Tag("file")]
-    | Annotated[PlanarTwoLink, Tag("planar-two-link")]
-    | Annotated[Serial, Tag("serial")]
-    | Annotated[Motoman, Tag("motoman-ma1400")]
-    | Annotated[Function, Tag("function")],
-    Discriminator(_mechanism_form),
+    Annotated[MechanismFile, Tag("file")] | TaggedMechanism, Discriminator(_mechanism_form)
 ]
 
 

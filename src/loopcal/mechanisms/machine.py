@@ -94,6 +94,12 @@ def assemble(
     _refuse_repeated([i.name for i in instruments], "instruments")
     closure = [loop + end for end in ENDS[:ends] for loop in machine.loops]
     known = {name + end: u for end in ENDS[:ends] for name, u in machine.known.items()}
+    if not closure and not instruments:
+        raise InputError(
+            f"{machine.name!r} has no loop: nothing is read but its joints, and they may stand "
+            "anywhere",
+            remedy="add an instrument that looks at it",
+        )
     parameters: dict[str, Parameter] = {}
     for part in (
         *(i.placement for i in instruments),

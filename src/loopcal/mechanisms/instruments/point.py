@@ -56,7 +56,7 @@ def point(
             "type": "point",
             "name": name,
             "readings": list(readings),
-            "station": station,
+            "station": station or False,
             "target": target if isinstance(target, str) else list(target.parameters),
         },
     )

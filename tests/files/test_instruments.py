@@ -1,0 +1,75 @@
+"""Instruments in mechanism files: read, refused and written as they were."""
+
+from __future__ import annotations
+
+import pytest
+
+from loopcal.errors import InputError
+from loopcal.files.mechanism_file import mechanism_from_data
+from loopcal.files.mechanism_writer import mechanism_to_toml
+from loopcal.files.place import Place
+from loopcal.files.toml_reader import toml_data
+from loopcal.mechanisms.mechanism import Mechanism
+
+ARM = """
+type = "serial"
+[[joint]]
+name = "q1"
+a = 0.4
+alpha = 1.0
+[[joint]]
+name = "q2"
+a = 0.3
+"""
+TWO_STATIONS = """
+[[instrument]]
+type = "point"
+name = "east"
+readings = ["x_east", "y_east", "z_east"]
+station = "east"
+[[instrument]]
+type = "point"
+name = "west"
+readings = ["x_west", "y_west", "z_west"]
+station = "west"
+target = "elbow"
+[parameters]
+east_x = 2.0
+"""
+
+
+def read(text: str) -> Mechanism:
+    data = {k: v for k, v in toml_data(text, "arm.toml").items() if k != "schema"}
+    return mechanism_from_data(data, Place("arm.toml"))
+
+
+def test_stations_and_targets_are_named_and_written_again_bit_for_bit() -> None:
+    mechanism = read(ARM + TWO_STATIONS)
+    assert mechanism.parameters.names[:2] == ("east_x", "east_y")
+    assert mechanism.parameters["east_x"].nominal == 2.0
+    assert {"west_rx", "tool_z", "elbow_x"} <= set(mechanism.parameters.names)
+    assert [family.name for family in mechanism.families] == ["east", "west"]
+    again = read(mechanism_to_toml(mechanism))
+    assert again == mechanism
+
+
+def test_an_arm_without_instruments_has_no_loop_and_says_so() -> None:
+    with pytest.raises(InputError, match="no loop"):
+        read("instrument = []\n" + ARM)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (ARM + '[[instrument]]\ntype = "pointt"\n', "pointt"),
+        (ARM + '[[instrument]]\ntype = "point"\nreadings = ["x", "y"]\n', "2 coordinates"),
+        (ARM + '[[instrument]]\ntype = "point"\nreadings = ["x", "y", "q1"]\n', "'q1' names two"),
+        (ARM + 2 * '[[instrument]]\ntype = "point"\n', "names two"),
+        ("base = true\n" + ARM + '[[instrument]]\ntype = "point"\n', "'base' describes"),
+    ],
+)
+def test_instruments_that_do_not_fit_are_refused(text: str, words: str) -> None:
+    with pytest.raises(InputError, match=words) as refused:
+        read(text)
+    assert str(refused.value).startswith("arm.toml")
+    assert refused.value.remedy
