@@ -33,7 +33,8 @@ from loopcal.estimation.robust import robust_covariance, solve_robust
 from loopcal.estimation.scratch import one_blas_thread
 from loopcal.estimation.seed_iteration import iterate_undamped
 from loopcal.estimation.solver import Progress, Solution, solve
-from loopcal.expressions.engine import Stage, engine_for
+from loopcal.estimation.sweep import Sweeper
+from loopcal.expressions.engine import Stage
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -278,17 +279,22 @@ def _in_words(combination: Mapping[str, float]) -> str:
 def _residuals(
     problem: Problem, parameters: Array, corrections: Array | None = None
 ) -> Mapping[str, Array]:
-    """Loop values with these corrections; unmeasured quantities stay where the fit left them."""
-    tape = problem.mechanism.tape
-    out = np.empty((len(tape.loops), len(problem.poses)))
-    engine = engine_for(tape, problem.names, problem.block)
-    engine.at(parameters)
-    for _, poses in problem.blocks():
+    """Loop values with these corrections, NaN where a loop does not hold.
+
+    Unmeasured quantities stay where the fit left them.
+    """
+    loops = problem.mechanism.tape.loops
+    out = np.full((len(loops), len(problem.poses)), np.nan)
+    sweeper = Sweeper(problem)
+    sweeper.at(parameters)
+    for pattern, poses in problem.blocks():
         x = problem.readings[:, poses]
         if corrections is not None:
             x = x + corrections[:, poses]
-        out[:, poses] = engine.evaluate(x, problem.known[:, poses], Stage.VALUES).f
-    return frozen(dict(zip(tape.loops, out, strict=True)))
+        values = sweeper.engine(pattern).evaluate(x, problem.known[:, poses], Stage.VALUES).f
+        for row, loop in enumerate(pattern.loops):
+            out[loop, poses] = values[row]
+    return frozen(dict(zip(loops, out, strict=True)))
 
 
 def _differences(

@@ -77,21 +77,20 @@ def linear_model(
     the reweighted fit does.
     """
     sweeper = Sweeper(problem)
-    sweeper.engine.at(parameters)
+    sweeper.at(parameters)
     blocks = []
-    for unmeasured, poses in problem.blocks():
-        noise = sweeper.noise(unmeasured, poses)
+    for pattern, poses in problem.blocks():
+        noise, engine = sweeper.noise(pattern, poses), sweeper.engine(pattern)
+        unmeasured = list(pattern.unmeasured)
         start = corrections[:, poses]
-        values = sweeper.engine.evaluate(
-            problem.readings[:, poses] + start, problem.known[:, poses]
-        )
+        values = engine.evaluate(problem.readings[:, poses] + start, problem.known[:, poses])
         measured = list(noise.measured)
         f, J, D = values.f.copy(), values.by_quantity[measured], values.by_parameter.copy()
-        columns = values.by_quantity[list(unmeasured)]
+        columns = values.by_quantity[unmeasured]
         if at_readings:
             read = problem.readings[:, poses].copy()
-            read[list(unmeasured)] += start[list(unmeasured)]
-            D = sweeper.engine.evaluate(read, problem.known[:, poses]).by_parameter.copy()
+            read[unmeasured] += start[unmeasured]
+            D = engine.evaluate(read, problem.known[:, poses]).by_parameter.copy()
         skip = len(unmeasured)
         if skip:
             reflections = eliminate(columns)

@@ -45,21 +45,21 @@ def pose_equations(
     stand, as the reweighted fit does.
     """
     sweeper = Sweeper(problem, exact=exact)
-    sweeper.engine.at(parameters)
-    m = len(problem.mechanism.tape.loops)
+    sweeper.at(parameters)
     everything = np.arange(len(problem.poses))
     found = []
-    for unmeasured, poses in problem.blocks():
-        noise = sweeper.noise(unmeasured, poses)
+    for pattern, poses in problem.blocks():
+        noise, engine = sweeper.noise(pattern, poses), sweeper.engine(pattern)
+        unmeasured = list(pattern.unmeasured)
         start, known = corrections[:, poses], problem.known[:, poses]
         x = problem.readings[:, poses] + start
         J_p = None
         if at_readings:
             read = problem.readings[:, poses].copy()
-            read[list(unmeasured)] = x[list(unmeasured)]
-            J_p = sweeper.engine.evaluate(read, known).by_parameter.copy()
-        values = sweeper.engine.evaluate(x, known)
-        identity = np.repeat(np.eye(m)[:, :, None], x.shape[1], axis=2)
+            read[unmeasured] = x[unmeasured]
+            J_p = engine.evaluate(read, known).by_parameter.copy()
+        values = engine.evaluate(x, known)
+        identity = np.repeat(np.eye(len(pattern.loops))[:, :, None], x.shape[1], axis=2)
         whitened = sweeper.reduce(replace(values, by_parameter=identity), start, noise)
         T = whitened.D
         found.append(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.kernel import eliminate
 from loopcal.estimation.problem import BLOCK, Problem
 from loopcal.expressions.engine import engine_for
+from loopcal.expressions.tape import Tape
 from loopcal.mechanisms.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -15,27 +18,32 @@ _MOST = 50
 
 
 def predict_outputs(
-    mechanism: Mechanism,
-    parameters: Array,
-    readings: Array,
-    known: Array,
-    also: tuple[int, ...] = (),
+    mechanism: Mechanism, parameters: Array, readings: Array, known: Array
 ) -> Array:
     """The outputs (o, N) [SI] that close the loops at these parameters; NaN where none do.
 
-    parameters: (n_all,); readings: (k, N), with start values for the outputs; known: (c, N);
-    also: positions of further quantities that are found rather than read. Newton's method on
-    f(x, p) = 0, by least squares where there are more loops than unknowns.
+    parameters: (n_all,); readings: (k, N), with start values for the outputs; known: (c, N).
     """
-    wanted = [mechanism.tape.quantities.index(name) for name in mechanism.outputs]
-    unknown = list(dict.fromkeys([*wanted, *also]))
-    out = np.empty((len(wanted), readings.shape[1]))
-    names = tuple(mechanism.tape.quantities[i] for i in unknown)
-    engine = engine_for(mechanism.tape, (), min(BLOCK, max(readings.shape[1], 1)), names)
+    rows = [mechanism.tape.quantities.index(name) for name in mechanism.outputs]
+    return found_from_loops(mechanism.tape, rows, parameters, readings, known)[rows]
+
+
+def found_from_loops(
+    tape: Tape, unknown: Sequence[int], parameters: Array, readings: Array, known: Array
+) -> Array:
+    """All quantities (k, N) [SI], those at the positions `unknown` found; NaN where none close.
+
+    Newton's method on f(x, p) = 0 from the readings (k, N), by least squares where there are more
+    loops than unknowns.
+    """
+    unknown = list(unknown)
+    out = np.array(readings, dtype=float)
+    names = tuple(tape.quantities[i] for i in unknown)
+    engine = engine_for(tape, (), min(BLOCK, max(readings.shape[1], 1)), names)
     engine.at(parameters)
     for begin in range(0, readings.shape[1], BLOCK):
         part = slice(begin, begin + BLOCK)
-        x = np.array(readings[:, part])
+        x = out[:, part]
         before = np.inf
         for _ in range(_MOST):
             values = engine.evaluate(x, known[:, part])
@@ -49,7 +57,6 @@ def predict_outputs(
         # least-squares closings leave the rest of the loops open: only the step tells
         lost = ~(np.abs(step) <= 1e-6).all(axis=0)
         x[:, lost] = np.nan
-        out[:, part] = x[wanted]
     return out
 
 
@@ -65,15 +72,18 @@ def output_differences(
     rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
     differences = np.full((len(rows), len(problem.poses)), np.nan)
     for pattern in problem.patterns:
-        if set(pattern.unmeasured) & set(rows):
-            continue  # nothing was measured that the prediction could be compared with
-        if len(rows) + len(pattern.unmeasured) > len(mechanism.tape.loops):
-            continue  # the other readings do not say where the outputs are
+        there = [row for row in rows if row not in pattern.absent]
+        measured = [row for row in there if row not in pattern.unmeasured]
+        unknown = list(dict.fromkeys([*there, *pattern.unmeasured]))
+        if not measured or len(unknown) > len(pattern.loops):
+            continue  # nothing to compare with, or the other readings do not say where they are
         x = problem.readings[:, pattern.poses]
         if corrections is not None and pattern.unmeasured:
             x = x.copy()
             x[list(pattern.unmeasured)] += corrections[list(pattern.unmeasured)][:, pattern.poses]
         known = problem.known[:, pattern.poses]
-        computed = predict_outputs(mechanism, parameters, x, known, pattern.unmeasured)
-        differences[:, pattern.poses] = computed - problem.readings[rows][:, pattern.poses]
+        found = found_from_loops(problem.tape(pattern), unknown, parameters, x, known)
+        for row in measured:
+            computed = found[row] - problem.readings[row, pattern.poses]
+            differences[rows.index(row), pattern.poses] = computed
     return differences

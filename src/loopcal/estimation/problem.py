@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.expressions.tape import Tape
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, ReadingUncertainty, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -19,12 +21,25 @@ BLOCK = 4096
 """Poses per block: large enough that NumPy's overhead vanishes, small enough for the cache."""
 
 
+Poses = slice | NDArray[np.intp]
+
+
 @dataclass(frozen=True)
 class Pattern:
-    """Poses in which the same quantities are unmeasured."""
+    """Poses in which the same loops hold and the same of their quantities are unmeasured.
 
+    loops, unmeasured, absent: positions of these loops, of the unmeasured quantities in them, and
+    of the quantities that are in none of them.
+    """
+
+    loops: tuple[int, ...]
     unmeasured: tuple[int, ...]
-    poses: slice | NDArray[np.intp]
+    absent: tuple[int, ...]
+    poses: Poses
+
+    def count(self, poses: int) -> int:
+        """How many poses these are, of so many."""
+        return poses if isinstance(self.poses, slice) else len(self.poses)
 
 
 @dataclass(frozen=True)
@@ -56,12 +71,14 @@ class Problem:
     @property
     def equations(self) -> int:
         """Loop equations over all poses, less the unmeasured quantities they determine."""
-        m = len(self.mechanism.tape.loops)
-        count = 0
-        for pattern in self.patterns:
-            poses = len(self.poses) if isinstance(pattern.poses, slice) else len(pattern.poses)
-            count += poses * (m - len(pattern.unmeasured))
-        return count
+        return sum(
+            pattern.count(len(self.poses)) * (len(pattern.loops) - len(pattern.unmeasured))
+            for pattern in self.patterns
+        )
+
+    def tape(self, pattern: Pattern) -> Tape:
+        """The loops that hold in the poses of a pattern."""
+        return held_loops(self.mechanism.tape, pattern.loops)
 
     @property
     def block(self) -> int:
@@ -69,16 +86,16 @@ class Problem:
         poses = len(self.poses)
         return math.ceil(poses / math.ceil(poses / BLOCK))
 
-    def blocks(self) -> Iterator[tuple[tuple[int, ...], slice | NDArray[np.intp]]]:
-        """The poses in blocks, each with its unmeasured quantities."""
+    def blocks(self) -> Iterator[tuple[Pattern, Poses]]:
+        """The poses in blocks, each with its pattern; a pose without any loop is in none."""
         size = self.block
         for pattern in self.patterns:
             if isinstance(pattern.poses, slice):
                 for begin in range(0, len(self.poses), size):
-                    yield pattern.unmeasured, slice(begin, min(begin + size, len(self.poses)))
+                    yield pattern, slice(begin, min(begin + size, len(self.poses)))
             else:
                 for begin in range(0, len(pattern.poses), size):
-                    yield pattern.unmeasured, pattern.poses[begin : begin + size]
+                    yield pattern, pattern.poses[begin : begin + size]
 
 
 def build_problem(
@@ -96,6 +113,7 @@ def build_problem(
     equations than parameters.
     """
     quantities = mechanism.tape.quantities
+    dataset = with_implied(mechanism, dataset)
     _check_units(mechanism, dataset)
     stated = dataset if noise is not None else replace(dataset, sds={})
     uncertainty = resolve_noise(
@@ -111,10 +129,10 @@ def build_problem(
         raise InputError(
             "no parameter is left to estimate", remedy="set at least one parameter free"
         )
-    patterns = _patterns(np.isinf(np.broadcast_to(uncertainty.sd, raw.shape)))
+    patterns = _patterns(mechanism, np.isinf(np.broadcast_to(uncertainty.sd, raw.shape)))
     problem = Problem(
         mechanism,
-        _filled(raw),
+        _filled(raw, [mechanism.home.get(q, 0.0) for q in quantities]),
         known,
         uncertainty,
         np.array([values[n] for n in parameters.names]),
@@ -126,6 +144,14 @@ def build_problem(
     )
     _check_enough(problem)
     return problem
+
+
+def with_implied(mechanism: Mechanism, data: Dataset) -> Dataset:
+    """The data with the readings that are implied, where they have no column for them."""
+    absent = {q: v for q, v in mechanism.implied.items() if q not in data.readings}
+    if not absent:
+        return data
+    return data.with_readings({q: np.full(len(data), v) for q, v in absent.items()})
 
 
 def taken(problem: Problem, index: NDArray[np.intp]) -> Problem:
@@ -143,7 +169,7 @@ def taken(problem: Problem, index: NDArray[np.intp]) -> Problem:
         known=problem.known[:, index],
         uncertainty=replace(given, sd=sd, blocks=blocks),
         poses=tuple(problem.poses[i] for i in index),
-        patterns=_patterns(np.isinf(np.broadcast_to(sd, shape))),
+        patterns=_patterns(problem.mechanism, np.isinf(np.broadcast_to(sd, shape))),
     )
 
 
@@ -151,7 +177,9 @@ def left_unmeasured(problem: Problem, without: NDArray[np.bool_]) -> Problem:
     """The same problem as if the readings marked in `without`, (k, N), had not been taken."""
     sd = np.where(without, np.inf, problem.uncertainty.sd)
     uncertainty = replace(problem.uncertainty, sd=sd)
-    return replace(problem, uncertainty=uncertainty, patterns=_patterns(np.isinf(sd)))
+    return replace(
+        problem, uncertainty=uncertainty, patterns=_patterns(problem.mechanism, np.isinf(sd))
+    )
 
 
 def _check_units(mechanism: Mechanism, dataset: Dataset) -> None:
@@ -182,32 +210,70 @@ def _known_constants(mechanism: Mechanism, dataset: Dataset) -> Array:
     return np.array(rows).reshape(len(rows), len(dataset))
 
 
-def _patterns(unmeasured: NDArray[np.bool_]) -> tuple[Pattern, ...]:
+@lru_cache(maxsize=64)
+def held_loops(tape: Tape, loops: tuple[int, ...]) -> Tape:
+    """The tape of the loops at these positions."""
+    return tape if len(loops) == len(tape.loops) else tape.only(loops)
+
+
+def _patterns(mechanism: Mechanism, unmeasured: NDArray[np.bool_]) -> tuple[Pattern, ...]:
+    """Poses by what is unmeasured in them, (k, N), and by the loops that then hold.
+
+    A family's loops go where all its own readings are unmeasured: eliminating these readings
+    would leave nothing of the loops.
+    """
     if (unmeasured == unmeasured[:, :1]).all():
-        return (Pattern(tuple(np.flatnonzero(unmeasured[:, 0]).tolist()), slice(None)),)
+        found = _pattern(mechanism, unmeasured[:, 0], slice(None))
+        return (found,) if found.loops else ()
     codes, inverse = np.unique(unmeasured.T, axis=0, return_inverse=True)
+    alike: dict[tuple[tuple[int, ...], ...], list[int]] = {}
+    patterns = [_pattern(mechanism, code, slice(None)) for code in codes]
+    for i, pattern in enumerate(patterns):
+        alike.setdefault((pattern.loops, pattern.unmeasured), []).append(i)
     return tuple(
-        Pattern(tuple(np.flatnonzero(code).tolist()), np.flatnonzero(inverse.ravel() == i))
-        for i, code in enumerate(codes)
+        replace(patterns[same[0]], poses=np.flatnonzero(np.isin(inverse.ravel(), same)))
+        for same in alike.values()
+        if patterns[same[0]].loops
     )
 
 
-def _filled(raw: Array) -> Array:
-    """Readings with a start value where there is none: between the neighbours in pose order."""
+def _pattern(mechanism: Mechanism, unmeasured: NDArray[np.bool_], poses: Poses) -> Pattern:
+    tape = mechanism.tape
+    missing = {tape.quantities[i] for i in np.flatnonzero(unmeasured)}
+    silent = {
+        loop for f in mechanism.families if missing.issuperset(f.readings) for loop in f.loops
+    }
+    inputs = tape.depends_on()
+    loops = [i for i, loop in enumerate(tape.loops) if loop not in silent]
+    present = frozenset().union(*(inputs[i] for i in loops))
+    places = enumerate(tape.quantities)
+    return Pattern(
+        tuple(loops),
+        tuple(i for i, name in places if name in missing and name in present),
+        tuple(i for i, name in enumerate(tape.quantities) if name not in present),
+        poses,
+    )
+
+
+def _filled(raw: Array, home: Sequence[float]) -> Array:
+    """Readings with a start value where there is none: between the neighbours in pose order.
+
+    home: a start for each quantity without any reading.
+    """
     filled = raw.copy()
     order = np.arange(raw.shape[1])
-    for row in filled:
+    for row, usual in zip(filled, home, strict=True):
         gaps = np.isnan(row)
         if gaps.all():
-            row[:] = 0.0
+            row[:] = usual
         elif gaps.any():
             row[gaps] = np.interp(order[gaps], order[~gaps], row[~gaps])
     return filled
 
 
 def _check_enough(problem: Problem) -> None:
-    loops = len(problem.mechanism.tape.loops)
     for pattern in problem.patterns:
+        loops = len(pattern.loops)
         if len(pattern.unmeasured) > loops:
             first = 0 if isinstance(pattern.poses, slice) else int(pattern.poses[0])
             names = [problem.mechanism.tape.quantities[i] for i in pattern.unmeasured]

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 RANK_TOLERANCE, SUMMED_TOLERANCE = 1e-10, 1e-6
 """Directions with a singular value this much below the largest are not determined; from normal
 equations, whose rounding hides singular values up to the root of n eps, it shows only so far."""
+ROUNDING = 2e-15
+"""A column this short beside the longest is what cancelled terms leave: no effect at all."""
 WEAK = 1e-6
 """Directions with a singular value this far below the largest are determined, but hardly."""
 WELL_CONDITIONED = 1e4
@@ -144,7 +146,9 @@ def _triangle(above: Array, below: Array) -> Array:
 
 
 def _scale(lengths: Array) -> Array:
-    return 1.0 / np.where(lengths > 0.0, lengths, 1.0)
+    """What makes columns of these lengths alike; a column of nothing but rounding stays small."""
+    longest = float(lengths.max(initial=0.0)) or 1.0
+    return 1.0 / np.where(lengths > ROUNDING * longest, lengths, longest)
 
 
 def undetermined(

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.kernel import BlockNoise, Whitened
 from loopcal.estimation.loss import Loss
-from loopcal.estimation.problem import Problem
+from loopcal.estimation.problem import Pattern, Poses, Problem
 from loopcal.estimation.scratch import one_blas_thread, scratch
 from loopcal.estimation.solver import Progress, Solution, solve_with
 from loopcal.estimation.starting import start_corrections
@@ -103,25 +103,25 @@ def _weights(sweeper: Sweeper, parameters: Array, corrections: Array) -> Weights
     problem = sweeper.problem
     m, N = len(problem.mechanism.tape.loops), len(problem.poses)
     T, c = np.zeros((m, m, N)), np.zeros((m, N))
-    engine = sweeper.engine
-    engine.at(parameters)
-    for unmeasured, poses in problem.blocks():
-        noise = sweeper.noise(unmeasured, poses)
+    sweeper.at(parameters)
+    for pattern, poses in problem.blocks():
+        noise, engine = sweeper.noise(pattern, poses), sweeper.engine(pattern)
+        unmeasured, held = list(pattern.unmeasured), len(pattern.loops)
         start, known = corrections[:, poses], problem.known[:, poses]
         b = start.shape[1]
         read = problem.readings[:, poses].copy()
-        read[list(unmeasured)] += start[list(unmeasured)]
+        read[unmeasured] += start[unmeasured]
         at_readings = engine.evaluate(read, known, Stage.VALUES).f.copy()
         x = problem.readings[:, poses] + start
         values = engine.evaluate(x, known, Stage.BY_QUANTITY)
-        identity = np.repeat(np.eye(m)[:, :, None], b, axis=2)
+        identity = np.repeat(np.eye(held)[:, :, None], b, axis=2)
         measured = list(noise.measured)
         lever = np.einsum("kmb,kb->mb", values.by_quantity[measured], start[measured])
-        c[:, poses] = lever - values.f + at_readings
+        c[:held, poses] = lever - values.f + at_readings
         whitened = sweeper.reduce(replace(values, by_parameter=identity), start, noise)
         r = whitened.rows.shape[1]
         for i in range(r):
-            T[i][:, poses] = whitened.D[:, i]
+            T[i][:held, poses] = whitened.D[:, i]
     return Weights(T, c)
 
 
@@ -135,17 +135,17 @@ class _Reweighted(Sweeper):
         self.rounding = rounding  # whitened as here, so that c, which is no rounding, stays out
         self.weights = weights
         self.corrects = False
-        self.poses: slice | NDArray[np.intp] = slice(0, 0)
+        self.poses: Poses = slice(0, 0)
         self.reduce = self._weighted
 
-    def noise(self, unmeasured: tuple[int, ...], poses: slice | NDArray[np.intp]) -> BlockNoise:
+    def noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:
         self.poses = poses
-        return super().noise(unmeasured, poses)
+        return super().noise(pattern, poses)
 
     def _weighted(self, values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened:
         T, c = self.weights.T[:, :, self.poses], self.weights.c[:, self.poses]
-        D, b = values.by_parameter, values.f.shape[1]
-        T, c = T[:, :, :b], c[:, :b]
+        D, (m, b) = values.by_parameter, values.f.shape
+        T, c = T[:, :m, :b], c[:m, :b]
         rows = scratch("rows", len(D) + 1, len(T), b)
         np.einsum("rmb,nmb->nrb", T, D, out=rows[:-1])
         np.einsum("rmb,mb->rb", T, c - values.f, out=rows[-1])

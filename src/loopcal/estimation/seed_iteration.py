@@ -81,16 +81,14 @@ def _linearised(
 ) -> tuple[Accumulator, Array, Array]:
     """The parameter system; S Q D, (n, k, N), which turns dq into corrections; and S Q E."""
     problem = sweeper.problem
-    sweeper.engine.at(parameters)
+    sweeper.at(parameters)
     data = Accumulator(len(problem.free), triangular=True)
-    steps = np.empty((len(problem.free), *corrections.shape))
-    proposals = np.empty_like(corrections)
-    for unmeasured, poses in problem.blocks():
-        noise = sweeper.noise(unmeasured, poses)
+    steps = np.zeros((len(problem.free), *corrections.shape))
+    proposals = np.zeros_like(corrections)
+    for pattern, poses in problem.blocks():
+        noise, engine = sweeper.noise(pattern, poses), sweeper.engine(pattern)
         start = corrections[:, poses]
-        values = sweeper.engine.evaluate(
-            problem.readings[:, poses] + start, problem.known[:, poses]
-        )
+        values = engine.evaluate(problem.readings[:, poses] + start, problem.known[:, poses])
         sweeper.evaluations += start.shape[1]
         whitened = sweeper.reduce(values, start, noise)
         data.add(whitened)

@@ -24,8 +24,8 @@ def start_corrections(sweeper: Sweeper, parameters: Array) -> Array:
     best = np.zeros_like(problem.readings)
     units = problem.mechanism.quantities
     names = problem.mechanism.tape.quantities
-    for unmeasured, poses in problem.blocks():
-        angles = [i for i in unmeasured if units[names[i]] == "rad"]
+    for pattern, poses in problem.blocks():
+        angles = [i for i in pattern.unmeasured if units[names[i]] == "rad"]
         if not angles:
             continue
         shape = best[:, poses].shape
@@ -33,11 +33,11 @@ def start_corrections(sweeper: Sweeper, parameters: Array) -> Array:
         for offset in _offsets(len(angles)):
             start = np.zeros(shape)
             start[angles] = offset[:, None]
-            closed, misfit = sweeper.close_block(parameters, start, unmeasured, poses)
+            closed, misfit = sweeper.close_block(parameters, start, pattern, poses)
             misfit = np.where(np.isfinite(misfit), misfit, np.inf)
             better = misfit < (_FAR_BETTER if np.any(offset) else 1.0) * least - 1e-9
             least = np.where(better, misfit, least)
-            rows = list(unmeasured)
+            rows = list(pattern.unmeasured)
             kept = best[:, poses]
             kept[rows] = np.where(better, closed[rows], kept[rows])
             best[:, poses] = kept

@@ -9,7 +9,7 @@ linearisation did not hold), so that chi-squared is the true profile
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from loopcal.estimation.closing import UNMEASURED_SCALE, Closed, close_by_newton
 from loopcal.estimation.kernel import BlockNoise, Whitened, unweighted, whiten
 from loopcal.estimation.loss import Loss
-from loopcal.estimation.problem import Problem
+from loopcal.estimation.problem import Pattern, Poses, Problem
 from loopcal.estimation.reduction import Accumulator
 from loopcal.estimation.scratch import scratch
-from loopcal.expressions.engine import LoopValues, Stage, engine_for
+from loopcal.expressions.engine import LoopValues, NumpyEngine, Stage, engine_for
 from loopcal.measurements.noise import CovarianceBlock
 
 Array = NDArray[np.float64]
@@ -78,7 +78,10 @@ class Sweeper:
         self.problem = problem
         self.loss = loss
         self.reduce: Reduce = unweighted if exact else whiten
-        self.engine = engine_for(problem.mechanism.tape, problem.names, problem.block)
+        self._engines = {
+            pattern.loops: engine_for(problem.tape(pattern), problem.names, problem.block)
+            for pattern in problem.patterns
+        }
         self.prior_sd = np.full(len(problem.free), np.inf) if exact else problem.prior_sd
         # The basic method corrects nothing; only unmeasured quantities have to be found.
         self.corrects = not exact or any(p.unmeasured for p in problem.patterns)
@@ -103,27 +106,29 @@ class Sweeper:
         """
         problem = self.problem
         closing = closing if self.corrects else None
-        self._at(parameters)
+        self.at(parameters)
         data = Accumulator(len(problem.free), triangular)
-        used = corrections if closing is None else np.empty_like(corrections)
-        proposal = np.empty_like(corrections) if self.corrects else corrections
+        used = corrections if closing is None else np.zeros_like(corrections)
+        proposal = np.zeros_like(corrections) if self.corrects else corrections
         steps, ratios = [0.0], [0.0]
         singular: list[NDArray[np.intp]] = []
         late: list[NDArray[np.intp]] = []
         surplus = 0.0
-        for unmeasured, poses in problem.blocks():
-            noise = self.noise(unmeasured, poses)
+        for pattern, poses in problem.blocks():
+            noise = self.noise(pattern, poses)
             readings, known = problem.readings[:, poses], problem.known[:, poses]
             start = Closed(corrections[:, poses], np.zeros(readings.shape[1], dtype=bool))
             if closing is not None:
-                start = self._close(readings, known, start.corrections, noise, closing, contraction)
+                start = self._close(
+                    pattern, readings, known, start.corrections, noise, closing, contraction
+                )
                 used[:, poses] = start.corrections
-            values = self._values(readings, start.corrections, known, Stage.BY_PARAMETER)
+            values = self._values(pattern, readings, start.corrections, known, Stage.BY_PARAMETER)
             if self.rounding is None:
                 self.rounding = self._rounding(values, readings, noise)
             whitened = self.reduce(values, start.corrections, noise)
             if self.loss is not None:
-                surplus += _weigh(whitened, self.loss, len(values.f) - len(unmeasured))
+                surplus += _weigh(whitened, self.loss, len(values.f) - len(pattern.unmeasured))
             data.add(whitened)
             singular.append(_numbers(poses, whitened.singular))
             late.append(_numbers(poses, start.open))
@@ -154,13 +159,13 @@ class Sweeper:
         if not self.corrects:
             return Closed(corrections, np.zeros(corrections.shape[1], dtype=bool))
         problem = self.problem
-        self._at(parameters)
-        done, late = np.empty_like(corrections), np.zeros(corrections.shape[1], dtype=bool)
-        for unmeasured, poses in problem.blocks():
-            noise = self.noise(unmeasured, poses)
+        self.at(parameters)
+        done, late = np.zeros_like(corrections), np.zeros(corrections.shape[1], dtype=bool)
+        for pattern, poses in problem.blocks():
+            noise = self.noise(pattern, poses)
             readings, known = problem.readings[:, poses], problem.known[:, poses]
             start = corrections[:, poses]
-            closed = self._close(readings, known, start, noise, tolerance, contraction)
+            closed = self._close(pattern, readings, known, start, noise, tolerance, contraction)
             done[:, poses], late[poses] = closed.corrections, closed.open
         return Closed(done, late)
 
@@ -168,28 +173,34 @@ class Sweeper:
         self,
         parameters: Array,
         start: Array,
-        unmeasured: tuple[int, ...],
-        poses: slice | NDArray[np.intp],
+        pattern: Pattern,
+        poses: Poses,
     ) -> tuple[Array, Array]:
         """Corrections (k, b) that close the loops of a block, and what they cost: |E|^2, (b,)."""
-        self._at(parameters)
-        noise = self.noise(unmeasured, poses)
+        self.at(parameters)
+        noise = self.noise(pattern, poses)
         readings, known = self.problem.readings[:, poses], self.problem.known[:, poses]
-        closed = self._close(readings, known, start, noise, NEAR, 1.0)
-        values = self._values(readings, closed.corrections, known, Stage.BY_QUANTITY)
+        closed = self._close(pattern, readings, known, start, noise, NEAR, 1.0)
+        values = self._values(pattern, readings, closed.corrections, known, Stage.BY_QUANTITY)
         whitened = self.reduce(values, closed.corrections, noise)
         return whitened.correction, np.square(whitened.E).sum(axis=0)
 
-    def _at(self, parameters: Array) -> None:
+    def at(self, parameters: Array) -> None:
+        """Set the parameters (n_all,) [SI] for the evaluations to come."""
         self.parameters = parameters
-        self.engine.at(parameters)
+        for engine in self._engines.values():
+            engine.at(parameters)
+
+    def engine(self, pattern: Pattern) -> NumpyEngine:
+        """What evaluates the loops that hold in the poses of a pattern."""
+        return self._engines[pattern.loops]
 
     def _values(
-        self, readings: Array, corrections: Array, known: Array, stage: Stage
+        self, pattern: Pattern, readings: Array, corrections: Array, known: Array, stage: Stage
     ) -> LoopValues:
         self.evaluations += readings.shape[1]
         x = np.add(readings, corrections, out=scratch("x", *readings.shape))
-        return self.engine.evaluate(x, known, stage)
+        return self.engine(pattern).evaluate(x, known, stage)
 
     def _rounding(self, values: LoopValues, readings: Array, noise: BlockNoise) -> float:
         """Root mean square of |L^-1 eps a|, a the size of the terms in a loop value."""
@@ -202,6 +213,7 @@ class Sweeper:
 
     def _close(
         self,
+        pattern: Pattern,
         readings: Array,
         known: Array,
         start: Array,
@@ -222,6 +234,7 @@ class Sweeper:
         for _ in range(MOST_CLOSINGS):
             part = noise if active is None else _select(noise, active)
             values = self._values(
+                pattern,
                 readings if active is None else readings[:, active],
                 at,
                 known if active is None else known[:, active],
@@ -257,7 +270,7 @@ class Sweeper:
             at = base + length * step
         assert active is not None
         closed = close_by_newton(
-            self.problem.mechanism.tape,
+            self.problem.tape(pattern),
             self.parameters,
             readings[:, active],
             known[:, active],
@@ -268,19 +281,23 @@ class Sweeper:
         done[:, active], late[active] = closed.corrections, closed.open
         return Closed(done, late, last, contraction=1.0)
 
-    def noise(self, unmeasured: tuple[int, ...], poses: slice | NDArray[np.intp]) -> BlockNoise:
-        """The uncertainty of one block of poses."""
-        uncertainty = self.problem.uncertainty
+    def noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:
+        """The uncertainty of one block of poses; what is in none of its loops counts as exact."""
+        uncertainty, unmeasured = self.problem.uncertainty, pattern.unmeasured
         everything = range(len(self.problem.readings))
         measured = tuple(i for i in everything if i not in unmeasured)
         sd = uncertainty.sd if uncertainty.sd.shape[1] == 1 else uncertainty.sd[:, poses]
+        if pattern.absent:
+            sd = sd.copy()
+            sd[list(pattern.absent)] = 0.0
+        gone = {*unmeasured, *pattern.absent}
         blocks = tuple(
             CovarianceBlock(b.indices, b.factor if b.factor.ndim == 2 else b.factor[poses])
             for b in uncertainty.blocks
-            if not set(b.indices) & set(unmeasured)
+            if not gone.intersection(b.indices)
         )
-        split = [b for b in uncertainty.blocks if set(b.indices) & set(unmeasured)]
-        blocks += tuple(p for b in split if (p := _without(b, unmeasured, poses)) is not None)
+        split = [b for b in uncertainty.blocks if gone.intersection(b.indices)]
+        blocks += tuple(p for b in split if (p := _without(b, gone, poses)) is not None)
         return BlockNoise(sd, blocks, unmeasured, measured)
 
 
@@ -294,11 +311,9 @@ def _weigh(block: Whitened, loss: Loss, equations: int) -> float:
     return surplus
 
 
-def _without(
-    block: CovarianceBlock, unmeasured: tuple[int, ...], poses: slice | NDArray[np.intp]
-) -> CovarianceBlock | None:
+def _without(block: CovarianceBlock, gone: Collection[int], poses: Poses) -> CovarianceBlock | None:
     """The covariance of the part of a block that was measured: rows of its square root."""
-    keep = [i for i, index in enumerate(block.indices) if index not in unmeasured]
+    keep = [i for i, index in enumerate(block.indices) if index not in gone]
     if not keep:
         return None
     factor = block.factor if block.factor.ndim == 2 else block.factor[poses]
@@ -308,7 +323,7 @@ def _without(
     return CovarianceBlock(tuple(block.indices[i] for i in keep), root)
 
 
-def _numbers(poses: slice | NDArray[np.intp], chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _numbers(poses: Poses, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
     """The positions of chosen poses of a block among all."""
     within = np.flatnonzero(chosen)
     return poses[within] if not isinstance(poses, slice) else within + poses.start

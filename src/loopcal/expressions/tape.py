@@ -47,11 +47,31 @@ class Tape:
         known: Sequence[str] = (),
     ) -> Tape:
         """The part of a graph that its outputs need, renumbered."""
-        needed = _reachable(graph.operations, outputs)
+        return cls._made_of(
+            graph.operations,
+            outputs,
+            quantities=quantities,
+            known=known,
+            parameters=parameters,
+            loops=loops,
+        )
+
+    @classmethod
+    def _made_of(
+        cls,
+        everything: Sequence[tuple[str, tuple[float, ...]]],
+        outputs: Sequence[Node],
+        *,
+        quantities: Sequence[str],
+        known: Sequence[str],
+        parameters: Sequence[str],
+        loops: Sequence[str],
+    ) -> Tape:
+        needed = _reachable(everything, outputs)
         place = {node: position for position, node in enumerate(needed)}
         operations = tuple(
             (name, payload if name in LEAVES else tuple(place[int(a)] for a in payload))
-            for name, payload in (graph.operations[node] for node in needed)
+            for name, payload in (everything[node] for node in needed)
         )
         return cls(
             tuple(quantities),
@@ -76,6 +96,17 @@ class Tape:
             else:
                 names.append(frozenset().union(*(names[int(a)] for a in payload)))
         return tuple(frozenset(names[output]) for output in self.outputs)
+
+    def only(self, loops: Sequence[int]) -> Tape:
+        """The tape of some of the loop equations, by position, with all inputs in their places."""
+        return self._made_of(
+            self.operations,
+            [self.outputs[i] for i in loops],
+            quantities=self.quantities,
+            known=self.known,
+            parameters=self.parameters,
+            loops=[self.loops[i] for i in loops],
+        )
 
     def needed_by(self, outputs: Sequence[int]) -> list[int]:
         """The positions of all operations that these are made of, and of these, in order."""
