@@ -54,7 +54,9 @@ class Instrument:
     placement: parameters that say where it stands, with `place` telling how they change when the
     machine is moved; parameters: the others (reflector, anchor, length); known: constants that
     vary by pose; implied: readings that are the same in every pose by construction, such as the
-    gap between a ball and its socket; form: what the readings are together, see `Family`.
+    gap between a ball and its socket; form: what the readings are together, see `Family`;
+    dimension: that of the machines it can look at, 2 or 3; remedy: what to do where its loops
+    cannot be evaluated.
     """
 
     name: str
@@ -67,6 +69,8 @@ class Instrument:
     known: Mapping[str, str] = field(default_factory=dict)
     implied: Mapping[str, float] = field(default_factory=dict)
     ends: int = 1
+    dimension: int = 3
+    remedy: str = ""
     description: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -85,13 +89,14 @@ def assemble(
     nominal: values [SI] of parameters by name, in place of their own. Without instruments only
     the machine's own loops are there: it calibrates itself if its sensors are redundant.
 
-    Raises InputError for readings or instruments of one name, and for parameters that are not
-    there.
+    Raises InputError for readings or instruments of one name, an instrument of another dimension
+    than the machine's, one name for things of different kinds, and parameters that are not there.
     """
     ends = max((i.ends for i in instruments), default=1)
     quantities = {q + end: u for end in ENDS[:ends] for q, u in machine.quantities.items()}
     _refuse_repeated([*quantities, *(q for i in instruments for q in i.readings)])
     _refuse_repeated([i.name for i in instruments], "instruments")
+    _refuse_misfits(machine, instruments)
     closure = [loop + end for end in ENDS[:ends] for loop in machine.loops]
     known = {name + end: u for end in ENDS[:ends] for name, u in machine.known.items()}
     if not closure and not instruments:
@@ -169,3 +174,29 @@ def _refuse_repeated(names: Sequence[str], what: str = "readings") -> None:
             raise InputError(
                 f"{name!r} names two {what} of the mechanism", remedy="name each differently"
             )
+
+
+def _refuse_misfits(machine: Machine, instruments: Sequence[Instrument]) -> None:
+    for i in instruments:
+        if i.dimension != machine.dimension:
+            raise InputError(
+                f"the instrument {i.name!r} looks at machines in {i.dimension} dimensions, and "
+                f"{machine.name!r} moves in {machine.dimension}",
+                remedy=f"make it for {machine.dimension} dimensions",
+            )
+    on_bodies = {*machine.parameters, *(n for i in instruments for n in i.parameters)}
+    for i in instruments:
+        for other in instruments:
+            shared = set(i.placement) & set(other.placement)
+            if shared and set(i.placement) != set(other.placement):
+                _refuse_shared(i, f"where {other.name!r} stands", shared)
+        if shared := set(i.placement) & on_bodies:
+            _refuse_shared(i, "something else of the machine or on its body", shared)
+
+
+def _refuse_shared(instrument: Instrument, other: str, shared: set[str]) -> None:
+    raise InputError(
+        f"{min(shared)!r} would say both where the instrument {instrument.name!r} stands and "
+        f"{other}, which are not of the same kind",
+        remedy="give one of them another name; what shares a name shares its parameters",
+    )

@@ -1,0 +1,214 @@
+"""Contacts with things of unknown place: planes, spheres, fixed bars, balls in sockets.
+
+Nothing is read at all: what is known is that there is no gap. Each gap is a quantity with the
+implied reading 0, whose sd is that of the contact, its form and the probing. Where every reading
+is such a gap or an angle no length is measured, and the size of the machine is not to be seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from loopcal.errors import InputError
+from loopcal.expressions.vectors import dot, norm
+from loopcal.mechanisms.frame import Frame, Values
+from loopcal.mechanisms.instruments.length import apart
+from loopcal.mechanisms.instruments.point import AXES
+from loopcal.mechanisms.machine import Instrument
+from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.station import Target
+
+
+def sphere(
+    name: str = "sphere",
+    *,
+    gap: str | None = None,
+    centre: str | None = None,
+    target: str | Target = "tool",
+    dimension: int = 3,
+) -> Instrument:
+    """The target touches a sphere of unknown place: it is NAME_radius away from the centre C.
+
+    Loop: |T_base_body p_target - C| - NAME_radius - gap = 0 [m]. For a probe with a ball the
+    target is the ball's centre, and the radius is that of the sphere plus, or inside a bore less,
+    that of the ball. gap: its name, by default NAME_gap; centre: name of C (default: that of the
+    instrument), parameters CENTRE_x, _y, _z; target: as for `point`. In a plane a circle.
+    """
+    return _around(name, "sphere", "radius", gap or f"{name}_gap", centre, target, dimension)
+
+
+def ball_bar(
+    name: str = "bar",
+    *,
+    gap: str | None = None,
+    centre: str | None = None,
+    target: str | Target = "tool",
+    dimension: int = 3,
+) -> Instrument:
+    """A double ball-bar from a ball fixed in the base to one on the body, NAME_length long.
+
+    Loop: |T_base_body p_target - C| - NAME_length - gap = 0 [m]. The length is a parameter: fix
+    it where it is known, give it a prior sd where it is uncertain, or leave it free. A bar that
+    measures says in `gap` by how much it is longer than that; a rigid one has none, and without
+    a column it is read as 0. Names as for `sphere`.
+    """
+    return _around(name, "ball-bar", "length", gap or f"{name}_gap", centre, target, dimension)
+
+
+def _around(
+    name: str,
+    kind: str,
+    size: str,
+    gap: str,
+    centre: str | None,
+    target: str | Target,
+    dimension: int,
+) -> Instrument:
+    """A target that stays at one distance from a fixed point."""
+    fixed = Target.named(centre or name, dimension)
+    looked_at = Target.named(target, dimension) if isinstance(target, str) else target
+    length = f"{name}_{size}"
+
+    def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
+        reached = frames[0].point(looked_at.point(p))
+        return [norm(reached - fixed.point(p)) - p[length] - x[gap]]
+
+    return Instrument(
+        name,
+        {gap: "m"},
+        {length: Parameter(length, 0.0, "m")} | looked_at.declared,
+        equations,
+        "gap",
+        placement=fixed.declared,
+        implied={gap: 0.0},
+        dimension=dimension,
+        remedy=apart(fixed),
+        description={
+            "type": kind,
+            "name": name,
+            "gap": gap,
+            "centre": centre or name,
+            "target": target if isinstance(target, str) else list(target.parameters),
+        },
+    )
+
+
+def plane(
+    name: str = "plane",
+    *,
+    gap: str | None = None,
+    normal: Sequence[float] = (0.0, 0.0, 1.0),
+    target: str | Target = "tool",
+    dimension: int = 3,
+) -> Instrument:
+    """The target touches a plane of unknown place in the machine's base; in 2D a line.
+
+    Loop: n . T_base_body p_target - NAME_distance - gap = 0 [m], with the unit normal
+    n = cos a cos b n_0 + sin a cos b e_1 + sin b e_2 near the nominal one, a = NAME_tilt_1,
+    b = NAME_tilt_2, and e_1, e_2 across n_0 (for n_0 = z: x and y). normal: n_0, of any length;
+    gap: its name, by default NAME_gap; target: as for `point`. The distance is that of the plane
+    in which the target moves: the radius of a probe's ball is part of it.
+
+    Raises InputError for a normal without direction.
+    """
+    own = gap or f"{name}_gap"
+    looked_at = Target.named(target, dimension) if isinstance(target, str) else target
+    n_0, e_1, e_2 = _directions(name, normal, dimension)
+    tilts = [f"{name}_tilt_{i}" for i in range(1, dimension)]
+    away = f"{name}_distance"
+
+    def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
+        angles = [p[tilt] for tilt in tilts]
+        n = np.cos(angles[0]) * n_0 + np.sin(angles[0]) * e_1
+        for b in angles[1:]:
+            n = np.cos(b) * n + np.sin(b) * e_2
+        return [dot(n, frames[0].point(looked_at.point(p))) - p[away] - x[own]]
+
+    return Instrument(
+        name,
+        {own: "m"},
+        looked_at.declared,
+        equations,
+        "gap",
+        placement={tilt: Parameter(tilt, 0.0, "rad") for tilt in tilts}
+        | {away: Parameter(away, 0.0, "m")},
+        implied={own: 0.0},
+        dimension=dimension,
+        description={
+            "type": "plane",
+            "name": name,
+            "gap": own,
+            "normal": [float(v) for v in normal],
+            "target": target if isinstance(target, str) else list(target.parameters),
+        },
+    )
+
+
+def _directions(name: str, normal: Sequence[float], dimension: int) -> tuple[Any, Any, Any]:
+    given = np.array(normal, dtype=float)
+    if given.shape != (3,) or not np.isfinite(given).all() or not given.any():
+        raise InputError(
+            f"the nominal normal of {name!r} is {list(normal)}",
+            remedy="give the three components of a direction, say [0, 0, 1]",
+        )
+    if dimension == 2 and (given[2] or not given.any()):
+        raise InputError(
+            f"the nominal normal of {name!r} is {list(normal)}, and the machine moves in a plane",
+            remedy="give a direction in the plane, say [0, 1, 0]",
+        )
+    n_0 = given / np.linalg.norm(given)
+    if dimension == 2:
+        return n_0, np.array([-n_0[1], n_0[0], 0.0]), np.zeros(3)
+    least = np.eye(3)[int(np.argmin(np.abs(n_0)))]
+    e_1 = least - (least @ n_0) * n_0
+    e_1 /= np.linalg.norm(e_1)
+    return n_0, e_1, np.cross(n_0, e_1)
+
+
+def socket(
+    name: str = "socket",
+    *,
+    gaps: Sequence[str] | None = None,
+    target: str | Target = "tool",
+    dimension: int = 3,
+) -> Instrument:
+    """A ball on the body sits in a socket of unknown place: the same point in many poses.
+
+    Loops: T_base_body p_target - S - gap = 0 [m], S = (NAME_x, NAME_y, NAME_z) in the base, in a
+    plane without z. gaps: their names, by default NAME_gap_x, _y, _z; target: the ball's centre,
+    as for `point`.
+
+    Raises InputError for a number of gaps that is not the dimension.
+    """
+    own = tuple(f"{name}_gap_{a}" for a in AXES[:dimension]) if gaps is None else tuple(gaps)
+    if len(own) != dimension:
+        raise InputError(
+            f"the socket {name!r} has {len(own)} gaps in a space of {dimension}",
+            remedy=f"name {dimension}",
+        )
+    fixed = Target.named(name, dimension)
+    looked_at = Target.named(target, dimension) if isinstance(target, str) else target
+
+    def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
+        off = frames[0].point(looked_at.point(p)) - fixed.point(p)
+        return [off[i] - x[gap] for i, gap in enumerate(own)]
+
+    return Instrument(
+        name,
+        dict.fromkeys(own, "m"),
+        looked_at.declared,
+        equations,
+        "gap",
+        placement=fixed.declared,
+        implied=dict.fromkeys(own, 0.0),
+        dimension=dimension,
+        description={
+            "type": "socket",
+            "name": name,
+            "gaps": list(own),
+            "target": target if isinstance(target, str) else list(target.parameters),
+        },
+    )

@@ -1,0 +1,125 @@
+"""Instruments that read one length: distances to a fixed point, draw-wires, between two poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from loopcal.expressions.vectors import norm
+from loopcal.mechanisms.frame import Frame, Values
+from loopcal.mechanisms.machine import Instrument
+from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.station import Target
+
+
+def distance(
+    name: str = "distance",
+    *,
+    reading: str | None = None,
+    anchor: str | None = None,
+    target: str | Target = "tool",
+    offset: bool = False,
+    dimension: int = 3,
+) -> Instrument:
+    """The distance of a target from a point A fixed in the machine's base.
+
+    Loop: |T_base_body p_target - A| + offset - reading = 0 [m]. reading: its name, by default
+    that of the instrument; anchor: name of A (default: that of the instrument), whose coordinates
+    are the parameters ANCHOR_x, _y, _z and need nominal values; target: as for `point`; offset:
+    whether NAME_offset is estimated, what the reading is too long by.
+    """
+    own = reading or name
+    fixed = Target.named(anchor or name, dimension)
+    looked_at = Target.named(target, dimension) if isinstance(target, str) else target
+    zero = {f"{name}_offset": Parameter(f"{name}_offset", 0.0, "m")} if offset else {}
+
+    def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
+        length = norm(frames[0].point(looked_at.point(p)) - fixed.point(p))
+        for parameter in zero:
+            length = length + p[parameter]
+        return [length - x[own]]
+
+    return Instrument(
+        name,
+        {own: "m"},
+        looked_at.declared | zero,
+        equations,
+        "length",
+        placement=fixed.declared,
+        dimension=dimension,
+        remedy=apart(fixed),
+        description={
+            "type": "distance",
+            "name": name,
+            "reading": own,
+            "anchor": anchor or name,
+            "target": target if isinstance(target, str) else list(target.parameters),
+            "offset": offset,
+        },
+    )
+
+
+def draw_wire(
+    name: str = "wire",
+    *,
+    reading: str | None = None,
+    anchor: str | None = None,
+    target: str | Target = "tool",
+    dimension: int = 3,
+) -> Instrument:
+    """A wire drawn from a fixed point A to a target: a `distance` whose zero is unknown.
+
+    Loop: |T_base_body p_target - A| + NAME_offset - reading = 0 [m]; arguments as for `distance`.
+    """
+    made = distance(
+        name, reading=reading, anchor=anchor, target=target, offset=True, dimension=dimension
+    )
+    described = {k: v for k, v in made.description.items() if k != "offset"}
+    return replace(made, description=described | {"type": "draw-wire"})
+
+
+def relative_distance(
+    name: str = "span",
+    *,
+    reading: str | None = None,
+    target: str | Target = "tool",
+    dimension: int = 3,
+) -> Instrument:
+    """The distance of a target in one pose from itself in another, wherever the machine stands.
+
+    Loop: |T_base_body(a) p_target - T_base_body(b) p_target| - reading = 0 [m]. A row of data
+    holds both poses: the machine's quantities, and once more with "_b" appended.
+    """
+    own = reading or name
+    looked_at = Target.named(target, dimension) if isinstance(target, str) else target
+
+    def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
+        a, b = (frame.point(looked_at.point(p)) for frame in frames)
+        return [norm(a - b) - x[own]]
+
+    return Instrument(
+        name,
+        {own: "m"},
+        looked_at.declared,
+        equations,
+        "length",
+        ends=2,
+        dimension=dimension,
+        remedy="give rows of two poses in which the target is at different places",
+        description={
+            "type": "relative-distance",
+            "name": name,
+            "reading": own,
+            "target": target if isinstance(target, str) else list(target.parameters),
+        },
+    )
+
+
+def apart(anchor: Target) -> str:
+    """What to do where a distance from a point is taken at the point itself."""
+    return (
+        f"the target is at the point {', '.join(anchor.parameters)} itself, where no direction "
+        "leads to it: give that point the nominal place where it was mounted (0.3 m off will do), "
+        "and leave out poses that reach it"
+    )

@@ -1,0 +1,108 @@
+"""A full pose of the body: a point and how the body is turned, as probes and cameras give them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from loopcal.errors import InputError
+from loopcal.expressions.vectors import cross, dot, vector
+from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.frame import ChainFrame, Frame, Values
+from loopcal.mechanisms.instruments.orientation import Orientation
+from loopcal.mechanisms.instruments.point import AXES, point
+from loopcal.mechanisms.instruments.spherical import turn_between
+from loopcal.mechanisms.machine import Instrument
+from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.station import Station, Target
+
+
+def pose(
+    name: str = "pose",
+    *,
+    readings: Sequence[str] | None = None,
+    turns: Sequence[str] | None = None,
+    orientation: str = "quaternion",
+    columns: Sequence[str] | None = None,
+    station: str | None = "base",
+    target: str | Target = "tool",
+    turned: bool = False,
+    dimension: int = 3,
+) -> Instrument:
+    """Position and orientation of a target frame, seen from a station.
+
+    Position: as `point`. Orientation: the measured one is a constant of each pose, R_meas, and
+    three small turns w say how far it is off, which are read as 0 with the angular noise for sd:
+
+        2 tan(theta/2) u - w = 0 [rad],   R_meas^T R_pred = rotation by theta about u,
+
+    that is 2 vee(M - M^T) / (1 + tr M) with M = R_meas^T R_pred: theta u to the third order, in
+    the measured frame, and zero nowhere else (unlike vee(M - M^T) / 2, which is zero at half a
+    turn too). R_pred = R_station_base R_base_body R_body_target.
+
+    turns: names of w, by default NAME_wx, NAME_wy, NAME_wz; orientation and columns: how the
+    measured orientation is written and the names of its numbers, see `Orientation`; turned: three
+    parameters TARGET_rz, _ry, _rx turn the target frame in the body (Rz Ry Rx), otherwise it is
+    parallel to the body's frame. In a plane x, y and one angle NAME_phi, a reading like others.
+
+    Raises InputError for numbers of names that do not fit.
+    """
+    own = tuple(AXES[:dimension] if readings is None else readings)
+    position = point(name, readings=own, station=station, target=target, dimension=dimension)
+    suffixes = ("phi",) if dimension == 2 else ("wx", "wy", "wz")
+    angles = tuple(f"{name}_{s}" for s in suffixes) if turns is None else tuple(turns)
+    if len(angles) != len(suffixes):
+        raise InputError(
+            f"the instrument {name!r} has {len(angles)} turns in a space of {dimension}",
+            remedy=f"name {len(suffixes)}",
+        )
+    if turned and not isinstance(target, str):
+        raise InputError(
+            f"the turns of the target of {name!r} have no names", remedy="give the target a name"
+        )
+    measured = Orientation.of(orientation, columns) if dimension == 3 else None
+    stands = Station(station, dimension)
+    own_turns = ("rz", "ry", "rx")[: 1 if dimension == 2 else 3] if turned else ()
+    turn_names = [f"{target}_{motion}" for motion in own_turns]
+    steps = tuple(Step(m, n) for m, n in zip(own_turns, turn_names, strict=True))
+
+    def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
+        seen, fixed = ChainFrame(stands.steps, {}, p), ChainFrame(steps, {}, p)
+
+        def axis(unit: Sequence[float]) -> Any:
+            return seen.direction(frames[0].direction(fixed.direction(vector(*unit))))
+
+        ex = axis((1.0, 0.0, 0.0))
+        loops = list(position.equations(frames, x, p))
+        if measured is None:
+            return [*loops, turn_between(ex[0], ex[1], x[angles[0]])]
+        ey = axis((0.0, 1.0, 0.0))
+        off = _small_turns(measured.axes(x), (ex, ey, cross(ex, ey)))
+        return loops + [w - x[angle] for w, angle in zip(off, angles, strict=True)]
+
+    return Instrument(
+        name,
+        {**position.readings, **dict.fromkeys(angles, "rad")},
+        {**position.parameters, **{n: Parameter(n, 0.0, "rad") for n in turn_names}},
+        equations,
+        "pose",
+        placement=position.placement,
+        place=position.place,
+        known={} if measured is None else measured.units,
+        implied={} if measured is None else dict.fromkeys(angles, 0.0),
+        dimension=dimension,
+        description={
+            **position.description,
+            "type": "pose",
+            "turns": list(angles),
+            **({} if measured is None else measured.description),
+            "turned": turned,
+        },
+    )
+
+
+def _small_turns(measured: Sequence[Any], predicted: Sequence[Any]) -> list[Any]:
+    """2 tan(theta/2) u of R_meas^T R_pred, from the columns of both."""
+    M = [[dot(a, b) for b in predicted] for a in measured]
+    twice = 2.0 / (1.0 + M[0][0] + M[1][1] + M[2][2])
+    return [twice * (M[j][i] - M[i][j]) for i, j in ((1, 2), (2, 0), (0, 1))]

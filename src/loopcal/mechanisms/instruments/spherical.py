@@ -1,0 +1,110 @@
+"""A tracker in its native readings: range, azimuth and elevation of a reflector on the body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from loopcal.errors import InputError, nearest
+from loopcal.expressions.vectors import norm
+from loopcal.mechanisms.frame import Frame, Values
+from loopcal.mechanisms.machine import Instrument
+from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.station import Station, Target
+
+NATIVE = ("range", "azimuth", "elevation")
+VERTICAL = ("elevation", "zenith")
+_ZEROS = (("range", "m"), ("elevation", "rad"))
+
+
+def spherical(
+    name: str = "tracker",
+    *,
+    readings: Sequence[str] | None = None,
+    station: str | None = None,
+    target: str | Target = "tool",
+    dimension: int = 3,
+    vertical: str = "elevation",
+    clockwise: bool = False,
+    offsets: bool = False,
+) -> Instrument:
+    """Range [m], azimuth and elevation [rad] of a target, seen from a station.
+
+    With q = T_station_base T_base_body p_target = (x, y, z) and rho = sqrt(x^2 + y^2):
+
+        |q| + range_offset - range = 0
+        arg[(x + i y) exp(-i azimuth)] = 0
+        arg[(rho + i z) exp(-i (elevation - elevation_offset))] = 0
+
+    Each loop is linear in its own reading with slope -1, so an sd of an angle is that of an angle;
+    arg lies within half a turn, so azimuths may differ by whole turns and nothing jumps near a
+    solution. In a plane range and azimuth alone.
+
+    readings: their names, by default NAME_range, NAME_azimuth and NAME_elevation; station: name
+    of the station (default: that of the instrument), whose six parameters, three in a plane, are
+    STATION_x ... STATION_rx; several reflectors seen from one station share its name. target: as
+    for `point`. vertical: "zenith" where the vertical angle counts from the station's z axis;
+    clockwise: the azimuth counts from x away from y, as theodolites do; offsets: two more
+    parameters STATION_range_offset [m] and STATION_elevation_offset [rad]. (One of the azimuth
+    cannot be told from the station's rz.)
+
+    Raises InputError for a number of readings that does not fit, or another vertical.
+    """
+    own = NATIVE[:dimension]
+    names = tuple(f"{name}_{what}" for what in own) if readings is None else tuple(readings)
+    if len(names) != dimension:
+        raise InputError(
+            f"the instrument {name!r} has {len(names)} readings, and in a space of {dimension} a "
+            f"tracker reads {', '.join(own)}",
+            remedy=f"name {dimension} readings",
+        )
+    if vertical not in VERTICAL:
+        raise InputError(
+            f"the vertical angle of {name!r} is {vertical!r}", remedy=nearest(vertical, VERTICAL)
+        )
+    stands = Station(name if station is None else station, dimension)
+    looked_at = Target.named(target, dimension) if isinstance(target, str) else target
+    units = dict(zip(names, ("m", "rad", "rad"), strict=False))
+    zeros = {f"{stands.name}_{what}_offset": u for what, u in _ZEROS[: dimension - 1] if offsets}
+
+    def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
+        q = stands.seen(frames[0].point(looked_at.point(p)), p)
+        distance, azimuth, *height = (x[reading] for reading in names)
+        side = -q[1] if clockwise else q[1]
+        loops = [norm(q) - distance, turn_between(q[0], side, azimuth)]
+        for angle in height:
+            flat = np.hypot(q[0], q[1])
+            along, up = (flat, q[2]) if vertical == "elevation" else (q[2], flat)
+            loops.append(turn_between(along, up, angle))
+        for i, zero in zip((0, 2), zeros, strict=False):
+            loops[i] = loops[i] + p[zero]
+        return loops
+
+    return Instrument(
+        name,
+        units,
+        looked_at.declared | {n: Parameter(n, 0.0, u) for n, u in zeros.items()},
+        equations,
+        "spherical",
+        placement=stands.declared,
+        place=stands,
+        dimension=dimension,
+        description={
+            "type": "spherical",
+            "name": name,
+            "readings": list(names),
+            "station": stands.name,
+            "target": target if isinstance(target, str) else list(target.parameters),
+            "vertical": vertical,
+            "clockwise": clockwise,
+            "offsets": offsets,
+        },
+    )
+
+
+def turn_between(c: Any, s: Any, angle: Any) -> Any:
+    """The direction (c, s) less an angle [rad], within half a turn: arg[(c + i s) e^(-i angle)]."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.arctan2(s * cosine - c * sine, c * cosine + s * sine)
