@@ -2,7 +2,7 @@
 
 A step moves along or turns about one coordinate axis of the current frame by
 
-    amount = constant + parameter + direction * joint reading      [m or rad]
+    amount = constant + sign * parameter + direction * joint reading      [m or rad]
 
 and a chain is the product of its steps, from the instrument's frame to the tool point:
 p_instrument = S_1 S_2 ... S_n p_tool. Tz Rz means: first move along z, then turn about the new z.
@@ -11,7 +11,7 @@ p_instrument = S_1 S_2 ... S_n p_tool. Tz Rz means: first move along z, then tur
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,8 +29,9 @@ class Step:
     motion: str
     parameter: str | None = None
     joint: str | None = None
-    direction: int = 1
+    direction: float = 1
     constant: float = 0.0
+    sign: int = 1
 
     @property
     def unit(self) -> str:
@@ -38,14 +39,21 @@ class Step:
         return "m" if self.motion[0] == "t" else "rad"
 
     def amount(self, joints: Mapping[str, Any], parameters: Mapping[str, Any]) -> Any:
-        """constant + parameter + direction * joint, for numbers or traced values."""
+        """constant + sign * parameter + direction * joint, for numbers or traced values."""
         total: Any = self.constant
         if self.parameter is not None:
-            total = total + parameters[self.parameter]
+            value = parameters[self.parameter]
+            total = total + value if self.sign > 0 else total - value
         if self.joint is not None:
             reading = joints[self.joint]
+            if abs(self.direction) != 1:
+                reading = abs(self.direction) * reading
             total = total + reading if self.direction > 0 else total - reading
         return total
+
+    def inverse(self) -> Step:
+        """The step that undoes this one."""
+        return replace(self, constant=-self.constant, sign=-self.sign, direction=-self.direction)
 
 
 def apply(

@@ -1,0 +1,110 @@
+"""Product of exponentials: every joint by its axis in the base frame when all joints read zero.
+
+    T_base_tool(q) = exp([S_1] q_1) ... exp([S_n] q_n) M
+
+S_i: the screw axis of joint i, by a point on it and its direction, in the base frame; M: the home
+pose of the tool. Brockett (1984); Lynch and Park, Modern Robotics (2017), chapter 4.
+
+Each axis has four parameters (a prismatic joint two: where its axis stands does not matter), two
+shifts and two tilts normal to its nominal direction: exp([S_i] q_i) = A_i Rz(q_i) A_i^-1, with
+A_i the nominal axis frame moved by Tx Ty Rx Ry. They are named after the directions: a joint
+along the base's z has NAME_x, NAME_y, NAME_rx, NAME_ry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from loopcal.errors import InputError
+from loopcal.mechanisms.axes import AxisFrame, Triple, fixed_frame
+from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.frame import ChainFrame
+from loopcal.mechanisms.machine import Machine
+from loopcal.mechanisms.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class ScrewJoint:
+    """A joint by its axis in the base frame, all joints at zero.
+
+    name: the quantity that is read; axis: unit vector; point: on the axis [m]; kind: "revolute"
+    or "prismatic"; limits: of the reading [m or rad], where known.
+    """
+
+    name: str
+    axis: Triple
+    point: Triple = (0.0, 0.0, 0.0)
+    kind: str = "revolute"
+    limits: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("revolute", "prismatic"):
+            raise InputError(
+                f"the joint {self.name!r} is of the kind {self.kind!r}",
+                remedy="give 'revolute' or 'prismatic'",
+            )
+        AxisFrame.of(self.axis, self.name)
+
+    @property
+    def own(self) -> tuple[Step, ...]:
+        """The steps of its parameters, in the frame of its axis."""
+        normal = AxisFrame.of(self.axis, self.name).letters[:2]
+        shifts = () if self.kind == "prismatic" else normal
+        return (
+            *(Step(f"t{a}", f"{self.name}_{a}") for a in shifts),
+            *(Step(f"r{a}", f"{self.name}_r{a}") for a in normal),
+        )
+
+    def steps(self) -> Iterator[Step]:
+        """exp([S] q) as elementary steps."""
+        frame = AxisFrame.of(self.axis, self.name)
+        there = [] if self.kind == "prismatic" else fixed_frame(self.point, (0.0, 0.0, 0.0))
+        yield from there
+        yield from frame.moving(self.name, self.kind, self.own)
+        yield from (step.inverse() for step in reversed(there))
+
+
+def exponentials(
+    joints: Sequence[ScrewJoint],
+    *,
+    home: tuple[Triple, Triple] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    name: str = "product of exponentials",
+) -> Machine:
+    """The machine T = exp([S_1] q_1) ... exp([S_n] q_n) M, joints from the base to the tip.
+
+    home: the tool's frame M with all joints at zero, xyz [m] and roll, pitch, yaw [rad].
+
+    Raises InputError for a machine without joints, or with two joints of one name.
+    """
+    joints = tuple(joints)
+    if not joints:
+        raise InputError("the machine has no joints", remedy="list at least one joint")
+    names = [joint.name for joint in joints]
+    for joint in names:
+        if names.count(joint) > 1:
+            raise InputError(f"{joint!r} names two joints", remedy="name each differently")
+    steps = merged([*(s for joint in joints for s in joint.steps()), *fixed_frame(*home)])
+    own = [Parameter(s.parameter, 0.0, s.unit) for j in joints for s in j.own if s.parameter]
+    return Machine(
+        name,
+        {j.name: "m" if j.kind == "prismatic" else "rad" for j in joints},
+        {p.name: p for p in own},
+        lambda x, p: ChainFrame(steps, x, p),
+        description={"type": "exponentials", "joints": list(joints), "home": home},
+    )
+
+
+def merged(steps: Sequence[Step]) -> tuple[Step, ...]:
+    """The same chain, fixed displacements that follow each other as one along each axis."""
+    made: list[Step] = []
+    run: dict[str, float] = {}
+    for step in steps:
+        if step.motion[0] == "t" and step.parameter is None and step.joint is None:
+            run[step.motion] = run.get(step.motion, 0.0) + step.constant
+            continue
+        made += [Step(motion, constant=v) for motion, v in run.items() if v != 0.0]
+        run = {}
+        made.append(step)
+    made += [Step(motion, constant=v) for motion, v in run.items() if v != 0.0]
+    return tuple(made)

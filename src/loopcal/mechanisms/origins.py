@@ -1,0 +1,146 @@
+"""Machines from joint origins, as URDF describes robots: each joint's frame seen in its parent's.
+
+    T_parent_child = Tx Ty Tz  Rz(yaw) Ry(pitch) Rx(roll)  Rz Ry Rx  J(q)
+
+x, y, z are the origin's own; the turns Rz Ry Rx stand behind its nominal rotation, in the joint's
+frame, and are nominally 0: real robots have origins pitched by 90 degrees, where yaw and roll
+turn about one axis and could not express every small rotation. J turns about or moves along the
+joint's axis; a fixed joint has none, one that mimics another moves with that one's reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from loopcal.errors import InputError, nearest
+from loopcal.mechanisms.axes import AxisFrame, Triple, fixed_frame
+from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.frame import ChainFrame
+from loopcal.mechanisms.machine import Machine
+from loopcal.mechanisms.parameters import Parameter
+
+KINDS = ("revolute", "continuous", "prismatic", "fixed")
+ORIGIN = ("tx", "ty", "tz", "rz", "ry", "rx")
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint that follows another: q = multiplier * q_followed + offset.
+
+    kind: that of the joint followed, which is the one that is read.
+    """
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+    kind: str = "revolute"
+
+
+@dataclass(frozen=True)
+class LinkJoint:
+    """One joint between two links.
+
+    name: the quantity that is read; kind: "revolute", "continuous", "prismatic" or "fixed";
+    xyz [m], rpy [rad]: origin of the joint in the frame of its parent; axis: unit vector in the
+    joint's frame; limits: of the reading [m or rad], where known.
+    """
+
+    name: str
+    kind: str
+    xyz: Triple = (0.0, 0.0, 0.0)
+    rpy: Triple = (0.0, 0.0, 0.0)
+    axis: Triple = (1.0, 0.0, 0.0)
+    limits: tuple[float, float] | None = None
+    mimic: Mimic | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InputError(
+                f"the joint {self.name!r} is of the kind {self.kind!r}",
+                remedy=nearest(self.kind, KINDS),
+            )
+        if self.kind != "fixed":
+            AxisFrame.of(self.axis, self.name)
+
+    @property
+    def reads(self) -> tuple[str, str] | None:
+        """The quantity that moves it and that quantity's unit, None for a fixed joint."""
+        if self.kind == "fixed":
+            return None
+        name, kind = (self.mimic.joint, self.mimic.kind) if self.mimic else (self.name, self.kind)
+        return name, "m" if kind == "prismatic" else "rad"
+
+    @property
+    def own(self) -> tuple[Step, ...]:
+        """The steps of its origin's parameters: NAME_x, _y, _z, and the turns NAME_rz, _ry, _rx."""
+        return tuple(Step(m, f"{self.name}_{m.removeprefix('t')}") for m in ORIGIN)
+
+    @property
+    def origin(self) -> tuple[Parameter, ...]:
+        """The six parameters of the origin, nominally at its xyz and rpy."""
+        nominal = (*self.xyz, 0.0, 0.0, 0.0)
+        named = zip(self.own, nominal, strict=True)
+        return tuple(Parameter(str(s.parameter), float(v), s.unit) for s, v in named)
+
+    @property
+    def tilts(self) -> tuple[Step, ...]:
+        """Two turns NAME_axis_r. of the axis, about the two directions normal to it."""
+        if self.kind == "fixed":
+            return ()
+        letters = AxisFrame.of(self.axis, self.name).letters
+        return tuple(Step(f"r{a}", f"{self.name}_axis_r{a}") for a in letters[:2])
+
+    def steps(self, *, axes: bool = False) -> Iterator[Step]:
+        """Its elementary steps; axes: whether its axis has parameters of its own."""
+        yield from self.own[:3]
+        yield from fixed_frame((0.0, 0.0, 0.0), self.rpy)
+        yield from self.own[3:]
+        if self.reads is not None:
+            follows = self.mimic or Mimic(self.name)
+            yield from AxisFrame.of(self.axis, self.name).moving(
+                follows.joint,
+                self.kind,
+                self.tilts if axes else (),
+                follows.multiplier,
+                follows.offset,
+            )
+
+
+def joint_chain(
+    joints: Sequence[LinkJoint],
+    *,
+    axes: bool = False,
+    name: str = "robot",
+    description: Mapping[str, Any] | None = None,
+) -> Machine:
+    """The machine of a chain of joints from the base to the tip.
+
+    axes: whether the joints' axes have parameters too, NAME_axis_rx and so on; the origins alone
+    hold every geometry that a robot of these kinds of joints can have. description: the file that
+    it was read from, for messages.
+
+    Raises InputError for a chain in which nothing moves, or two joints of one name.
+    """
+    joints = tuple(joints)
+    names = [joint.name for joint in joints]
+    for joint in names:
+        if names.count(joint) > 1:
+            raise InputError(f"{joint!r} names two joints", remedy="name each differently")
+    reads = [read for joint in joints if (read := joint.reads)]
+    if not reads:
+        raise InputError(
+            "nothing moves between the base and the tip: all joints are fixed",
+            remedy="name a base and a tip with moving joints between them",
+        )
+    steps = tuple(step for joint in joints for step in joint.steps(axes=axes))
+    tilts = [Parameter(s.parameter, 0.0, "rad") for j in joints for s in j.tilts if s.parameter]
+    parameters = [*(tilts if axes else ()), *(p for joint in joints for p in joint.origin)]
+    return Machine(
+        name,
+        dict(reads),
+        {p.name: p for p in parameters},
+        lambda x, p: ChainFrame(steps, x, p),
+        description=description or {"type": "urdf", "axes": axes, "joints": list(joints)},
+    )
