@@ -14,6 +14,7 @@ from typing import Any
 
 from loopcal.errors import InputError, nearest
 from loopcal.mechanisms.frame import Frame, Values
+from loopcal.mechanisms.gauge import Gauge, fixed, held
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 from loopcal.mechanisms.parameters import Parameter
 
@@ -29,7 +30,8 @@ class Machine:
     name; frame(x, p): T_base_body; equations(x, p): values of the closure loops, named in
     `loops`; home: a typical value [SI] of the quantities that nobody may read, from which the
     search for them begins; known: constants that vary by pose; dimension: 2 for a machine that
-    moves in the plane z = 0; description: what a mechanism file says to build it.
+    moves in the plane z = 0; gauge: parameters that only say where its frames lie; description:
+    what a mechanism file says to build it.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Machine:
     home: Mapping[str, float] = field(default_factory=dict)
     known: Mapping[str, str] = field(default_factory=dict)
     dimension: int = 3
+    gauge: Gauge = field(default_factory=Gauge)
     description: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -88,6 +91,7 @@ def assemble(
 
     nominal: values [SI] of parameters by name, in place of their own. Without instruments only
     the machine's own loops are there: it calibrates itself if its sensors are redundant.
+    Parameters that place a frame which no instrument ties are fixed (`gauge`).
 
     Raises InputError for readings or instruments of one name, an instrument of another dimension
     than the machine's, one name for things of different kinds, and parameters that are not there.
@@ -112,6 +116,7 @@ def assemble(
         *(i.parameters for i in instruments),
     ):
         parameters |= {name: p for name, p in part.items() if name not in parameters}
+    parameters = fixed(parameters, held(machine.gauge, instruments))
     parameters |= _stated(parameters, nominal or {})
 
     def loops(x: Any, p: Any) -> list[Any]:

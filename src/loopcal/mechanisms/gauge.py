@@ -1,0 +1,81 @@
+"""Which parameters of a machine only say where a frame lies, and when they are held.
+
+The joints of a parallel machine are points of two bodies, base and platform, whose own frames
+nobody drew on them. A frame is tied by an instrument that reads in it; where none does, the
+machine's `Gauge` holds as many parameters at their nominal values as the frame has freedoms, and
+what is left is determined. Nothing that can be seen depends on which are held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from loopcal.mechanisms.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """Parameters that place a frame or set the scale, by what they place.
+
+    base: where the base frame lies, tied by an instrument that reads coordinates in it; body:
+    where the body's frame lies, tied by an instrument that reads the pose of that very frame;
+    scale: the size of a machine that itself reads angles alone, tied by any reading of a length.
+    translating: the body never turns, so the place of a target on it and that of the station
+    cannot be told apart, and the first instrument's target is held.
+    """
+
+    base: tuple[str, ...] = ()
+    body: tuple[str, ...] = ()
+    scale: tuple[str, ...] = ()
+    translating: bool = False
+
+
+class Reader(Protocol):
+    """What an instrument says of the frames that it ties."""
+
+    @property
+    def readings(self) -> Mapping[str, str]:
+        """Its readings and their SI units."""
+
+    @property
+    def parameters(self) -> Mapping[str, Parameter]:
+        """Of what it looks at on the body."""
+
+    @property
+    def placement(self) -> Mapping[str, Parameter]:
+        """Of where it stands."""
+
+    @property
+    def form(self) -> str:
+        """What its readings are together."""
+
+
+_COORDINATES = ("point", "spherical", "pose")
+"""Forms of readings that say where in a frame something is, rather than how far from a thing."""
+
+
+def held(gauge: Gauge, instruments: Sequence[Reader]) -> set[str]:
+    """Names of the parameters that nothing but the drawing can say."""
+    names: set[str] = set()
+    if not any(i.form in _COORDINATES and not i.placement for i in instruments):
+        names |= set(gauge.base)
+    tying = next((i for i in instruments if i.form == "pose" and not _turned(i)), None)
+    if gauge.body:
+        names |= set(gauge.body if tying is None else tying.parameters)
+    if gauge.translating and instruments:
+        names |= {n for n, p in instruments[0].parameters.items() if p.unit == "m"}
+    if not any("m" in i.readings.values() for i in instruments):
+        names |= set(gauge.scale)
+    return names
+
+
+def _turned(instrument: Reader) -> bool:
+    """Whether the frame it reads is turned in the body by parameters of its own."""
+    return any(p.unit == "rad" for p in instrument.parameters.values())
+
+
+def fixed(parameters: Mapping[str, Parameter], names: set[str]) -> dict[str, Parameter]:
+    """The parameters, those named held at their nominal values."""
+    return {n: replace(p, fixed=True) if n in names else p for n, p in parameters.items()}

@@ -1,0 +1,90 @@
+"""The planar five-bar: two arms of two links that meet in one joint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from loopcal.expressions.vectors import vector
+from loopcal.mechanisms.frame import Frame, Values
+from loopcal.mechanisms.gauge import Gauge
+from loopcal.mechanisms.machine import Machine
+from loopcal.mechanisms.parallel.parts import (
+    Polylines,
+    chosen_passive,
+    elbow,
+    in_unit,
+    joint,
+    joint_coordinates,
+    offsets,
+    planar_leg,
+    planar_leg_names,
+    plane_frame,
+)
+
+PASSIVE = ("phi_1", "phi_2")
+_HOME = {"theta_1": 2.2, "theta_2": 0.94, "phi_1": -1.53, "phi_2": 1.53}
+_HOME |= {"platform_x": 0.125, "platform_y": 0.42}
+
+
+def five_bar(
+    *,
+    passive: Sequence[str] = (),
+    home: Mapping[str, float] | None = None,
+    name: str = "five-bar",
+) -> Machine:
+    """A planar five-bar; the moving body is the distal link of leg 1, its origin where both meet.
+
+    For the legs i = 1, 2, with P = (platform_x, platform_y), which nobody reads,
+
+        |P - a_i - proximal_i (cos, sin)(theta_i)| - distal_i = 0 [m],
+
+    theta_i the reading plus theta_i_offset [rad]. passive: elbows that carry a sensor all the
+    same, "phi_1", "phi_2", angles of the distal link against the proximal one, with
+    a_i + proximal_i (cos, sin)(theta_i) + distal_i (cos, sin)(theta_i + phi_i) - P = 0 in place of
+    the length. With both read the machine calibrates itself, up to its size: then the distance
+    of its base joints is held. Parameters [m]: a1_x ... a2_y, proximal_1, distal_1, proximal_2,
+    distal_2; offsets [rad] of what is read. The body's x axis goes along the distal link, from
+    the elbow. The example: a1 = (0, 0), a2 = (0.25, 0), links of 0.25 and 0.35 m. home: values
+    [SI] from which unread quantities are searched.
+
+    Raises InputError for a passive joint that is not there. Source: Wampler, Hollerbach and Arai
+    (1995), whose loop equations name passive joints alike.
+    """
+    passive = chosen_passive(passive, PASSIVE, name)
+
+    def equations(x: Values, p: Values) -> list[Any]:
+        return [loop for i in (1, 2) for loop in planar_leg(x, p, i, _end(x), passive)]
+
+    def frame(x: Values, p: Values) -> Frame:
+        end = _end(x)
+        direction = (end - elbow(x, p, 1)) / p["distal_1"]
+        return plane_frame(direction[0], direction[1], end)
+
+    sensed = dict.fromkeys(("theta_1", "theta_2", *passive), "rad")
+    links = {"proximal_1": 0.25, "distal_1": 0.35, "proximal_2": 0.25, "distal_2": 0.35}
+    quantities = sensed | {"platform_x": "m", "platform_y": "m"}
+    return Machine(
+        name,
+        quantities,
+        joint_coordinates({"a1": (0.0, 0.0), "a2": (0.25, 0.0)})
+        | in_unit("m", links)
+        | offsets(sensed),
+        frame,
+        tuple(loop for i in (1, 2) for loop in planar_leg_names(i, passive)),
+        equations,
+        home={q: v for q, v in _HOME.items() if q in quantities} | dict(home or {}),
+        dimension=2,
+        gauge=Gauge(base=("a1_x", "a1_y", "a2_y"), scale=("a2_x",)),
+        description={"type": "five-bar", "passive": list(passive), "home": dict(home or {})},
+    )
+
+
+def _end(x: Values) -> Any:
+    return vector(x["platform_x"], x["platform_y"], 0.0)
+
+
+def lines(x: Values, p: Values) -> Polylines:
+    """Both arms as one line."""
+    elbows = [elbow(x, p, i) for i in (1, 2)]
+    return [[joint(p, "a1", 2), elbows[0], _end(x), elbows[1], joint(p, "a2", 2)]]
