@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -34,8 +35,10 @@ def system(condition: float = 10.0, seed: int = 1) -> tuple[Array, Array]:
     return D * np.array([1e3, 1.0, 1e-2, 10.0, 1.0]), rng.normal(size=R * B)
 
 
-def added_up(D: Array, E: Array, triangular: bool, blocks: int = 4) -> Accumulator:
-    accumulator = Accumulator(N, triangular)
+def added_up(
+    D: Array, E: Array, triangular: bool, blocks: int = 4, units: Sequence[str] = ()
+) -> Accumulator:
+    accumulator = Accumulator(N, triangular, units)
     for part in np.split(np.arange(len(E)), blocks):
         rows = np.column_stack([D[part], E[part]]).T.reshape(N + 1, R, -1)
         nothing = np.zeros(0)
@@ -82,6 +85,18 @@ def test_the_condition_number_does_not_see_the_units_of_parameters(triangular: b
     D, E = system(50.0)
     scaled = solved(D * np.array([1e6, 1e-6, 1.0, 1e3, 1e-3]), E, triangular)
     assert scaled.condition == pytest.approx(solved(D, E, triangular).condition, rel=1e-9)
+
+
+@pytest.mark.parametrize("triangular", WAYS)
+def test_a_column_of_rounding_is_no_effect(triangular: bool) -> None:
+    """What cancelling terms leave of a column shows beside the columns of the same unit."""
+    D, E = system()
+    D[:, 1] *= 1e-16
+    data = added_up(D, E, triangular, units=("m", "m", "rad", "m", "rad"))
+    found = spectrum(data, np.zeros(N), FLAT)
+    assert found.rank == N - 1
+    assert undetermined(found, "abcde") == ({"b": 1.0},)
+    assert abs(found.step()[1]) < 1e-9
 
 
 @pytest.mark.parametrize("triangular", WAYS)

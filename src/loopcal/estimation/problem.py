@@ -69,6 +69,12 @@ class Problem:
         return tuple(everything[i] for i in self.free)
 
     @property
+    def units(self) -> tuple[str, ...]:
+        """SI units of the estimated parameters."""
+        everything = self.mechanism.parameters.items
+        return tuple(everything[i].unit for i in self.free)
+
+    @property
     def equations(self) -> int:
         """Loop equations over all poses, less the unmeasured quantities they determine."""
         return sum(

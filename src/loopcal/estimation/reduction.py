@@ -21,7 +21,7 @@ RANK_TOLERANCE, SUMMED_TOLERANCE = 1e-10, 1e-6
 """Directions with a singular value this much below the largest are not determined; from normal
 equations, whose rounding hides singular values up to the root of n eps, it shows only so far."""
 ROUNDING = 2e-15
-"""A column this short beside the longest is what cancelled terms leave: no effect at all."""
+"""A column this short beside others in its unit is what cancelled terms leave: no effect at all."""
 WEAK = 1e-6
 """Directions with a singular value this far below the largest are determined, but hardly."""
 WELL_CONDITIONED = 1e4
@@ -31,11 +31,12 @@ WELL_CONDITIONED = 1e4
 class Accumulator:
     """Adds up the whitened equations of blocks: |E - D dp|^2 over all poses.
 
-    triangular: keep a QR triangle instead of normal equations.
+    triangular: keep a QR triangle instead of normal equations; units: of the parameters, where
+    they are known.
     """
 
-    def __init__(self, parameters: int, triangular: bool) -> None:
-        self.triangular = triangular
+    def __init__(self, parameters: int, triangular: bool, units: Sequence[str] = ()) -> None:
+        self.triangular, self.units = triangular, tuple(units)
         size = parameters + 1
         self.total = np.zeros((size, size))
 
@@ -127,12 +128,12 @@ def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
     n = len(prior_sd)
     if data.triangular:
         R = _triangle(data.total, np.column_stack([np.diag(precision), known]))
-        scale = _scale(np.sqrt(np.square(R[:, :n]).sum(axis=0)))
+        scale = _scale(np.sqrt(np.square(R[:, :n]).sum(axis=0)), data.units)
         U, s, Vt = np.linalg.svd(R[:n, :n] * scale)
         return Spectrum(scale, Vt.T, s, U.T @ R[:n, n])
     H = data.total[:n, :n] + np.diag(np.square(precision))
     g = data.total[:n, n] + known * precision
-    scale = _scale(np.sqrt(np.diag(H)))
+    scale = _scale(np.sqrt(np.diag(H)), data.units)
     values, vectors = np.linalg.eigh(H * scale * scale[:, None])
     s = np.sqrt(np.maximum(values, 0.0))
     b = vectors.T @ (scale * g)
@@ -145,10 +146,18 @@ def _triangle(above: Array, below: Array) -> Array:
     return np.asarray(np.linalg.qr(np.vstack([above, below]), mode="r"), dtype=np.float64)
 
 
-def _scale(lengths: Array) -> Array:
-    """What makes columns of these lengths alike; a column of nothing but rounding stays small."""
-    longest = float(lengths.max(initial=0.0)) or 1.0
-    return 1.0 / np.where(lengths > ROUNDING * longest, lengths, longest)
+def _scale(lengths: Array, units: Sequence[str]) -> Array:
+    """What makes columns of these lengths alike.
+
+    Of a parameter without effect rounding leaves a column where terms should cancel. It is known
+    by the columns of other parameters in the same unit, and stays as short beside them.
+    """
+    longest = np.where(lengths > 0.0, lengths, 1.0)
+    for unit in {*units} - {"1"}:  # numbers may stand for anything
+        its = [i for i, name in enumerate(units) if name == unit]
+        most = float(lengths[its].max())
+        longest[its] = np.where(lengths[its] > ROUNDING * most, longest[its], most or 1.0)
+    return 1.0 / longest
 
 
 def undetermined(

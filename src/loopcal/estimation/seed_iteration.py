@@ -82,7 +82,7 @@ def _linearised(
     """The parameter system; S Q D, (n, k, N), which turns dq into corrections; and S Q E."""
     problem = sweeper.problem
     sweeper.at(parameters)
-    data = Accumulator(len(problem.free), triangular=True)
+    data = Accumulator(len(problem.free), True, problem.units)
     steps = np.zeros((len(problem.free), *corrections.shape))
     proposals = np.zeros_like(corrections)
     for pattern, poses in problem.blocks():

@@ -107,7 +107,7 @@ class Sweeper:
         problem = self.problem
         closing = closing if self.corrects else None
         self.at(parameters)
-        data = Accumulator(len(problem.free), triangular)
+        data = Accumulator(len(problem.free), triangular, problem.units)
         used = corrections if closing is None else np.zeros_like(corrections)
         proposal = np.zeros_like(corrections) if self.corrects else corrections
         steps, ratios = [0.0], [0.0]
