@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.distances import point_outputs, points
+from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem import Problem
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 
 Array = NDArray[np.float64]
 
@@ -56,27 +57,56 @@ def align(points: Array, targets: Array) -> RigidMotion:
 
 def can_be_placed(mechanism: Mechanism) -> bool:
     """Whether the start may be moved: all placement parameters are free and have flat priors."""
-    if mechanism.placement is None:
-        return False
-    its = [mechanism.parameters[name] for name in mechanism.placement.parameters]
-    return all(not p.fixed and np.isinf(p.prior_sd) for p in its)
+    placements = [placement for _, placement in _stations(mechanism)]
+    its = [mechanism.parameters[name] for p in placements for name in p.parameters]
+    return bool(its) and all(not p.fixed and np.isinf(p.prior_sd) for p in its)
+
+
+def begins_aligned(mechanism: Mechanism, start: str) -> bool:
+    """Whether a fit with this start begins by placing the nominal machine.
+
+    "auto" places a machine whose placement is free: one that instruments look at, or an own loop
+    in space.
+    """
+    looked_at = bool(mechanism.families) or len(mechanism.outputs) == 3
+    return start == "align" or (start == "auto" and looked_at and can_be_placed(mechanism))
 
 
 def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
-    """The nominal machine moved to where the instrument sees it.
+    """The nominal machine moved to where each instrument that reads points sees it.
 
-    Raises InputError if the mechanism cannot say how its parameters change with its placement.
+    The motion is that of the last of them. Raises InputError if the mechanism cannot say how its
+    parameters change with its placement.
     """
     mechanism = problem.mechanism
-    if mechanism.placement is None or len(mechanism.outputs) not in (2, 3):
+    stations = _stations(mechanism)
+    if not stations:
         raise InputError(
             f"the mechanism {mechanism.name!r} cannot be placed by aligning points",
             remedy='start from the nominal parameters (fit.start = "nominal")',
         )
-    rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
-    measured = np.where(np.isinf(problem.uncertainty.sd[rows]), np.nan, problem.readings[rows])
-    computed = predict_outputs(mechanism, problem.start, problem.readings, problem.known)
-    motion = align(computed, measured)
     values = dict(zip(mechanism.parameters.names, problem.start.tolist(), strict=True))
-    moved = mechanism.placement.moved(values, motion.rotation, motion.shift)
-    return mechanism.with_nominal(moved), motion
+    differences = output_differences(problem, problem.start)
+    alike: dict[tuple[str, ...], list[tuple[Array, Array, Placement]]] = {}
+    for family, placement in stations:
+        outputs = point_outputs(mechanism, family)
+        rows = [mechanism.tape.quantities.index(q) for q in outputs]
+        measured = problem.readings[rows]
+        computed = measured + differences[[mechanism.outputs.index(q) for q in outputs]]
+        both = points(family, computed), points(family, measured)
+        alike.setdefault(placement.parameters, []).append((*both, placement))
+    for seen in alike.values():
+        motion = align(np.hstack([s[0] for s in seen]), np.hstack([s[1] for s in seen]))
+        values = seen[0][2].moved(values, motion.rotation, motion.shift)
+    return mechanism.with_nominal(values), motion
+
+
+def _stations(mechanism: Mechanism) -> list[tuple[Family, Placement]]:
+    """The instruments that read points, with what tells where they stand."""
+    if not mechanism.families:
+        if mechanism.placement is None or len(mechanism.outputs) not in (2, 3):
+            return []
+        return [(Family("", mechanism.tape.loops, mechanism.outputs), mechanism.placement)]
+    alone = mechanism.placement if len(mechanism.families) == 1 else None
+    found = [(family, alone or family.placement) for family in mechanism.families]
+    return [(f, p) for f, p in found if p is not None and point_outputs(mechanism, f)]

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, nearest
-from loopcal.estimation.alignment import can_be_placed, placed
+from loopcal.estimation.alignment import begins_aligned, placed
 from loopcal.estimation.discrepancy import model_discrepancy
+from loopcal.estimation.distances import distances
 from loopcal.estimation.learning import components, entries, with_model, words
 from loopcal.estimation.loss import loss_named
 from loopcal.estimation.noise_estimation import NoiseEstimate, estimate_noise
@@ -73,7 +74,7 @@ def calibrate(
     methods "implicit-loop" and "reweighted" with stated sds.
 
     start: "nominal"; "align" moves the nominal machine rigidly to where the instrument sees it;
-    "auto" aligns a spatial machine whose placement parameters are free with flat priors; or
+    "auto" aligns a machine whose placement parameters are free with flat priors; or
     parameter values [SI] by name. Angles rad, lengths m throughout.
 
     data: a Dataset, or a dict of (N,) arrays or any DataFrame of readings in SI units.
@@ -155,8 +156,7 @@ def _started(
     if start not in STARTS:
         raise InputError(f"there is no start {start!r}", remedy=nearest(start, STARTS))
     problem = build_problem(mechanism, data, noise)
-    spatial = len(mechanism.outputs) == 3
-    if start == "align" or (start == "auto" and spatial and can_be_placed(mechanism)):
+    if begins_aligned(mechanism, start):
         moved, _ = placed(problem)
         return build_problem(moved, data, noise)
     return problem
@@ -214,8 +214,8 @@ def _result(
         residuals_after=_residuals(problem, solution.parameters, corrections),
         differences_before=differences[0],
         differences_after=differences[1],
-        accuracy_before=_accuracy(mechanism, differences[0]),
-        accuracy_after=_accuracy(mechanism, differences[1]),
+        accuracy_before=_accuracy(problem, differences[0]),
+        accuracy_after=_accuracy(problem, differences[1]),
         identifiability=identifiability,
         dataset=data,
         problem=problem,
@@ -308,11 +308,11 @@ def _differences(
     return frozen(dict(zip(outputs, found, strict=True)))
 
 
-def _accuracy(mechanism: Mechanism, differences: Mapping[str, Array]) -> Accuracy | None:
-    units = {mechanism.quantities[q] for q in mechanism.outputs}
-    if len(units) != 1:
-        return None
-    return Accuracy.of(np.array(list(differences.values())), units.pop())
+def _accuracy(problem: Problem, differences: Mapping[str, Array]) -> Accuracy | None:
+    mechanism = problem.mechanism
+    rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
+    found = distances(mechanism, problem.readings[rows], np.array(list(differences.values())))
+    return None if found is None else Accuracy.of(found.values, found.unit)
 
 
 def _warnings(result: Result) -> tuple[str, ...]:

@@ -46,7 +46,7 @@ class Closure:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Distances between computed and measured outputs [unit] over the poses that have both.
+    """Distances between computed and measured outputs [unit] where both are there.
 
     The computed output comes from the other readings alone, without corrections.
     """
@@ -59,9 +59,8 @@ class Accuracy:
     poses: int
 
     @classmethod
-    def of(cls, differences: Array, unit: str) -> Accuracy | None:
-        """From differences (o, N); poses with a missing value do not count."""
-        distances = np.sqrt(np.square(differences).sum(axis=0))
+    def of(cls, distances: Array, unit: str) -> Accuracy | None:
+        """From distances of any shape; missing ones (NaN) do not count."""
         distances = distances[np.isfinite(distances)]
         if not distances.size:
             return None

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from loopcal.errors import InputError
 from loopcal.expressions.graph import Graph, Node
 from loopcal.expressions.operations import LEAVES
 from loopcal.expressions.tape import Tape
@@ -28,11 +29,17 @@ def with_model_error(mechanism: Mechanism) -> Mechanism:
     """The mechanism with a disturbance of each output, or of each loop equation without outputs.
 
     Its units are those of the outputs; a loop's own disturbance is a plain number in the unit of
-    the loop. Their readings are zero in every pose.
+    the loop. Their readings are zero in every pose. Raises InputError where outputs differ in unit.
     """
     names = disturbances(mechanism)
     if names[0] in mechanism.quantities:
         return mechanism
+    units = {mechanism.quantities[q] for q in mechanism.outputs}
+    if len(units) > 1:
+        raise InputError(
+            f"an error of the machine model is one sd for all outputs, and these are in {' and '.join(sorted(units))}",
+            remedy="read points in x, y, z with the instrument's covariance, or leave it out",
+        )
     tape = mechanism.tape
     graph = Graph()
     offset = len(tape.quantities)
@@ -61,6 +68,6 @@ def with_model_error(mechanism: Mechanism) -> Mechanism:
         parameters=tape.parameters,
         loops=tape.loops,
     )
-    units = [mechanism.quantities[name] for name in mechanism.outputs] or ["1"] * len(names)
-    quantities = {**mechanism.quantities, **dict(zip(names, units, strict=True))}
+    own = [mechanism.quantities[name] for name in mechanism.outputs] or ["1"] * len(names)
+    quantities = {**mechanism.quantities, **dict(zip(names, own, strict=True))}
     return replace(mechanism, tape=disturbed, quantities=quantities)

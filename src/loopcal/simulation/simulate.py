@@ -53,7 +53,8 @@ def simulate(
     [SI], any DataFrame or a Dataset. The outputs, and whatever is not given, follow from closing
     the loops f(x, p) = 0 at the true parameters p: the nominal ones, replaced by those in
     `truth` [SI]. Outputs that are given only say where that search starts, as `start` does for
-    other quantities (one value, or one per pose).
+    other quantities (one value, or one per pose); without either it starts at the mechanism's
+    home. Quantities with an implied reading stand at it unless they are given.
 
     reading = true value + sd * z, z standard normal and independent, drawn by PCG64 from the
     seed in the order of the mechanism's quantities, whatever the sds: another sd scales the same
@@ -118,11 +119,12 @@ def _values(
     x = np.zeros((len(names), len(driven)))
     unknown = []
     for row, name in zip(x, names, strict=True):
-        given: ArrayLike | None = driven.readings.get(name)
+        given: ArrayLike | None = driven.readings.get(name, mechanism.implied.get(name))
         found = name in mechanism.outputs or given is None
         if found:
             unknown.append(name)
-        values = np.asarray(start.get(name, 0.0) if given is None else given, dtype=float)
+        begin = start.get(name, mechanism.home.get(name, 0.0))
+        values = np.asarray(begin if given is None else given, dtype=float)
         missing = np.isnan(np.broadcast_to(values, row.shape))
         if missing.any() and not found:
             raise InputError(

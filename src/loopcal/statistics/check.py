@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.alignment import can_be_placed, placed
+from loopcal.estimation.alignment import begins_aligned, placed
 from loopcal.estimation.learning import with_model
 from loopcal.estimation.problem import Problem, build_problem
 from loopcal.estimation.reduction import Spectrum, spectrum, undetermined
@@ -170,9 +170,7 @@ def check(
 
 
 def _placed(problem: Problem, data: Dataset, noise: Noise | None, start: str) -> Problem:
-    mechanism = problem.mechanism
-    spatial = len(mechanism.outputs) == 3
-    if start == "align" or (start == "auto" and spatial and can_be_placed(mechanism)):
+    if begins_aligned(problem.mechanism, start):
         return build_problem(placed(problem)[0], data, noise)
     return problem
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.distances import distances
 from loopcal.estimation.on_request import Validation
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Accuracy, Result
@@ -153,28 +154,29 @@ def _pooled(
     given: _Given, parts: Sequence[_Part], scheme: Mapping[str, Any], words: str, data: Dataset
 ) -> Validation:
     mechanism = parts[0].fit.mechanism
-    units = {mechanism.quantities[q] for q in mechanism.outputs}
-    differences = np.full((len(mechanism.outputs), len(data)), np.nan)
+    rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
+    measured, differences = np.full((2, len(rows), len(data)), np.nan)
     terms: Array | None = np.full(len(data), np.nan)
     for part in parts:
         held = held_problem(part.fit, part.data, part.noise)
-        if len(units) == 1:
-            differences[:, part.index] = output_differences(
-                held.problem, held.problem.start, held.corrections
-            )
+        measured[:, part.index] = held.problem.readings[rows]
+        differences[:, part.index] = output_differences(
+            held.problem, held.problem.start, held.corrections
+        )
         densities = log_densities(part.fit, held)
         if densities is None or terms is None:
             terms = None
         else:
             terms[part.index] = densities
+    apart = distances(mechanism, measured, differences)
     predicted = np.unique(np.concatenate([part.index for part in parts]))
     return Validation(
         MappingProxyType(dict(scheme)),
         words,
-        Accuracy.of(differences, units.pop()) if len(units) == 1 else None,
+        None if apart is None else Accuracy.of(apart.values, apart.unit),
         None if terms is None else float(terms[predicted].sum()),
         tuple(data.poses[i] for i in predicted),
-        np.sqrt(np.square(differences[:, predicted]).sum(axis=0)) if mechanism.outputs else None,
+        None if apart is None else apart.by_pose[predicted],
         None if terms is None else terms[predicted],
     )
 
