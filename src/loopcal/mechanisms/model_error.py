@@ -36,8 +36,9 @@ def with_model_error(mechanism: Mechanism) -> Mechanism:
         return mechanism
     units = {mechanism.quantities[q] for q in mechanism.outputs}
     if len(units) > 1:
+        both = " and ".join(sorted(units))
         raise InputError(
-            f"an error of the machine model is one sd for all outputs, and these are in {' and '.join(sorted(units))}",
+            f"an error of the machine model is one sd for all outputs, and these are in {both}",
             remedy="read points in x, y, z with the instrument's covariance, or leave it out",
         )
     tape = mechanism.tape
