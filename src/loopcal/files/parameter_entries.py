@@ -12,7 +12,7 @@ from loopcal.mechanisms.parameters import Parameter, Parameters
 from loopcal.units import unit
 
 if TYPE_CHECKING:
-    from loopcal.files.mechanism_schema import ParameterEntry
+    from loopcal.files.mechanism_parts import ParameterEntry
 
 NO_UNITS: Mapping[str, str] = {}
 

@@ -208,7 +208,7 @@ def stated_mechanism(
 
 def priors(entries: Mapping[str, SdEntry]) -> dict[str, Any]:
     """Prior sds as entries of parameters."""
-    from loopcal.files.mechanism_schema import ParameterEntry
+    from loopcal.files.mechanism_parts import ParameterEntry
 
     return {key: ParameterEntry(sd=entry.sd, unit=entry.unit) for key, entry in entries.items()}
 

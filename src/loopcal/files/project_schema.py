@@ -10,7 +10,8 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
 from loopcal.files.instrument_schema import Instruments
-from loopcal.files.mechanism_schema import ParameterEntries, TaggedMechanism, Units, Value
+from loopcal.files.mechanism_parts import ParameterEntries, Units, Value
+from loopcal.files.mechanism_schema import TaggedMechanism
 from loopcal.files.model import (
     Finite,
     Model,

@@ -24,7 +24,8 @@ from loopcal.mechanisms.serial import (
 from loopcal.mechanisms.serial import parameter_name as serial_name
 
 if TYPE_CHECKING:
-    from loopcal.files.mechanism_schema import BasePlacement, JointEntry, Motoman, Serial, Value
+    from loopcal.files.mechanism_parts import Value
+    from loopcal.files.mechanism_schema import BasePlacement, JointEntry, Motoman, Serial
 
 
 def serial(model: Serial, units: Mapping[str, str], place: Place) -> Mechanism:

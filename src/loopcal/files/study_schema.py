@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from loopcal.files.mechanism_schema import ParameterEntries, Units
+from loopcal.files.mechanism_parts import ParameterEntries, Units
 from loopcal.files.model import Finite, Model
 from loopcal.files.project_schema import (
     Length,

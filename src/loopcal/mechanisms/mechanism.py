@@ -65,7 +65,8 @@ class Mechanism:
     a function; placement: how the parameters change when the machine is moved, if known.
     families: loops that hold only where their own readings are; home: quantity -> value [SI] from
     which the search for it begins where it is not read; implied: quantity -> reading [SI] that it
-    has in every pose by construction, unless the data say otherwise.
+    has in every pose by construction, unless the data say otherwise; remarks: what a user should
+    know of how it was made, such as why a parameter is fixed.
     """
 
     name: str
@@ -79,6 +80,7 @@ class Mechanism:
     families: tuple[Family, ...] = ()
     home: Mapping[str, float] = field(default_factory=dict)
     implied: Mapping[str, float] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
 
     @classmethod
     def from_function(
