@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.size import refuse_without_length
 from loopcal.expressions.tape import Tape
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, ReadingUncertainty, resolve_noise
@@ -115,8 +116,8 @@ def build_problem(
     noise: None takes every reading as exact, as the basic method does; start: parameter values
     [SI] to begin from, where not the nominal ones.
 
-    Raises InputError where readings or sds are missing, a unit does not fit, or there are fewer
-    equations than parameters.
+    Raises InputError where readings or sds are missing, a unit does not fit, there are fewer
+    equations than parameters, or nothing says how large the machine is.
     """
     quantities = mechanism.tape.quantities
     dataset = with_implied(mechanism, dataset)
@@ -149,6 +150,7 @@ def build_problem(
         patterns,
     )
     _check_enough(problem)
+    refuse_without_length(mechanism, problem.readings, uncertainty.sd)
     return problem
 
 

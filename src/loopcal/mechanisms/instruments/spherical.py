@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError
 from loopcal.expressions.vectors import norm
 from loopcal.mechanisms.frame import Frame, Values
 from loopcal.mechanisms.machine import Instrument
@@ -15,7 +15,6 @@ from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.station import Station, Target
 
 NATIVE = ("range", "azimuth", "elevation")
-VERTICAL = ("elevation", "zenith")
 _ZEROS = (("range", "m"), ("elevation", "rad"))
 
 
@@ -26,8 +25,6 @@ def spherical(
     station: str | None = None,
     target: str | Target = "tool",
     dimension: int = 3,
-    vertical: str = "elevation",
-    clockwise: bool = False,
     offsets: bool = False,
 ) -> Instrument:
     """Range [m], azimuth and elevation [rad] of a target, seen from a station.
@@ -45,12 +42,11 @@ def spherical(
     readings: their names, by default NAME_range, NAME_azimuth and NAME_elevation; station: name
     of the station (default: that of the instrument), whose six parameters, three in a plane, are
     STATION_x ... STATION_rx; several reflectors seen from one station share its name. target: as
-    for `point`. vertical: "zenith" where the vertical angle counts from the station's z axis;
-    clockwise: the azimuth counts from x away from y, as theodolites do; offsets: two more
-    parameters STATION_range_offset [m] and STATION_elevation_offset [rad]. (One of the azimuth
-    cannot be told from the station's rz.)
+    for `point`. The azimuth counts from x towards y, the elevation from that plane up. offsets:
+    two more parameters STATION_range_offset [m] and STATION_elevation_offset [rad] (one of the
+    azimuth cannot be told from the station's rz).
 
-    Raises InputError for a number of readings that does not fit, or another vertical.
+    Raises InputError for a number of readings that does not fit.
     """
     own = NATIVE[:dimension]
     names = tuple(f"{name}_{what}" for what in own) if readings is None else tuple(readings)
@@ -60,10 +56,6 @@ def spherical(
             f"tracker reads {', '.join(own)}",
             remedy=f"name {dimension} readings",
         )
-    if vertical not in VERTICAL:
-        raise InputError(
-            f"the vertical angle of {name!r} is {vertical!r}", remedy=nearest(vertical, VERTICAL)
-        )
     stands = Station(name if station is None else station, dimension)
     looked_at = Target.named(target, dimension) if isinstance(target, str) else target
     units = dict(zip(names, ("m", "rad", "rad"), strict=False))
@@ -72,12 +64,9 @@ def spherical(
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         q = stands.seen(frames[0].point(looked_at.point(p)), p)
         distance, azimuth, *height = (x[reading] for reading in names)
-        side = -q[1] if clockwise else q[1]
-        loops = [norm(q) - distance, turn_between(q[0], side, azimuth)]
+        loops = [norm(q) - distance, turn_between(q[0], q[1], azimuth)]
         for angle in height:
-            flat = np.hypot(q[0], q[1])
-            along, up = (flat, q[2]) if vertical == "elevation" else (q[2], flat)
-            loops.append(turn_between(along, up, angle))
+            loops.append(turn_between(np.hypot(q[0], q[1]), q[2], angle))
         for i, zero in zip((0, 2), zeros, strict=False):
             loops[i] = loops[i] + p[zero]
         return loops
@@ -87,7 +76,7 @@ def spherical(
         units,
         looked_at.declared | {n: Parameter(n, 0.0, u) for n, u in zeros.items()},
         equations,
-        "spherical",
+        "spherical" if dimension == 3 else "polar",
         placement=stands.declared,
         place=stands,
         dimension=dimension,
@@ -97,8 +86,6 @@ def spherical(
             "readings": list(names),
             "station": stands.name,
             "target": target if isinstance(target, str) else list(target.parameters),
-            "vertical": vertical,
-            "clockwise": clockwise,
             "offsets": offsets,
         },
     )
