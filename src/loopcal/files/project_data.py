@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.files.columns import Column
-from loopcal.files.dataset_readers import read_dataset
+from loopcal.files.data_entries import DataSpec, implied_by, named_columns, refuse_unread
+from loopcal.files.dataset_readers import column_labels, read_dataset
 from loopcal.files.noise_entries import CovarianceColumns
+from loopcal.files.paths import expanded
 from loopcal.files.place import Place
-from loopcal.files.project_file import Project, expanded
+from loopcal.files.project_file import Project
 from loopcal.measurements.checks import DataWarning, check_dataset
 from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.joining import join
 from loopcal.measurements.noise import Noise
 
 Array = NDArray[np.float64]
+LEFT_OUT = ("exclude", "every")
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +52,26 @@ def load_dataset(project: Project) -> LoadedData:
             place=project.name,
             remedy='add [data] with file = "poses.csv"',
         )
-    wanted: dict[str, Column] = dict(spec.columns)
     wide = [(block, _covariance_columns(i, block)) for i, block in enumerate(project.noise.columns)]
-    for _, columns in wide:
-        wanted |= columns
+    read, told = _read(project, spec, place, dict(column for _, c in wide for column in c.items()))
+    own = {**project.mechanism.quantities, **project.mechanism.known}
+    dataset = replace(
+        read,
+        readings={q: v for q, v in read.readings.items() if q in own},
+        units={q: u for q, u in read.units.items() if q in own},
+    )
+    covariances = {
+        block.quantities: _covariance(block, np.array([read[c] for c in columns]), dataset)
+        for block, columns in wide
+    }
+    warnings = (*told, *check_dataset(dataset, own))
+    return LoadedData(dataset, project.noise.noise(covariances), warnings)
+
+
+def _read(
+    project: Project, spec: DataSpec, place: Place, aside: Mapping[str, Column]
+) -> tuple[Dataset, tuple[DataWarning, ...]]:
+    """The readings of all files, with columns read aside where a file has them."""
     path = expanded(spec.file, project.folder, place.at("file"))
     if project.simulation is not None and not path.exists():
         raise InputError(
@@ -57,20 +79,64 @@ def load_dataset(project: Project) -> LoadedData:
             place=str(place.at("file")),
             remedy=f"make it: loopcal simulate {project.path or '-'} --out {path} --seed 1",
         )
-    read = read_dataset(path, wanted, **spec.options)
-    dataset = replace(
-        read,
-        readings={q: v for q, v in read.readings.items() if q in spec.columns},
-        units={q: u for q, u in read.units.items() if q in spec.columns},
-        sds={q: np.fmax(v, spec.sd_at_least.get(q, 0.0)) for q, v in read.sds.items()},
+    if not spec.joins:
+        columns = {**spec.columns, **aside}
+        return _believed(spec, read_dataset(path, columns, **spec.options)), ()
+    parts = [_part(project, spec, path, aside)]
+    for i, other in enumerate(spec.joins):
+        where = place.at("join", i, "file")
+        part = _part(project, other, expanded(other.file, project.folder, where), aside)
+        implied = [q for n in other.instruments for q in implied_by(project.mechanism, n)]
+        zeros = {q: np.full(len(part), project.mechanism.implied[q]) for q in implied}
+        parts.append(part.with_readings(zeros))
+    instruments = {q for f in project.mechanism.families if f.form != "closure" for q in f.readings}
+    its_own = set(project.mechanism.quantities) - instruments
+    joined = join(parts, [not its_own.isdisjoint(part.readings) for part in parts])
+    refuse_unread(
+        set(joined.dataset.readings), project.mechanism, project.noise, place.at("columns")
     )
-    covariances = {
-        block.quantities: _covariance(block, np.array([read[c] for c in columns]), dataset)
-        for block, columns in wide
-    }
-    expected = {**project.mechanism.quantities, **project.mechanism.known}
-    warnings = check_dataset(dataset, expected)
-    return LoadedData(dataset, project.noise.noise(covariances), warnings)
+    dataset = joined.dataset.thin(spec.options["every"]).exclude(spec.options["exclude"])
+    return dataset, tuple(_left_out(name, ids) for name, ids in joined.left_out)
+
+
+def _part(project: Project, spec: DataSpec, path: Path, aside: Mapping[str, Column]) -> Dataset:
+    """One of several files."""
+    how = {key: spec.options[key] for key in spec.options if key not in ("pose", *LEFT_OUT)}
+    there = column_labels(path, **how)
+    if spec.by_name:
+        spec = named_columns(spec, there, project.mechanism)
+    pose = spec.options["pose"]
+    if pose is None:
+        raise InputError(
+            "the readings of several files are joined by the ids of their poses",
+            place=str(path),
+            remedy='name the column of the ids: pose = "..."',
+        )
+    columns = {**spec.columns, **{k: c for k, c in aside.items() if c.column in there}}
+    if not columns and not spec.instruments:
+        raise InputError(
+            "no column of this file is a quantity of the mechanism",
+            place=str(path),
+            remedy="name its columns: columns = { x = ... }",
+        )
+    if columns:
+        return _believed(spec, read_dataset(path, columns, pose=pose, **how))
+    # nothing but ids: the poses in which an instrument without readings was used
+    read = read_dataset(path, {" id": Column(pose)}, pose=pose, **how)
+    return replace(read, readings={}, units={})
+
+
+def _believed(spec: DataSpec, read: Dataset) -> Dataset:
+    sds = {q: np.fmax(v, spec.sd_at_least.get(q, 0.0)) for q, v in read.sds.items()}
+    return replace(read, sds=sds)
+
+
+def _left_out(name: str, poses: Sequence[str]) -> DataWarning:
+    first = ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")
+    are = "pose is" if len(poses) == 1 else "poses are"
+    return DataWarning(
+        None, f"{name}: {len(poses)} {are} not in the other files and left out ({first})"
+    )
 
 
 def _covariance_columns(number: int, block: CovarianceColumns) -> dict[str, Column]:

@@ -3,44 +3,26 @@
 from __future__ import annotations
 
 import math
-import os
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from loopcal.errors import InputError, nearest
-from loopcal.files.columns import Column
+from loopcal.errors import InputError
+from loopcal.files.data_entries import DataSpec, data_files
 from loopcal.files.mechanism_file import Loops, mechanism_from_data, read_mechanism
 from loopcal.files.noise_entries import NoiseSpec, noise_spec
-from loopcal.files.parameter_entries import changed, in_si
+from loopcal.files.parameter_entries import changed
+from loopcal.files.paths import expanded
 from loopcal.files.place import Place
 from loopcal.files.simulation_entries import SimulationSpec, simulation_spec
 from loopcal.files.toml_reader import checked_schema, read_toml, shown, toml_data
 from loopcal.files.validation_entries import ValidationSpec, validation_spec
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.units import unit
 
 if TYPE_CHECKING:
-    from loopcal.files.project_schema import DataEntry, FitEntry, ProjectModel, SdEntry
+    from loopcal.files.project_schema import FitEntry, ProjectModel, SdEntry
     from loopcal.files.study_schema import StudyModel
-
-_VARIABLE = re.compile(r"\$\{(\w+)\}")
-
-
-@dataclass(frozen=True)
-class DataSpec:
-    """Where the readings are; see `project_data.load_dataset`.
-
-    file: as written, relative to the project's folder; columns: quantity -> its column;
-    sd_at_least: quantity -> smallest sd [SI] to believe; options: of `read_dataset`.
-    """
-
-    file: str
-    columns: Mapping[str, Column]
-    sd_at_least: Mapping[str, float] = field(default_factory=dict)
-    options: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -129,11 +111,10 @@ def data_spec(model: ProjectModel, mechanism: Mechanism, place: Place) -> DataSp
     """Where a project says the readings of this mechanism are; None where it does not."""
     if model.data is None:
         return None
-    units = {**mechanism.quantities, **mechanism.known}
     noise = noise_spec(
         model.noise, mechanism.quantities, mechanism.quantity_group, place.at("noise")
     )
-    return _data(model.data, units, noise, place.at("data"))
+    return data_files(model.data, mechanism, noise, place.at("data"))
 
 
 def _fit(entry: FitEntry, mechanism: Mechanism, place: Place) -> FitSpec:
@@ -147,21 +128,6 @@ def _fit(entry: FitEntry, mechanism: Mechanism, place: Place) -> FitSpec:
         "profile": tuple(entry.profile),
     }
     return FitSpec(**(entry.model_dump() | asked))
-
-
-def expanded(path: str, folder: Path, place: Place) -> Path:
-    """A path of a project, ${NAME} replaced by the environment, relative to the folder.
-
-    Raises InputError naming a variable that is not set.
-    """
-    for name in _VARIABLE.findall(path):
-        if not os.environ.get(name):
-            raise InputError(
-                f"the path {path!r} needs the environment variable {name}, which is not set",
-                place=str(place),
-                remedy=f"set it to the folder that is meant: export {name}=/path/to/folder",
-            )
-    return folder / Path(_VARIABLE.sub(lambda match: os.environ[match[1]], path))
 
 
 def _mechanism(
@@ -200,7 +166,7 @@ def stated_mechanism(
                 '"motoman-ma1400" or "function"',
             )
         return given
-    if "file" in stated:
+    if "type" not in stated and "file" in stated:
         path = expanded(stated["file"], folder, here.at("file"))
         return read_mechanism(path, function=given, instruments=stated.get("instrument"))
     return mechanism_from_data(stated, here, function=given, parameters=model.parameters)
@@ -211,57 +177,6 @@ def priors(entries: Mapping[str, SdEntry]) -> dict[str, Any]:
     from loopcal.files.mechanism_parts import ParameterEntry
 
     return {key: ParameterEntry(sd=entry.sd, unit=entry.unit) for key, entry in entries.items()}
-
-
-def _data(entry: DataEntry, units: Mapping[str, str], noise: NoiseSpec, place: Place) -> DataSpec:
-    """Columns of all quantities; those of sd inf may have none."""
-    unmeasured = {q for q in units if noise.sd_of(q) == math.inf}
-    here = place.at("columns")
-    file_wide = entry.units.by_dimension()
-    columns: dict[str, Column] = {}
-    least: dict[str, float] = {}
-    if entry.columns is None:
-        columns = {
-            q: Column(q, _unit(None, units[q], file_wide)) for q in units if q not in unmeasured
-        }
-    for quantity, given in (entry.columns or {}).items():
-        if quantity not in units:
-            raise InputError(
-                f"the mechanism has no quantity {quantity!r}",
-                place=str(here.at(quantity)),
-                remedy=nearest(quantity, units),
-            )
-        at = here.at(quantity)
-        for key in ("unit", "sd_unit"):
-            in_si(1.0, getattr(given, key), units[quantity], at.at(key))
-        if given.sd_column is None and (given.sd_unit or given.sd_at_least is not None):
-            raise InputError(
-                "sd_unit and sd_at_least say nothing without a column of sds",
-                place=str(at),
-                remedy='name the column: sd_column = "..."',
-            )
-        stated = _unit(given.unit, units[quantity], file_wide)
-        columns[quantity] = Column(
-            given.column, stated, given.sd_column, given.sd_unit, given.check
-        )
-        if given.sd_at_least is not None:
-            sd_unit = given.sd_unit or stated
-            least[quantity] = in_si(given.sd_at_least, sd_unit, units[quantity], at)
-    for quantity in units:
-        if quantity not in columns and quantity not in unmeasured:
-            raise InputError(
-                f"no column is named for the quantity {quantity!r}",
-                place=str(here),
-                remedy=f'add {quantity} = "its column"; if nobody measures it, say '
-                f"{quantity} = {{ sd = inf }} in [noise]",
-            )
-    keys = ("pose", "exclude", "every", "sheet", "header", "delimiter", "decimal", "encoding")
-    options = {key: getattr(entry, key) for key in (*keys, "variable")}
-    return DataSpec(entry.file, columns, least, options)
-
-
-def _unit(stated: str | None, si: str, file_wide: Mapping[str, str]) -> str | None:
-    return stated or file_wide.get(unit(si).dimension)
 
 
 def plain(value: Any) -> Any:

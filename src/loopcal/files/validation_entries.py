@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from loopcal.errors import InputError
 from loopcal.files.columns import Column
 from loopcal.files.dataset_readers import read_dataset
+from loopcal.files.paths import expanded
 from loopcal.files.place import Place
 
 if TYPE_CHECKING:
@@ -69,7 +70,6 @@ def _other(project: Project, file: str) -> LoadedData:
 
 def _groups(project: Project, column: str | int) -> tuple[float, ...]:
     """The group of each pose: equal numbers in a column of the project's file."""
-    from loopcal.files.project_file import expanded
 
     assert project.data is not None
     place = Place(project.name).at("data").at("file")
