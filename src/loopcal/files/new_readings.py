@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from loopcal.files.columns import Column
+from loopcal.files.data_entries import DataSpec
 from loopcal.files.dataset_readers import column_labels, read_dataset
 from loopcal.files.model import validated
 from loopcal.files.place import Place
-from loopcal.files.project_file import DataSpec, data_spec
+from loopcal.files.project_file import data_spec
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 

@@ -119,11 +119,8 @@ def _part(project: Project, spec: DataSpec, path: Path, aside: Mapping[str, Colu
             place=str(path),
             remedy="name its columns: columns = { x = ... }",
         )
-    if columns:
-        return _believed(spec, read_dataset(path, columns, pose=pose, **how))
-    # nothing but ids: the poses in which an instrument without readings was used
-    read = read_dataset(path, {" id": Column(pose)}, pose=pose, **how)
-    return replace(read, readings={}, units={})
+    # without columns there are ids alone: poses in which an instrument without readings was used
+    return _believed(spec, read_dataset(path, columns, pose=pose, **how))
 
 
 def _believed(spec: DataSpec, read: Dataset) -> Dataset:

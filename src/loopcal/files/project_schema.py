@@ -75,8 +75,8 @@ _ColumnOrName = Annotated[
 ]
 
 
-class DataEntry(Model):
-    """The readings: a file, and which of its columns is which quantity."""
+class FileEntry(Model):
+    """A file of readings, and which of its columns is which quantity."""
 
     file: str = Field(
         description="CSV, TSV or other text, XLSX, Parquet, MATLAB v5; relative to the project; "
@@ -84,8 +84,6 @@ class DataEntry(Model):
         examples=["poses.csv", "${LOOPCAL_DATA}/left_arm.csv"],
     )
     pose: NameOrNumber | None = Field(default=None, description="Column of the pose ids.")
-    exclude: list[NameOrNumber] = Field(default=[], description="Ids of poses to leave out.")
-    every: Length = Field(default=1, description="Keep the 1st, (every + 1)th, ... row.")
     units: Units = Field(default=Units(), description="Units of the columns that state none.")
     columns: dict[str, _ColumnOrName] | None = Field(
         default=None,
@@ -99,6 +97,26 @@ class DataEntry(Model):
     delimiter: str | None = Field(default=None, examples=[",", ";", "\t"])
     decimal: Literal[".", ","] | None = None
     encoding: str | None = Field(default=None, examples=["utf-8", "utf-16", "cp1252"])
+
+
+class JoinEntry(FileEntry):
+    """Another file with readings of the same poses, joined by their ids."""
+
+    instrument: list[str] = Field(
+        default=[],
+        description="Instruments without readings of their own (a ball in a socket, a probe on a "
+        "plane) that were used in the poses of this file, and in no others.",
+    )
+
+
+class DataEntry(FileEntry):
+    """The readings: a file, perhaps others joined by pose id, and what is left out."""
+
+    exclude: list[NameOrNumber] = Field(default=[], description="Ids of poses to leave out.")
+    every: Length = Field(default=1, description="Keep the 1st, (every + 1)th, ... row.")
+    join: list[JoinEntry] = Field(
+        default=[], description="Further files with readings of the same poses."
+    )
 
 
 Row = list[Finite]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.files.project_file import DataSpec
+from loopcal.files.data_entries import DataSpec
 from loopcal.files.table_writer import Column, table_bytes
 from loopcal.measurements.dataset import Dataset
 from loopcal.units import from_si

@@ -277,6 +277,7 @@ def _data(result: Result) -> dict[str, Any]:
         "used": len(dataset),
         "excluded": list(source.excluded),
         "every": source.every,
+        "joined": [{"file": part.file, "sha256": part.sha256} for part in source.joined],
         "quantities": [q for q in result.mechanism.quantities if q in dataset.readings],
     }
 

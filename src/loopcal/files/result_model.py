@@ -278,6 +278,13 @@ class OtherOptimumEntry(Model):
     words: str
 
 
+class JoinedFile(Model):
+    """A file whose readings were joined by pose id."""
+
+    file: str | None
+    sha256: str | None = Field(description="Of the bytes of the file.")
+
+
 class DataEntry(Model):
     """Which readings were used."""
 
@@ -287,6 +294,9 @@ class DataEntry(Model):
     used: Count = Field(description="Poses used; residuals.csv lists their ids.")
     excluded: list[str] = Field(description="Ids of the poses left out on request.")
     every: Annotated[int, Field(ge=1)] = Field(description="The 1st, (every + 1)th ... was kept.")
+    joined: list[JoinedFile] = Field(
+        default=[], description="Further files of the same poses, joined by pose id."
+    )
     quantities: list[str] = Field(description="Quantities that were read.")
 
 

@@ -65,7 +65,11 @@ def _other(project: Project, file: str) -> LoadedData:
 
     assert project.data is not None
     options = {**project.data.options, "exclude": [], "every": 1}
-    return load_dataset(replace(project, data=replace(project.data, file=file, options=options)))
+    columns = {
+        q: c for part in (project.data, *project.data.joins) for q, c in part.columns.items()
+    }
+    other = replace(project.data, file=file, columns=columns, options=options, joins=())
+    return load_dataset(replace(project, data=other))
 
 
 def _groups(project: Project, column: str | int) -> tuple[float, ...]:

@@ -35,6 +35,8 @@ class Source:
     """Quantity -> unit as stated where the data came in; absent: taken as SI."""
     trusted: frozenset[str] = frozenset()
     """Quantities whose values the user vouches for (`check = false`)."""
+    joined: tuple[Source, ...] = ()
+    """Further files of the same poses, joined by id; rows are 0 where a file has no such pose."""
 
     @property
     def name(self) -> str | None:
@@ -43,12 +45,17 @@ class Source:
 
     def take(self, index: NDArray[np.int64]) -> Source:
         """The source of those poses alone."""
-        return self if self.rows is None else replace(self, rows=self.rows[index])
+        rows = None if self.rows is None else self.rows[index]
+        return replace(self, rows=rows, joined=tuple(part.take(index) for part in self.joined))
 
     def place(self, index: int, pose: str, quantity: str | None = None, *, sd: bool = False) -> str:
         """How messages call one value: "left.csv, row 14, column 'S'", or its pose and quantity."""
+        for part in self.joined:
+            if quantity is not None and quantity in part.columns:
+                return part.place(index, pose, quantity, sd=sd)
         words = [self.name] if self.name else []
-        words.append(f"pose {pose!r}" if self.rows is None else f"row {self.rows[index]}")
+        row = 0 if self.rows is None else int(self.rows[index])
+        words.append(f"row {row}" if row else f"pose {pose!r}")
         column = (self.sd_columns if sd else self.columns).get(quantity or "")
         if column is not None:
             words.append(f"column {column!r}")
