@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.constants import known_constants, with_implied
 from loopcal.estimation.size import refuse_without_length
 from loopcal.expressions.tape import Tape
 from loopcal.measurements.dataset import Dataset
@@ -128,7 +129,7 @@ def build_problem(
     )
     missing = np.full(len(dataset), np.nan)
     raw = np.array([dataset.readings.get(q, missing) for q in quantities])
-    known = _known_constants(mechanism, dataset)
+    known = known_constants(mechanism, dataset)
     parameters = mechanism.parameters
     values = {p.name: p.nominal for p in parameters} | dict(start or {})
     free = np.array([i for i, p in enumerate(parameters) if not p.fixed], dtype=np.intp)
@@ -152,14 +153,6 @@ def build_problem(
     _check_enough(problem)
     refuse_without_length(mechanism, problem.readings, uncertainty.sd)
     return problem
-
-
-def with_implied(mechanism: Mechanism, data: Dataset) -> Dataset:
-    """The data with the readings that are implied, where they have no column for them."""
-    absent = {q: v for q, v in mechanism.implied.items() if q not in data.readings}
-    if not absent:
-        return data
-    return data.with_readings({q: np.full(len(data), v) for q, v in absent.items()})
 
 
 def taken(problem: Problem, index: NDArray[np.intp]) -> Problem:
@@ -198,24 +191,6 @@ def _check_units(mechanism: Mechanism, dataset: Dataset) -> None:
                 f"the readings of {name!r} are in {given}, the mechanism reads {name!r} in {unit}",
                 remedy=f"give column {name!r} a unit that can be turned into {unit}",
             )
-
-
-def _known_constants(mechanism: Mechanism, dataset: Dataset) -> Array:
-    rows = []
-    for name in mechanism.tape.known:
-        values = dataset.readings.get(name)
-        if values is None or np.isnan(values).any():
-            which = (
-                "none"
-                if values is None
-                else f"pose {dataset.poses[int(np.argmax(np.isnan(values)))]!r} lacks it"
-            )
-            raise InputError(
-                f"the known constant {name!r} must be there in every pose ({which})",
-                remedy="name its column, or exclude the poses without it",
-            )
-        rows.append(values)
-    return np.array(rows).reshape(len(rows), len(dataset))
 
 
 @lru_cache(maxsize=64)

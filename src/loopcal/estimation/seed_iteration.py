@@ -72,8 +72,8 @@ def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution
 
 
 def _outside(problem: Problem, parameters: Array) -> InputError:
-    tape, poses = problem.mechanism.tape, problem.poses
-    return explain_domain(tape, problem.readings, problem.known, parameters, poses)
+    tape, poses, remedies = problem.mechanism.tape, problem.poses, problem.mechanism.remedies
+    return explain_domain(tape, problem.readings, problem.known, parameters, poses, remedies)
 
 
 def _linearised(

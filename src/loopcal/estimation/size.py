@@ -27,8 +27,8 @@ def refuse_without_length(mechanism: Mechanism, readings: Array, sd: Array) -> N
     its noise of 0 says no more than one of 0.
     """
     names, units = mechanism.tape.quantities, mechanism.quantities
-    read: NDArray[np.bool_] = np.isfinite(sd).any(axis=1)
-    lengths = [i for i, name in enumerate(names) if read[i] and units[name] == "m"]
+    read = np.flatnonzero(np.any(np.isfinite(sd), axis=1)).tolist()
+    lengths = [i for i in read if units[names[i]] == "m"]
     gaps = {names[i] for i in lengths}
     if not gaps or not gaps <= set(mechanism.implied):
         return
@@ -40,9 +40,10 @@ def refuse_without_length(mechanism: Mechanism, readings: Array, sd: Array) -> N
     seen = tuple(f"{family.name}_" for family in mechanism.families)
     links = [p for p in own if not p.name.startswith(seen)] or own
     longest = max(links, key=lambda p: abs(p.nominal)).name
+    listed = ", ".join(names[i] for i in lengths)
     raise InputError(
-        f"no length is measured: {', '.join(names[i] for i in lengths)} are 0 by construction, "
-        "and would be for a machine of any size",
+        f"no length is measured: by construction 0 is read of {listed}, and would be of a machine "
+        "of any size",
         remedy=f"hold a length that is known, say {longest} = {{ fixed = true }} under "
         "[parameters], or give it a prior sd; or measure one, with a ball-bar of known length or "
         "as the distance of two poses",

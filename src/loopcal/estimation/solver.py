@@ -162,6 +162,7 @@ class _Solver:
                 self.problem.known,
                 point.parameters,
                 self.problem.poses,
+                self.problem.mechanism.remedies,
             )
         if point.sweep.singular.size:
             raise self._cannot_close(point.sweep)

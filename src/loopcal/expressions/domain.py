@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,9 +18,17 @@ Array = NDArray[np.float64]
 
 
 def explain_domain(
-    tape: Tape, x: Array, known: Array, parameters: Array, poses: Sequence[str]
+    tape: Tape,
+    x: Array,
+    known: Array,
+    parameters: Array,
+    poses: Sequence[str],
+    remedies: Mapping[str, str] | None = None,
 ) -> DomainError:
-    """The error that names loop, pose and operation; x: (k, N), known: (c, N), (n_all,) [SI]."""
+    """The error that names loop, pose and operation; x: (k, N), known: (c, N), (n_all,) [SI].
+
+    remedies: what to do where a loop cannot be evaluated, for loops that know.
+    """
     for part, looked_at in (("", tape), ("the derivative of ", _with_derivatives(tape))):
         for column, pose in enumerate(poses):
             found = _first_undefined(looked_at, x[:, column], known[:, column], parameters)
@@ -28,7 +36,8 @@ def explain_domain(
                 loop, text = found
                 return DomainError(
                     f"{text} in {part}loop equation {loop!r} at pose {pose!r}",
-                    remedy="check the readings and units of this pose, and the nominal "
+                    remedy=(remedies or {}).get(loop)
+                    or "check the readings and units of this pose, and the nominal "
                     "parameters; leave the pose out with data.exclude if its reading is wrong",
                 )
     return DomainError(

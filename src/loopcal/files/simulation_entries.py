@@ -155,7 +155,9 @@ def _ranges(entry: SimulationEntry, mechanism: Mechanism, place: Place) -> dict[
             count = math.floor(min((given.to - given.from_) / given.step, 1e15) + 1e-9) + 1
             step = given.step * factor
         found[name] = Range(start, stop, step, count)
-    missing = [n for n in units if n not in found and n not in mechanism.outputs]
+    elsewhere = {*mechanism.outputs, *mechanism.implied, *mechanism.home}
+    elsewhere |= {column for o in mechanism.orientations for column in o.columns}
+    missing = [n for n in units if n not in found and n not in elsewhere]
     if missing and (mechanism.outputs or missing[0] in mechanism.known):
         raise InputError(
             f"no range is given for {missing[0]!r}",

@@ -15,6 +15,7 @@ from typing import Any
 from loopcal.errors import InputError, nearest
 from loopcal.mechanisms.frame import Frame, Values
 from loopcal.mechanisms.gauge import Gauge, fixed, held
+from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 from loopcal.mechanisms.parameters import Parameter
 
@@ -56,10 +57,10 @@ class Instrument:
     those of the bodies in the machine's base, one for each pose that a row holds (`ends`).
     placement: parameters that say where it stands, with `place` telling how they change when the
     machine is moved; parameters: the others (reflector, anchor, length); known: constants that
-    vary by pose; implied: readings that are the same in every pose by construction, such as the
-    gap between a ball and its socket; form: what the readings are together, see `Family`;
-    dimension: that of the machines it can look at, 2 or 3; remedy: what to do where its loops
-    cannot be evaluated.
+    vary by pose; orientation: which of them are a measured orientation; implied: readings that
+    are the same in every pose by construction, such as the gap between a ball and its socket;
+    form: what the readings are together, see `Family`; dimension: that of the machines it can
+    look at, 2 or 3; remedy: what to do where its loops cannot be evaluated.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Instrument:
     placement: Mapping[str, Parameter] = field(default_factory=dict)
     place: Placement | None = None
     known: Mapping[str, str] = field(default_factory=dict)
+    orientation: Orientation | None = None
     implied: Mapping[str, float] = field(default_factory=dict)
     ends: int = 1
     dimension: int = 3
@@ -143,6 +145,7 @@ def assemble(
         families=tuple(_families(machine, instruments, ends)),
         home={q + end: v for end in ENDS[:ends] for q, v in machine.home.items()},
         implied={q: v for i in instruments for q, v in i.implied.items()},
+        orientations=tuple(i.orientation for i in instruments if i.orientation),
         placement=instruments[0].place if len(instruments) == 1 else None,
         description={**machine.description, "instrument": [i.description for i in instruments]},
     )
@@ -155,7 +158,7 @@ def _families(machine: Machine, instruments: Sequence[Instrument], ends: int) ->
             "second pose", loops, tuple(q + ENDS[1] for q in machine.quantities), "closure"
         )
     for i in instruments:
-        yield Family(i.name, i.loops, tuple(i.readings), i.form, i.place)
+        yield Family(i.name, i.loops, tuple(i.readings), i.form, i.place, i.remedy)
 
 
 def _stated(

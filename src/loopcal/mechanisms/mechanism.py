@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, nearest
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import Inputs, trace
+from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.parameters import Parameter, Parameters, declared, matching
 from loopcal.units import unit
 
@@ -43,8 +44,9 @@ class Family:
     which follows from the loops and everything else. In a pose without any of these readings the
     loops would say nothing, and are left out. form: what the readings are together: "point"
     (x, y, z or x, y), "spherical" (range, azimuth, elevation), "length", "angle", "pose" (a point
-    and three small turns), "closure" (a machine's own loops in a second pose); placement: how the
-    parameters that place the instrument change when the machine is moved.
+    and three small turns), "gap" (between things that touch), "closure" (a machine's own loops in
+    a second pose); placement: how the parameters that place the instrument change when the machine
+    is moved; remedy: what to do where its loops cannot be evaluated.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Family:
     readings: tuple[str, ...]
     form: str = "point"
     placement: Placement | None = None
+    remedy: str = ""
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,8 @@ class Mechanism:
     a function; placement: how the parameters change when the machine is moved, if known.
     families: loops that hold only where their own readings are; home: quantity -> value [SI] from
     which the search for it begins where it is not read; implied: quantity -> reading [SI] that it
-    has in every pose by construction, unless the data say otherwise; remarks: what a user should
+    has in every pose by construction, unless the data say otherwise; orientations: which known
+    constants are measured orientations; remarks: what a user should
     know of how it was made, such as why a parameter is fixed.
     """
 
@@ -80,6 +84,7 @@ class Mechanism:
     families: tuple[Family, ...] = ()
     home: Mapping[str, float] = field(default_factory=dict)
     implied: Mapping[str, float] = field(default_factory=dict)
+    orientations: tuple[Orientation, ...] = ()
     remarks: tuple[str, ...] = ()
 
     @classmethod
@@ -161,6 +166,11 @@ class Mechanism:
         if key == "model" and model:
             return model
         return matching(key, self.quantities, "quantity")
+
+    @property
+    def remedies(self) -> dict[str, str]:
+        """What to do where a loop cannot be evaluated, by its name."""
+        return {loop: f.remedy for f in self.families if f.remedy for loop in f.loops}
 
     def __repr__(self) -> str:
         return (

@@ -56,7 +56,7 @@ def close_loops(
         for _ in range(_MOST):
             loops = engine.evaluate(x, c)
             if not (np.isfinite(loops.f).all() and np.isfinite(loops.by_quantity).all()):
-                raise explain_domain(tape, x, c, parameters, poses[part])
+                raise explain_domain(tape, x, c, parameters, poses[part], mechanism.remedies)
             step = _newton_step(loops.by_quantity[rows], loops.f)
             x[rows] -= step
             if np.abs(step).max(initial=0.0) <= _STEP * max(1.0, np.abs(x).max()):

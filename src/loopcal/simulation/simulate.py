@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -14,8 +14,10 @@ from loopcal.errors import InputError, nearest
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, ReadingUncertainty, resolve_noise
 from loopcal.measurements.source import Source
+from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.simulation.closing import close_loops
+from loopcal.simulation.orientations import measured, not_given, parallel
 from loopcal.simulation.poses import stream
 
 Array = NDArray[np.float64]
@@ -54,7 +56,8 @@ def simulate(
     the loops f(x, p) = 0 at the true parameters p: the nominal ones, replaced by those in
     `truth` [SI]. Outputs that are given only say where that search starts, as `start` does for
     other quantities (one value, or one per pose); without either it starts at the mechanism's
-    home. Quantities with an implied reading stand at it unless they are given.
+    home. Quantities with an implied reading stand at it unless they are given. An orientation of
+    which no number is given is simulated: its noise is in the numbers that were read.
 
     reading = true value + sd * z, z standard normal and independent, drawn by PCG64 from the
     seed in the order of the mechanism's quantities, whatever the sds: another sd scales the same
@@ -71,32 +74,54 @@ def simulate(
     whose loops cannot close.
     """
     driven = readings if isinstance(readings, Dataset) else Dataset.from_arrays(readings)
+    unturned = not_given(mechanism, driven)
+    driven = driven.with_readings(parallel(unturned, len(driven)))
     parameters = _true_parameters(mechanism, truth or {})
     x, unknown = _values(mechanism, driven, start or {})
     known = _known(mechanism, driven)
     true = close_loops(
         mechanism, np.array(list(parameters.values())), x, known, unknown, driven.poses
     )
-    quantities = dict(zip(mechanism.tape.quantities, true, strict=True))
     constants = dict(zip(mechanism.tape.known, known, strict=True))
-    units = {**mechanism.quantities, **mechanism.known}
+    dataset = _read(mechanism, driven, true, constants, unturned, noise, seed)
+    quantities = dict(zip(mechanism.tape.quantities, true, strict=True))
+    for values in quantities.values():
+        values.setflags(write=False)
+    return Simulation(
+        dataset, MappingProxyType(parameters), MappingProxyType(quantities), int(seed)
+    )
+
+
+def _read(
+    mechanism: Mechanism,
+    driven: Dataset,
+    true: Array,
+    constants: Mapping[str, Array],
+    simulated: Sequence[Orientation],
+    noise: Noise,
+    seed: int,
+) -> Dataset:
+    """Noisy readings of true values (k, N); the turns of a simulated orientation become small."""
+    names = mechanism.tape.quantities
+    quantities = dict(zip(names, true, strict=True))
     exact = Dataset(
         {**quantities, **constants},
-        units,
+        {**mechanism.quantities, **mechanism.known},
         driven.poses,
         # no sd beside a lost reading: it is lost in the simulation too
         {q: np.where(np.isnan(sd), np.inf, sd) for q, sd in driven.sds.items() if q in quantities},
         Source(rows_read=len(driven)),
     )
-    uncertainty = resolve_noise(noise, exact, mechanism.tape.quantities, mechanism.quantity_group)
-    noisy = true + _draw(uncertainty, true.shape, seed)
-    dataset = exact.with_readings(
-        dict(zip(mechanism.tape.quantities, noisy, strict=True)), units=mechanism.quantities
-    )
-    for values in quantities.values():
-        values.setflags(write=False)
-    return Simulation(
-        dataset, MappingProxyType(parameters), MappingProxyType(quantities), int(seed)
+    uncertainty = resolve_noise(noise, exact, names, mechanism.quantity_group)
+    drawn = _draw(uncertainty, true.shape, seed)
+    columns: dict[str, Array] = {}
+    for orientation in simulated:
+        rows = [names.index(turn) for turn in orientation.turns]
+        found = measured(orientation, true[rows], drawn[rows])
+        true[rows] = found.off
+        columns |= found.columns
+    return exact.with_readings(
+        {**dict(zip(names, true + drawn, strict=True)), **columns}, units=mechanism.quantities
     )
 
 
@@ -116,11 +141,12 @@ def _values(
                 f"{key!r} is no quantity of {mechanism.name!r}",
                 remedy=nearest(key, [*names, *mechanism.tape.known]),
             )
+    turns = {turn for orientation in mechanism.orientations for turn in orientation.turns}
     x = np.zeros((len(names), len(driven)))
     unknown = []
     for row, name in zip(x, names, strict=True):
         given: ArrayLike | None = driven.readings.get(name, mechanism.implied.get(name))
-        found = name in mechanism.outputs or given is None
+        found = name in mechanism.outputs or name in turns or given is None
         if found:
             unknown.append(name)
         begin = start.get(name, mechanism.home.get(name, 0.0))

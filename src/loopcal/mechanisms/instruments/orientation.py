@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import rotate, vector
 from loopcal.mechanisms.frame import Values, Vector
 
+Array = NDArray[np.float64]
 FORMS = {"quaternion": ("qw", "qx", "qy", "qz"), "rotation-vector": ("rvx", "rvy", "rvz")}
 """Forms of one kind only, with the names of their numbers where none are given."""
 _AXES = ("rx", "ry", "rz")
 _NEVER_ZERO = 1e-300
 """Added to a squared angle [rad^2]: far below rounding, and no angle is divided by zero."""
+_NO_DIRECTION = 1e-6
+"""Rounded to some digits, a quaternion is about 1 long; one as short as this says nothing."""
 
 
 @dataclass(frozen=True)
@@ -25,30 +30,29 @@ class Orientation:
 
     form: "quaternion", w first, of any length but zero; "rotation-vector", the axis times the
     angle [rad], as the controllers of Universal Robots write it; or a sequence of three turns
-    about moving axes such as "rz ry rx" for Rz(a) Ry(b) Rx(c). columns: names of the numbers.
+    about moving axes such as "rz ry rx" for Rz(a) Ry(b) Rx(c). columns: names of the numbers;
+    turns: names of the three small turns that say how far it is off.
     """
 
     form: str
     columns: tuple[str, ...]
+    turns: tuple[str, ...]
 
     @classmethod
-    def of(cls, form: str, columns: Sequence[str] | None = None) -> Orientation:
+    def of(cls, form: str, columns: Sequence[str] | None, turns: Sequence[str]) -> Orientation:
         """The form with its columns; those of a sequence are named like its turns.
 
         Raises InputError for a form that is none, and for columns that are not as many.
         """
-        if form in FORMS:
-            usual = FORMS[form]
-        else:
-            usual = tuple(form.split())
-            turns = len(usual) == 3 and set(usual) <= set(_AXES)
-            if not turns or usual[0] == usual[1] or usual[1] == usual[2]:
+        usual = FORMS.get(form) or tuple(form.split())
+        if form not in FORMS:
+            if len(usual) != 3 or not set(usual) <= {*_AXES} or usual[1] in usual[::2]:
                 raise InputError(
                     f"{form!r} is no way to write an orientation",
                     remedy='give "quaternion", "rotation-vector" or three turns about moving '
                     'axes, no two alike in a row, say "rz ry rx" for Rz Ry Rx',
                 )
-            if len(set(usual)) < 3 and columns is None:
+            if usual[0] == usual[2]:
                 usual = tuple(f"{turn}_{i}" for i, turn in enumerate(usual, 1))
         names = usual if columns is None else tuple(columns)
         if len(names) != len(usual):
@@ -56,7 +60,7 @@ class Orientation:
                 f"{len(names)} columns are named for the orientation {form!r}",
                 remedy=f"name {len(usual)}",
             )
-        return cls(form, names)
+        return cls(form, names, tuple(turns))
 
     @property
     def units(self) -> dict[str, str]:
@@ -71,14 +75,37 @@ class Orientation:
     def axes(self, known: Values) -> list[Vector]:
         """The columns of R_station_target: the target's axes, (3,) each."""
         given = [known[name] for name in self.columns]
-        units = [vector(*row) for row in np.eye(3).tolist()]
         if self.form == "quaternion":
             return _of_quaternion(*given)
         if self.form == "rotation-vector":
             return _of_quaternion(*_quaternion(*given))
+        units = [vector(*row) for row in np.eye(3).tolist()]
         for turn, angle in zip(reversed(self.form.split()), reversed(given), strict=True):
             units = [rotate(turn[1], angle, unit) for unit in units]
         return units
+
+    def senseless(self, known: Mapping[str, Array]) -> NDArray[np.intp]:
+        """Positions of the poses whose numbers are no orientation: quaternions of zeros."""
+        if self.form != "quaternion":
+            return np.zeros(0, dtype=np.intp)
+        length = np.sqrt(sum(np.square(known[name]) for name in self.columns))
+        return np.flatnonzero(~(length > _NO_DIRECTION))
+
+    def written(self, quaternions: Array) -> dict[str, Array]:
+        """Columns (N,) [SI] that say what quaternions (4, N), w first, say."""
+        from scipy.spatial.transform import Rotation
+
+        turned = Rotation.from_quat(quaternions[[1, 2, 3, 0]].T)
+        match self.form:
+            case "quaternion":
+                numbers = turned.as_quat()[:, [3, 0, 1, 2]]
+            case "rotation-vector":
+                numbers = turned.as_rotvec()
+            case _:
+                with warnings.catch_warnings():  # of gimbal lock, where any of the angles will do
+                    warnings.simplefilter("ignore")
+                    numbers = turned.as_euler("".join(t[1] for t in self.form.split()).upper())
+        return dict(zip(self.columns, np.ascontiguousarray(numbers.T), strict=True))
 
 
 def _quaternion(x: Any, y: Any, z: Any) -> tuple[Any, Any, Any, Any]:

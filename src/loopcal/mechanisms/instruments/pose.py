@@ -60,7 +60,7 @@ def pose(
         raise InputError(
             f"the turns of the target of {name!r} have no names", remedy="give the target a name"
         )
-    measured = Orientation.of(orientation, columns) if dimension == 3 else None
+    measured = Orientation.of(orientation, columns, angles) if dimension == 3 else None
     stands = Station(station, dimension)
     own_turns = ("rz", "ry", "rx")[: 1 if dimension == 2 else 3] if turned else ()
     turn_names = [f"{target}_{motion}" for motion in own_turns]
@@ -89,6 +89,7 @@ def pose(
         placement=position.placement,
         place=position.place,
         known={} if measured is None else measured.units,
+        orientation=measured,
         implied={} if measured is None else dict.fromkeys(angles, 0.0),
         dimension=dimension,
         description={

@@ -1,0 +1,79 @@
+"""What data need not say in every pose: readings that are implied, and constants of each pose."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.instruments.orientation import Orientation
+from loopcal.mechanisms.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+
+def with_implied(mechanism: Mechanism, data: Dataset) -> Dataset:
+    """The data with the readings that are implied, where they have no column for them.
+
+    Small turns are implied where an orientation was measured that they can be small beside.
+    """
+    absent = {
+        q: np.full(len(data), v) for q, v in mechanism.implied.items() if q not in data.readings
+    }
+    for orientation in mechanism.orientations:
+        lost = _lost(orientation, data)
+        for turn in orientation.turns:
+            if turn in absent:
+                absent[turn][lost] = np.nan
+    return data.with_readings(absent) if absent else data
+
+
+def known_constants(mechanism: Mechanism, data: Dataset) -> Array:
+    """The constants (c, N) [SI] of every pose; where an orientation was not measured, any one.
+
+    Raises InputError for a constant that is missing, and for numbers that are no orientation.
+    """
+    filled: dict[str, Array] = {}
+    for orientation in mechanism.orientations:
+        filled |= _orientation(orientation, data)
+    rows = []
+    for name in mechanism.tape.known:
+        values = filled.get(name, data.readings.get(name))
+        if values is None or np.isnan(values).any():
+            which = (
+                "none"
+                if values is None
+                else f"pose {data.poses[int(np.argmax(np.isnan(values)))]!r} lacks it"
+            )
+            raise InputError(
+                f"the known constant {name!r} must be there in every pose ({which})",
+                remedy="name its column, or exclude the poses without it",
+            )
+        rows.append(values)
+    return np.array(rows).reshape(len(rows), len(data))
+
+
+def _orientation(orientation: Orientation, data: Dataset) -> dict[str, Array]:
+    given = {n: data.readings[n] for n in orientation.columns if n in data.readings}
+    if len(given) < len(orientation.columns):
+        return {}  # whoever needs it says so
+    lost = _lost(orientation, data)
+    anywhere = orientation.written(np.array([[1.0], [0.0], [0.0], [0.0]]))
+    filled = {name: np.where(lost, anywhere[name], values) for name, values in given.items()}
+    for i in orientation.senseless(filled)[:1]:
+        raise InputError(
+            f"the quaternion {', '.join(orientation.columns)} is 0 and says of no orientation",
+            place=data.place(int(i), orientation.columns[0]),
+            remedy="leave its numbers blank (NaN) where no orientation was measured",
+        )
+    return filled
+
+
+def _lost(orientation: Orientation, data: Dataset) -> NDArray[np.bool_]:
+    """Poses in which some of the numbers are missing."""
+    lost = np.zeros(len(data), dtype=bool)
+    for name in orientation.columns:
+        if name in data.readings:
+            lost |= np.isnan(data.readings[name])
+    return lost
