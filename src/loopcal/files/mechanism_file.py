@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError, nearest
+from loopcal.files.chain_entries import exponential, urdf
 from loopcal.files.parameter_entries import changed, declared_here
 from loopcal.files.place import Place
 from loopcal.files.serial_entries import motoman, serial
@@ -107,6 +108,8 @@ def _planar(model: PlanarTwoLink, units: Mapping[str, str], place: Place) -> Mec
 BUILDERS: dict[str, Callable[[Any, Mapping[str, str], Place], Mechanism]] = {
     "planar-two-link": _planar,
     "serial": serial,
+    "urdf": urdf,
+    "exponentials": exponential,
     "motoman-ma1400": motoman,
 }
 """By type, what makes a mechanism of the model of its table."""

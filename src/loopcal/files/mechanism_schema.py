@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
+from loopcal.files.chain_schema import Exponentials, Urdf
 from loopcal.files.instrument_schema import Instruments
 from loopcal.files.mechanism_parts import Amount, Motions, ParameterEntries, Units, Value
 from loopcal.files.model import Model, UnitName
@@ -133,16 +134,20 @@ class Function(Model):
     parameters: ParameterEntries = Field(default={})
 
 
-AnyMechanism = PlanarTwoLink | Serial | Motoman | Function
+AnyMechanism = PlanarTwoLink | Serial | Urdf | Exponentials | Motoman | Function
 TaggedMechanism = (
     Annotated[PlanarTwoLink, Tag("planar-two-link")]
     | Annotated[Serial, Tag("serial")]
+    | Annotated[Urdf, Tag("urdf")]
+    | Annotated[Exponentials, Tag("exponentials")]
     | Annotated[Motoman, Tag("motoman-ma1400")]
     | Annotated[Function, Tag("function")]
 )
 TYPES: dict[str, type[AnyMechanism]] = {
     "planar-two-link": PlanarTwoLink,
     "serial": Serial,
+    "urdf": Urdf,
+    "exponentials": Exponentials,
     "motoman-ma1400": Motoman,
     "function": Function,
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from loopcal.files.toml_reader import SCHEMA
@@ -54,6 +55,8 @@ def _structure(mechanism: Mechanism, described: Mapping[str, Any]) -> list[str]:
             for joint in described["joints"]:
                 lines += ["", *_joint(joint)]
             return lines
+        case "urdf" | "exponentials":
+            return [*_chain(described), *_remarks(mechanism), *_chain_joints(described)]
         case "motoman-ma1400":
             return [_line("before", described["before"])] if described["before"] else []
         case "function":
@@ -81,6 +84,30 @@ def _joint(joint: Joint) -> list[str]:
     for key in ("before", "after"):
         motions: Mapping[str, float] = getattr(joint, key)
         lines += [_line(key, motions)] if motions else []
+    return lines
+
+
+def _chain(described: Mapping[str, Any]) -> list[str]:
+    """What stands above the joints; the parameters say which of them are fixed."""
+    lines = [_line("fix_redundant", False)]
+    if described["type"] == "urdf":
+        return [*lines, _line("axes", described["axes"])]
+    xyz, rpy = described["home"]
+    return [*lines, _line("home", {"xyz": xyz, "rpy": rpy})]
+
+
+def _remarks(mechanism: Mechanism) -> list[str]:
+    if not mechanism.remarks:
+        return []
+    return ["remarks = [", *(f"    {_line('x', words)[4:]}," for words in mechanism.remarks), "]"]
+
+
+def _chain_joints(described: Mapping[str, Any]) -> list[str]:
+    """Joints with all that is said of them."""
+    lines = []
+    for joint in described["joints"]:
+        entry = {k: v for k, v in asdict(joint).items() if v is not None}
+        lines += ["", "[[joint]]", *(_line(key, value) for key, value in entry.items())]
     return lines
 
 
