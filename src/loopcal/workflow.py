@@ -22,7 +22,7 @@ from loopcal.files.new_readings import read_new_readings
 from loopcal.files.project_data import load_dataset
 from loopcal.files.project_file import Project, read_project
 from loopcal.files.python_function import load_function
-from loopcal.files.readings_file import readings_table
+from loopcal.files.readings_file import readings_tables
 from loopcal.files.result_file import WrittenResult
 from loopcal.files.result_folder import read_result_folder
 from loopcal.files.table_writer import check_ending, table_bytes
@@ -275,7 +275,7 @@ def run_simulation(
     write_files(
         out.parent,
         {
-            out.name: readings_table(made.dataset, read.data, sds, out.suffix),
+            **readings_tables(made.dataset, read.data, sds, out),
             truth_file.name: truth_json(made, read.mechanism),
         },
     )
