@@ -166,7 +166,9 @@ def test_simulated_readings_read_back_alike_from_every_kind_of_file(
     assert values() == expected
 
 
-@pytest.mark.parametrize("kind", ["planar-two-link", "serial", "motoman-ma1400", "function"])
+@pytest.mark.parametrize(
+    "kind", ["planar-two-link", "serial", "urdf", "exponentials", "motoman-ma1400", "function"]
+)
 def test_a_new_project_can_be_simulated_and_calibrated_as_it_says(
     kind: str, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:

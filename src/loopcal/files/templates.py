@@ -8,7 +8,7 @@ from importlib import resources
 
 from loopcal.errors import InputError, nearest
 
-TEMPLATES = ("planar-two-link", "serial", "motoman-ma1400", "function")
+TEMPLATES = ("planar-two-link", "serial", "urdf", "exponentials", "motoman-ma1400", "function")
 """Types of mechanism for which there is a project to start from."""
 
 
