@@ -53,6 +53,65 @@ def test_stations_and_targets_are_named_and_written_again_bit_for_bit() -> None:
     assert again == mechanism
 
 
+EVERY_TYPE = """
+[[instrument]]
+type = "spherical"
+name = "T1"
+readings = ["d", "az", "el"]
+target = "ball"
+offsets = true
+[[instrument]]
+type = "spherical"
+name = "T1b"
+station = "T1"
+offsets = true
+[[instrument]]
+type = "pose"
+orientation = "rz ry rx"
+columns = ["A", "B", "C"]
+station = "camera"
+turned = true
+[[instrument]]
+type = "distance"
+anchor = "pin"
+offset = true
+[[instrument]]
+type = "draw-wire"
+[[instrument]]
+type = "relative-distance"
+target = ["tool_x", "tool_y", "tool_z"]
+[[instrument]]
+type = "ball-bar"
+centre = "pin"
+[[instrument]]
+type = "sphere"
+[[instrument]]
+type = "plane"
+normal = [0.1, 0.7, 0.3]
+[[instrument]]
+type = "socket"
+gaps = ["g1", "g2", "g3"]
+[parameters]
+wire_x = { value = 300, unit = "mm", sd = 10 }
+bar_length = { value = 0.3, fixed = true }
+"""
+
+
+def test_every_type_of_instrument_is_written_again_bit_for_bit() -> None:
+    mechanism = read(ARM + EVERY_TYPE)
+    assert mechanism.description is not None
+    assert {i["type"] for i in mechanism.description["instrument"]} == {
+        *("spherical", "pose", "distance", "draw-wire", "relative-distance"),
+        *("ball-bar", "sphere", "plane", "socket"),
+    }
+    assert mechanism.parameters["wire_x"].nominal == 0.3
+    assert {"T1_range_offset", "pin_x", "tool_rz", "plane_tilt_2"} <= set(
+        mechanism.parameters.names
+    )
+    again = read(mechanism_to_toml(mechanism))
+    assert again == mechanism
+
+
 def test_an_arm_without_instruments_has_no_loop_and_says_so() -> None:
     with pytest.raises(InputError, match="no loop"):
         read("instrument = []\n" + ARM)
@@ -65,6 +124,31 @@ def test_an_arm_without_instruments_has_no_loop_and_says_so() -> None:
         (ARM + '[[instrument]]\ntype = "point"\nreadings = ["x", "y"]\n', "2 coordinates"),
         (ARM + '[[instrument]]\ntype = "point"\nreadings = ["x", "y", "q1"]\n', "'q1' names two"),
         (ARM + 2 * '[[instrument]]\ntype = "point"\n', "names two"),
+        (ARM + '[[instrument]]\nname = "T"\n', "'type' is missing"),
+        (ARM + '[[instrument]]\ntype = "spherical"\nreadings = ["r"]\n', "1 readings"),
+        (ARM + '[[instrument]]\ntype = "pose"\norientation = "rz rz rx"\n', "'rz rz rx' is no way"),
+        (ARM + '[[instrument]]\ntype = "pose"\ncolumns = ["q"]\n', "1 columns are named"),
+        (ARM + '[[instrument]]\ntype = "pose"\nturns = ["a", "b"]\n', "2 turns"),
+        (
+            ARM + '[[instrument]]\ntype = "pose"\nturned = true\ntarget = ["a", "b", "c"]\n',
+            "have no names",
+        ),
+        (ARM + '[[instrument]]\ntype = "plane"\nnormal = [0, 0, 0]\n', "normal of 'plane'"),
+        (ARM + '[[instrument]]\ntype = "socket"\ngaps = ["a"]\n', "1 gaps"),
+        (
+            ARM + 2 * '[[instrument]]\ntype = "spherical"\nname = "T1"\n',
+            "names two readings",
+        ),
+        (
+            ARM
+            + '[[instrument]]\ntype = "spherical"\nname = "T1"\n'
+            + '[[instrument]]\ntype = "draw-wire"\nname = "w"\nanchor = "T1"\n',
+            "'T1_x' would say both",
+        ),
+        (
+            ARM + '[[instrument]]\ntype = "spherical"\nname = "T1"\ntarget = "T1"\n',
+            "'T1_x' would say both",
+        ),
         ("base = true\n" + ARM + '[[instrument]]\ntype = "point"\n', "'base' describes"),
     ],
 )

@@ -7,16 +7,23 @@ from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError
 from loopcal.files.place import Place
+from loopcal.mechanisms.instruments.contact import ball_bar, plane, socket, sphere
+from loopcal.mechanisms.instruments.length import distance, draw_wire, relative_distance
 from loopcal.mechanisms.instruments.point import AXES, point
+from loopcal.mechanisms.instruments.pose import pose
+from loopcal.mechanisms.instruments.spherical import spherical
 from loopcal.mechanisms.machine import Instrument, Machine
 from loopcal.mechanisms.station import Target
 
 if TYPE_CHECKING:
-    from loopcal.files.instrument_schema import AnyInstrument, PointInstrument
+    from loopcal.files import instrument_schema as schema
 
 
 def instruments(
-    entries: Sequence[AnyInstrument], machine: Machine, units: Mapping[str, str], place: Place
+    entries: Sequence[schema.AnyInstrument],
+    machine: Machine,
+    units: Mapping[str, str],
+    place: Place,
 ) -> list[Instrument]:
     """The instruments of these tables, to look at a machine.
 
@@ -26,20 +33,58 @@ def instruments(
     made = []
     for i, entry in enumerate(entries):
         try:
-            made.append(_MAKERS[entry.type](entry, machine, units))
+            target = entry.target
+            looked_at = target if isinstance(target, str) else Target(tuple(target))
+            made.append(_MAKERS[entry.type](entry, looked_at, machine))
         except InputError as error:
             raise error.at(str(place.at(i))) from None
     return made
 
 
-def _point(entry: PointInstrument, machine: Machine, units: Mapping[str, str]) -> Instrument:
+def _point(entry: schema.PointInstrument, target: Any, machine: Machine) -> Instrument:
     return point(
         entry.name,
         readings=entry.readings or AXES[: machine.dimension],
         station=entry.station or None,
-        target=entry.target if isinstance(entry.target, str) else Target(tuple(entry.target)),
+        target=target,
         dimension=machine.dimension,
     )
 
 
-_MAKERS: dict[str, Callable[[Any, Machine, Mapping[str, str]], Instrument]] = {"point": _point}
+def _pose(entry: schema.PoseInstrument, target: Any, machine: Machine) -> Instrument:
+    return pose(
+        entry.name,
+        readings=entry.readings,
+        turns=entry.turns,
+        orientation=entry.orientation,
+        columns=entry.columns,
+        station=entry.station or None,
+        target=target,
+        turned=entry.turned,
+        dimension=machine.dimension,
+    )
+
+
+def _plainly(maker: Callable[..., Instrument]) -> Callable[..., Instrument]:
+    """A maker whose arguments are the keys of its table."""
+
+    def made(entry: schema.AnyInstrument, target: Any, machine: Machine) -> Instrument:
+        given = {key: getattr(entry, key) for key in type(entry).model_fields}
+        given |= {"target": target, "dimension": machine.dimension}
+        return maker(**{key: value for key, value in given.items() if key != "type"})
+
+    return made
+
+
+_MAKERS: dict[str, Callable[[Any, Any, Machine], Instrument]] = {
+    "point": _point,
+    "pose": _pose,
+    "spherical": _plainly(spherical),
+    "distance": _plainly(distance),
+    "draw-wire": _plainly(draw_wire),
+    "relative-distance": _plainly(relative_distance),
+    "ball-bar": _plainly(ball_bar),
+    "sphere": _plainly(sphere),
+    "plane": _plainly(plane),
+    "socket": _plainly(socket),
+}

@@ -141,6 +141,8 @@ def _words(detail: ErrorDetails, path: Sequence[str | int]) -> tuple[str, str]:
         case "union_tag_invalid":
             known = context["expected_tags"].replace("'", "").split(", ")
             return f"the type {context['tag']!r} is not known", nearest(context["tag"], known)
+        case "union_tag_not_found":
+            return "'type' is missing", 'add type = "..."'
         case "greater_than_equal" | "greater_than":
             least = context.get("ge", context.get("gt"))
             than = f"{least:g} or more" if "ge" in context else f"more than {least:g}"

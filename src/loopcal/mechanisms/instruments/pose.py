@@ -56,6 +56,12 @@ def pose(
             f"the instrument {name!r} has {len(angles)} turns in a space of {dimension}",
             remedy=f"name {len(suffixes)}",
         )
+    if dimension == 2 and (columns is not None or orientation != "quaternion"):
+        raise InputError(
+            f"the instrument {name!r} states how an orientation in space is written, and the "
+            "machine moves in a plane",
+            remedy=f"leave it out: one angle, {angles[0]}, is read",
+        )
     if turned and not isinstance(target, str):
         raise InputError(
             f"the turns of the target of {name!r} have no names", remedy="give the target a name"
