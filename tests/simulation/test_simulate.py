@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -216,3 +217,19 @@ def test_a_range_that_is_none_is_refused(ranges: dict) -> None:
         random_poses(ranges, 3, seed=0)
     with pytest.raises(InputError, match="0 poses"):
         random_poses({"a": (0.0, 1.0)}, 0, seed=0)
+
+
+def test_a_gap_that_is_read_as_zero_is_truly_off_by_its_noise() -> None:
+    """A ball in a socket has play: what is uncertain is where it stands, not what is read."""
+    machine = Mechanism.from_function(
+        lambda x, p: (p.length * np.cos(x.q) - p.wall - x.gap,),
+        {"q": "rad", "gap": "m"},
+        {"length": (1.0, "m"), "wall": (0.6, "m")},
+    )
+    machine = replace(machine, implied={"gap": 0.0}, home={"q": 0.8})
+    data = Dataset.from_arrays({}, poses=[str(i) for i in range(400)])
+    made = simulate(machine, data, noise=Noise({"gap": 1e-3, "q": 0.0}), seed=2)
+    assert made.dataset["gap"] == pytest.approx(np.zeros(400), abs=1e-18)
+    gap = np.cos(made.quantities["q"]) - 0.6
+    assert gap == pytest.approx(made.quantities["gap"], abs=1e-12)
+    assert gap.std() == pytest.approx(1e-3, rel=0.1)

@@ -56,7 +56,8 @@ def simulate(
     the loops f(x, p) = 0 at the true parameters p: the nominal ones, replaced by those in
     `truth` [SI]. Outputs that are given only say where that search starts, as `start` does for
     other quantities (one value, or one per pose); without either it starts at the mechanism's
-    home. Quantities with an implied reading stand at it unless they are given. An orientation of
+    home. A quantity with an implied reading has that reading, and is truly off by its noise, unless
+    it is given. An orientation of
     which no number is given is simulated: its noise is in the numbers that were read.
 
     reading = true value + sd * z, z standard normal and independent, drawn by PCG64 from the
@@ -79,14 +80,19 @@ def simulate(
     parameters = _true_parameters(mechanism, truth or {})
     x, unknown = _values(mechanism, driven, start or {})
     known = _known(mechanism, driven)
-    true = close_loops(
-        mechanism, np.array(list(parameters.values())), x, known, unknown, driven.poses
-    )
+    values = np.array(list(parameters.values()))
+    true = close_loops(mechanism, values, x, known, unknown, driven.poses)
     constants = dict(zip(mechanism.tape.known, known, strict=True))
+    gaps = [q for q in mechanism.implied if q not in driven.readings and q not in unknown]
+    if gaps:
+        exact = _exact(mechanism, driven, true, constants)
+        rows = [mechanism.tape.quantities.index(q) for q in gaps]
+        true[rows] -= np.nan_to_num(_draw(_sds(mechanism, exact, noise), true.shape, seed)[rows])
+        true = close_loops(mechanism, values, true, known, unknown, driven.poses)
     dataset = _read(mechanism, driven, true, constants, unturned, noise, seed)
     quantities = dict(zip(mechanism.tape.quantities, true, strict=True))
-    for values in quantities.values():
-        values.setflags(write=False)
+    for row in quantities.values():
+        row.setflags(write=False)
     return Simulation(
         dataset, MappingProxyType(parameters), MappingProxyType(quantities), int(seed)
     )
@@ -103,17 +109,8 @@ def _read(
 ) -> Dataset:
     """Noisy readings of true values (k, N); the turns of a simulated orientation become small."""
     names = mechanism.tape.quantities
-    quantities = dict(zip(names, true, strict=True))
-    exact = Dataset(
-        {**quantities, **constants},
-        {**mechanism.quantities, **mechanism.known},
-        driven.poses,
-        # no sd beside a lost reading: it is lost in the simulation too
-        {q: np.where(np.isnan(sd), np.inf, sd) for q, sd in driven.sds.items() if q in quantities},
-        Source(rows_read=len(driven)),
-    )
-    uncertainty = resolve_noise(noise, exact, names, mechanism.quantity_group)
-    drawn = _draw(uncertainty, true.shape, seed)
+    exact = _exact(mechanism, driven, true, constants)
+    drawn = _draw(_sds(mechanism, exact, noise), true.shape, seed)
     columns: dict[str, Array] = {}
     for orientation in simulated:
         rows = [names.index(turn) for turn in orientation.turns]
@@ -123,6 +120,25 @@ def _read(
     return exact.with_readings(
         {**dict(zip(names, true + drawn, strict=True)), **columns}, units=mechanism.quantities
     )
+
+
+def _exact(
+    mechanism: Mechanism, driven: Dataset, true: Array, constants: Mapping[str, Array]
+) -> Dataset:
+    """The true values (k, N) as a data set."""
+    quantities = dict(zip(mechanism.tape.quantities, true, strict=True))
+    return Dataset(
+        {**quantities, **constants},
+        {**mechanism.quantities, **mechanism.known},
+        driven.poses,
+        # no sd beside a lost reading: it is lost in the simulation too
+        {q: np.where(np.isnan(sd), np.inf, sd) for q, sd in driven.sds.items() if q in quantities},
+        Source(rows_read=len(driven)),
+    )
+
+
+def _sds(mechanism: Mechanism, exact: Dataset, noise: Noise) -> ReadingUncertainty:
+    return resolve_noise(noise, exact, mechanism.tape.quantities, mechanism.quantity_group)
 
 
 def _true_parameters(mechanism: Mechanism, truth: Mapping[str, float]) -> dict[str, float]:
