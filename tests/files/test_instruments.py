@@ -70,7 +70,11 @@ type = "pose"
 orientation = "rz ry rx"
 columns = ["A", "B", "C"]
 station = "camera"
-turned = true
+[[instrument]]
+type = "pose"
+name = "frame"
+readings = ["fx", "fy", "fz"]
+target = []
 [[instrument]]
 type = "distance"
 anchor = "pin"
@@ -130,7 +134,7 @@ def test_an_arm_without_instruments_has_no_loop_and_says_so() -> None:
         (ARM + '[[instrument]]\ntype = "pose"\ncolumns = ["q"]\n', "1 columns are named"),
         (ARM + '[[instrument]]\ntype = "pose"\nturns = ["a", "b"]\n', "2 turns"),
         (
-            ARM + '[[instrument]]\ntype = "pose"\nturned = true\ntarget = ["a", "b", "c"]\n',
+            ARM + '[[instrument]]\ntype = "pose"\ntarget = ["a", "b", "c"]\n',
             "have no names",
         ),
         (ARM + '[[instrument]]\ntype = "plane"\nnormal = [0, 0, 0]\n', "normal of 'plane'"),

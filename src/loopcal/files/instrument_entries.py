@@ -60,7 +60,6 @@ def _pose(entry: schema.PoseInstrument, target: Any, machine: Machine) -> Instru
         columns=entry.columns,
         station=entry.station or None,
         target=target,
-        turned=entry.turned,
         dimension=machine.dimension,
     )
 

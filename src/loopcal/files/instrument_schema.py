@@ -59,7 +59,7 @@ class SphericalInstrument(Model):
 
 
 class PoseInstrument(Model):
-    """Coordinates of a point of the body, and how the body is turned there."""
+    """Where a frame fixed to the body is and how it is turned."""
 
     type: Literal["pose"]
     name: str = "pose"
@@ -83,11 +83,10 @@ class PoseInstrument(Model):
         "or rvx, rvy, rvz or those of the turns.",
     )
     station: Station = "base"
-    target: Target = "tool"
-    turned: bool = Field(
-        default=False,
-        description="Whether TARGET_rz, _ry, _rx turn the target in the body; else its axes are "
-        "those of the body.",
+    target: Target = Field(
+        default="tool",
+        description="Name of the frame: six parameters TARGET_x, _y, _z, _rz, _ry, _rx; an empty "
+        "list for the body's own frame.",
     )
 
 

@@ -37,7 +37,7 @@ def sphere(
     that of the ball. gap: its name, by default NAME_gap; centre: name of C (default: that of the
     instrument), parameters CENTRE_x, _y, _z; target: as for `point`. In a plane a circle.
     """
-    return _around(name, "sphere", "radius", gap or f"{name}_gap", centre, target, dimension)
+    return _around(name, "sphere", "radius", "gap", gap or f"{name}_gap", centre, target, dimension)
 
 
 def ball_bar(
@@ -55,13 +55,16 @@ def ball_bar(
     measures says in `gap` by how much it is longer than that; a rigid one has none, and without
     a column it is read as 0. Names as for `sphere`.
     """
-    return _around(name, "ball-bar", "length", gap or f"{name}_gap", centre, target, dimension)
+    return _around(
+        name, "ball-bar", "length", "length", gap or f"{name}_gap", centre, target, dimension
+    )
 
 
 def _around(
     name: str,
     kind: str,
     size: str,
+    form: str,
     gap: str,
     centre: str | None,
     target: str | Target,
@@ -81,7 +84,7 @@ def _around(
         {gap: "m"},
         {length: Parameter(length, 0.0, "m")} | looked_at.declared,
         equations,
-        "gap",
+        form,
         placement=fixed.declared,
         implied={gap: 0.0},
         dimension=dimension,

@@ -26,10 +26,9 @@ def pose(
     columns: Sequence[str] | None = None,
     station: str | None = "base",
     target: str | Target = "tool",
-    turned: bool = False,
     dimension: int = 3,
 ) -> Instrument:
-    """Position and orientation of a target frame, seen from a station.
+    """Position and orientation of a frame fixed to the body, seen from a station.
 
     Position: as `point`. Orientation: the measured one is a constant of each pose, R_meas, and
     three small turns w say how far it is off, which are read as 0 with the angular noise for sd:
@@ -41,9 +40,10 @@ def pose(
     turn too). R_pred = R_station_base R_base_body R_body_target.
 
     turns: names of w, by default NAME_wx, NAME_wy, NAME_wz; orientation and columns: how the
-    measured orientation is written and the names of its numbers, see `Orientation`; turned: three
-    parameters TARGET_rz, _ry, _rx turn the target frame in the body (Rz Ry Rx), otherwise it is
-    parallel to the body's frame. In a plane x, y and one angle NAME_phi, a reading like others.
+    measured orientation is written and the names of its numbers, see `Orientation`; target: name
+    of the frame, which lies in the body by six parameters TARGET_x, _y, _z and TARGET_rz, _ry,
+    _rx (Rz Ry Rx), or an empty `Target` for the body's own frame. In a plane x, y and one angle
+    NAME_phi, a reading like others, and TARGET_x, _y, _rz.
 
     Raises InputError for numbers of names that do not fit.
     """
@@ -62,13 +62,13 @@ def pose(
             "machine moves in a plane",
             remedy=f"leave it out: one angle, {angles[0]}, is read",
         )
-    if turned and not isinstance(target, str):
+    if not isinstance(target, str) and target.parameters:
         raise InputError(
             f"the turns of the target of {name!r} have no names", remedy="give the target a name"
         )
     measured = Orientation.of(orientation, columns, angles) if dimension == 3 else None
     stands = Station(station, dimension)
-    own_turns = ("rz", "ry", "rx")[: 1 if dimension == 2 else 3] if turned else ()
+    own_turns = ("rz", "ry", "rx")[: 1 if dimension == 2 else 3] if isinstance(target, str) else ()
     turn_names = [f"{target}_{motion}" for motion in own_turns]
     steps = tuple(Step(m, n) for m, n in zip(own_turns, turn_names, strict=True))
 
@@ -103,7 +103,6 @@ def pose(
             "type": "pose",
             "turns": list(angles),
             **({} if measured is None else measured.description),
-            "turned": turned,
         },
     )
 
