@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError, nearest
@@ -68,15 +68,7 @@ def data_files(entry: DataEntry, mechanism: Mechanism, noise: NoiseSpec, place: 
         columns = {q: Column(q, _unit(None, units[q], main.file_units)) for q in units}
         columns = {q: c for q, c in columns.items() if q not in unread}
         return DataSpec(entry.file, columns, options=options)
-    spec = DataSpec(
-        main.file,
-        main.columns,
-        main.sd_at_least,
-        options,
-        main.joins,
-        main.by_name,
-        file_units=main.file_units,
-    )
+    spec = replace(main, options=options)
     if not (main.by_name or any(other.by_name for other in joins)):
         read = {q for part in (main, *joins) for q in part.columns}
         refuse_unread(read, mechanism, noise, place.at("columns"))
@@ -110,7 +102,7 @@ def named_columns(spec: DataSpec, labels: tuple[str, ...], mechanism: Mechanism)
     units = {**mechanism.quantities, **mechanism.known}
     found = {q: Column(q, _unit(None, units[q], spec.file_units)) for q in units if q in labels}
     columns = {**found, **spec.columns}
-    return DataSpec(spec.file, columns, spec.sd_at_least, spec.options, spec.joins)
+    return replace(spec, columns=columns)
 
 
 def _file(

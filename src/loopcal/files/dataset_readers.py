@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -118,6 +118,14 @@ def read_dataset(
             trusted=frozenset(q for q, c in asked.items() if not c.check),
         ),
     )
+
+
+def read_poses(path: str | Path, pose: str | int, **how: Any) -> Dataset:
+    """The ids of the poses of a file, without readings; read as `read_dataset` reads it."""
+    table = _table(path, _How(**{f.name: how.get(f.name) for f in fields(_How)}), None)
+    ids = table.ids(table.position(pose))
+    source = Source(table.file, table.part, table.sha256, len(ids), rows=table.rows)
+    return Dataset({}, {}, tuple(ids), source=source)
 
 
 def column_labels(

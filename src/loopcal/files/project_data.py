@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.files.columns import Column
 from loopcal.files.data_entries import DataSpec, implied_by, named_columns, refuse_unread
-from loopcal.files.dataset_readers import column_labels, read_dataset
+from loopcal.files.dataset_readers import column_labels, read_dataset, read_poses
 from loopcal.files.noise_entries import CovarianceColumns
 from loopcal.files.paths import expanded
 from loopcal.files.place import Place
@@ -119,7 +119,8 @@ def _part(project: Project, spec: DataSpec, path: Path, aside: Mapping[str, Colu
             place=str(path),
             remedy="name its columns: columns = { x = ... }",
         )
-    # without columns there are ids alone: poses in which an instrument without readings was used
+    if not columns:  # ids alone: the poses in which an instrument without readings was used
+        return read_poses(path, pose, **how)
     return _believed(spec, read_dataset(path, columns, pose=pose, **how))
 
 
