@@ -1,0 +1,164 @@
+"""The set of parameters that readings determine: its size is the known one, whatever the arm."""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+import pytest
+
+from loopcal.expressions.engine import engine_for
+from loopcal.files.urdf import read_urdf
+from loopcal.mechanisms.exponentials import ScrewJoint, exponentials
+from loopcal.mechanisms.instruments.point import point
+from loopcal.mechanisms.instruments.pose import pose
+from loopcal.mechanisms.machine import assemble
+from loopcal.mechanisms.origins import LinkJoint, joint_chain
+from loopcal.mechanisms.planar import planar_two_link
+from loopcal.mechanisms.redundancy import redundant, without_redundant
+from loopcal.mechanisms.serial import Joint, serial_arm
+from tests.reference.robots import CHAINS, urdf_of
+
+X, Y, Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
+SIX = (
+    LinkJoint("q1", "revolute", (0, 0, 0.4), axis=Z),
+    LinkJoint("q2", "revolute", (0.15, 0, 0.05), axis=Y),
+    LinkJoint("q3", "revolute", (0, 0, 0.6), (0, pi / 2, 0), axis=Y),
+    LinkJoint("q4", "revolute", (-0.12, 0, 0.3), axis=Z),
+    LinkJoint("q5", "revolute", (0, 0, 0.34), axis=Y),
+    LinkJoint("q6", "revolute", (0, 0, 0.1), axis=Z),
+    LinkJoint("flange", "fixed", (0, 0, 0.02)),
+)
+SLIDES = (
+    LinkJoint("s1", "prismatic", (0.2, 0, 0.1), axis=X),
+    LinkJoint("s2", "prismatic", (0, 0, 0.3), axis=(0, 0.6, 0.8)),
+    LinkJoint("r1", "revolute", (0.1, 0, 0.2), (0, 0.3, 0), axis=Z),
+    LinkJoint("r2", "revolute", (0.3, 0.1, 0), axis=X),
+    LinkJoint("r3", "revolute", (0.3, 0, 0), axis=Y),
+)
+ARMS = {"six": (SIX, 6, 0), "slides": (SLIDES, 3, 2)}
+
+
+def seen(joints, instrument, axes=False, ranges=None):
+    """The mechanism with what is redundant fixed, its instrument preferred."""
+    made = assemble(joint_chain(joints, axes=axes), [instrument], {"tool_z": 0.08})
+    first = [*instrument.placement, *instrument.parameters]
+    unsure = ["tool_x", "tool_y", "tool_z"]
+    found = redundant(made, ranges=ranges or {}, first=first, unsure=unsure)
+    return without_redundant(made, found)
+
+
+def singular_values(mechanism, names, poses=150, seed=4):
+    """Of the Jacobian by these parameters, with columns of length 1, the tool anywhere."""
+    rng = np.random.default_rng(seed)
+    engine = engine_for(mechanism.tape, tuple(names), poses)
+    nominal = {p.name: p.nominal for p in mechanism.parameters} | {"tool_x": 0.04, "tool_y": -0.06}
+    engine.at(np.array([nominal[n] for n in mechanism.tape.parameters]))
+    spans = [pi if u == "rad" else 0.5 for u in mechanism.quantities.values()]
+    x = np.array([rng.uniform(-s, s, poses) for s in spans])
+    J = engine.evaluate(x).by_parameter.reshape(len(names), -1).T
+    return np.linalg.svd(J / np.maximum(np.linalg.norm(J, axis=0), 1e-12), compute_uv=False)
+
+
+@pytest.mark.parametrize("axes", [False, True])
+@pytest.mark.parametrize("name", ARMS)
+def test_four_of_a_revolute_two_of_a_prismatic_joint_and_six(name, axes):
+    joints, revolute, prismatic = ARMS[name]
+    whole = 4 * revolute + 2 * prismatic + 6  # Mooring, Roth and Driels (1991)
+    assert len(seen(joints, pose(), axes).parameters.free) == whole
+    assert len(seen(joints, point(), axes).parameters.free) == whole - 3
+
+
+@pytest.mark.parametrize("axes", [False, True])
+@pytest.mark.parametrize("name", ARMS)
+def test_those_kept_are_independent_and_say_all(name, axes):
+    arm = seen(ARMS[name][0], point(), axes)
+    kept = singular_values(arm, arm.parameters.free)
+    every = singular_values(arm, arm.parameters.names)
+    assert kept[-1] > 1e-3
+    assert int((every > 1e-6).sum()) == len(kept)
+
+
+@pytest.mark.parametrize("name", [n for n in CHAINS if "mimicking" not in n])
+def test_robots_of_others_have_as_many(name):
+    robot, base, tip = CHAINS[name]
+    joints = read_urdf(urdf_of(robot), base, tip)
+    ranges = {j.name: j.limits for j in joints if j.limits and j.mimic is None}
+    kinds = [j.kind for j in joints]
+    prismatic = kinds.count("prismatic")
+    whole = 4 * (len(kinds) - kinds.count("fixed") - prismatic) + 2 * prismatic + 6
+    for axes in (False, True):
+        assert len(seen(joints, pose(), axes, ranges).parameters.free) == whole
+        assert len(seen(joints, point(), axes, ranges).parameters.free) == whole - 3
+
+
+def test_exponentials_have_as_many():
+    axes = [(Z, (0, 0, 0)), (Y, (0.15, 0, 0.45)), (Y, (0.15, 0, 1.05)), (X, (0, 0, 0.93))]
+    axes += [(Y, (0.79, 0, 0.93)), (X, (0, 0, 0.93))]
+    joints = [ScrewJoint(f"q{i}", w, q) for i, (w, q) in enumerate(axes, 1)]
+    machine = exponentials(joints, home=((0.91, 0, 0.93), (0, pi / 2, 0)))
+    for instrument, whole in ((point(), 27), (pose(), 30)):
+        made = assemble(machine, [instrument])
+        first = [*instrument.placement, *instrument.parameters]
+        found = redundant(made, first=first, unsure=list(instrument.parameters))
+        assert len(made.parameters) - len(found) == whole
+
+
+def test_a_dh_arm_loses_the_six_that_everyone_fixes():
+    forms = ["dh", "hayati", "dh", "dh", "dh", "dh"]
+    rows = [(0.15, -pi / 2), (0.6, 0), (0.12, -pi / 2), (0, pi / 2), (0, -pi / 2), (0, 0)]
+    nominal = {f"{k}_{i}": v for i, r in enumerate(rows, 1) for k, v in zip(("a", "alpha"), r)}  # noqa: B905
+    nominal |= {"d_1": 0.45, "d_4": 0.64, "d_6": 0.1, "offset_2": -pi / 2, "tool_x": 0.05}
+    arm = serial_arm([Joint(f"q{i}", form) for i, form in enumerate(forms, 1)], nominal)
+    first = [n for n in arm.parameters.names if n.startswith(("base", "tool"))]
+    assert {r.parameter for r in redundant(arm, first=first)} == {
+        "d_1", "offset_1", "a_6", "d_6", "alpha_6", "offset_6",
+    }  # fmt: skip
+
+
+def test_the_reasons_name_what_does_the_same():
+    remarks = dict(zip(fixed(seen(SIX, point())), seen(SIX, point()).remarks, strict=True))
+    assert remarks["q1_x"] == "'q1_x' is fixed: it does to the readings what 'base_x' does."
+    assert remarks["flange_z"] == "'flange_z' is fixed: it does to the readings what 'tool_z' does."
+    assert "'tool_x' and 'tool_y' do together." in remarks["q6_rz"]
+
+
+def fixed(mechanism):
+    return [p.name for p in mechanism.parameters if p.fixed]
+
+
+def test_where_nothing_shows_a_parameter_the_reason_says_so():
+    one = [LinkJoint("s", "prismatic", axis=Z), LinkJoint("r", "revolute", axis=Z)]
+    arm = assemble(joint_chain(one), [point(station=None)], {"tool_x": 0.0})
+    found = {r.parameter: r.words for r in redundant(arm, first=["tool_x", "tool_y", "tool_z"])}
+    assert found["r_rz"] == "'r_rz' is fixed: it changes no reading."
+
+
+def test_what_is_fixed_or_has_a_prior_makes_room_for_others():
+    instrument = point()
+    made = assemble(joint_chain(SIX), [instrument], {"tool_x": 0.05, "tool_z": 0.08})
+    first = [*instrument.placement, *instrument.parameters]
+    held = made.with_parameters(made.parameters.with_fixed(["base_*"]))
+    found = {r.parameter for r in redundant(held, first=first)}
+    assert not {n for n in found if n.startswith("q1_")}
+    assert len(held.parameters.free) - len(found) == 27
+    known = made.with_parameters(made.parameters.with_prior({"tool_*": 1e-3}))
+    found = {r.parameter for r in redundant(known, first=first)}
+    assert not {"tool_x", "tool_y", "tool_z"} & found
+    assert len(made.parameters) - len(found) == 30
+
+
+def test_parameters_that_shall_be_free_are_kept_first():
+    made = assemble(joint_chain(SIX), [point()], {"tool_x": 0.05, "tool_z": 0.08})
+    found = {r.parameter for r in redundant(made, first=["flange_x", "flange_z", "q1_x"])}
+    assert not found & {"flange_x", "flange_z", "q1_x"}
+    assert len(made.parameters) - len(found) == 27
+
+
+def test_what_nobody_reads_is_eliminated():
+    arm = planar_two_link()
+    assert redundant(arm) == ()
+    # the second joint unread leaves one equation for each pose, and its offset changes nothing
+    assert [r.words for r in redundant(arm, unmeasured=["phi3"])] == [
+        "'phi30' is fixed: it changes no reading."
+    ]
