@@ -33,6 +33,13 @@ FACTORS = {
     "N": 1.0,
     "s": 1.0,
     "K": 1.0,
+    "rad/m": 1.0,
+    "mrad/m": 1e-3,
+    "urad/m": 1e-6,
+    "rad/(N m)": 1.0,
+    "urad/(N m)": 1e-6,
+    "m/N": 1.0,
+    "um/N": 1e-6,
 }
 NAMES = sorted(_UNITS)
 

@@ -40,6 +40,9 @@ _TABLE: dict[str, dict[str, float]] = {
     "force": {"N": 1.0},
     "time": {"s": 1.0},
     "temperature": {"K": 1.0},
+    "angle per length": {"rad/m": 1.0, "mrad/m": 1e-3, "urad/m": 1e-6},
+    "torsional compliance": {"rad/(N m)": 1.0, "urad/(N m)": 1e-6},
+    "compliance": {"m/N": 1.0, "um/N": 1e-6},
 }
 _SPELLINGS = {
     "µm": "um", "μm": "um", "micron": "um", "inch": "in",

@@ -91,6 +91,7 @@ def exponentials(
         {j.name: "m" if j.kind == "prismatic" else "rad" for j in joints},
         {p.name: p for p in own},
         lambda x, p: ChainFrame(steps, x, p),
+        chain=steps,
         description={"type": "exponentials", "joints": list(joints), "home": home},
     )
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from loopcal.errors import InputError, nearest
+from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.frame import Frame, Values
 from loopcal.mechanisms.gauge import Gauge, fixed, held
 from loopcal.mechanisms.instruments.orientation import Orientation
@@ -31,8 +32,9 @@ class Machine:
     name; frame(x, p): T_base_body; equations(x, p): values of the closure loops, named in
     `loops`; home: a typical value [SI] of the quantities that nobody may read, from which the
     search for them begins; known: constants that vary by pose; dimension: 2 for a machine that
-    moves in the plane z = 0; gauge: parameters that only say where its frames lie; description:
-    what a mechanism file says to build it.
+    moves in the plane z = 0; gauge: parameters that only say where its frames lie; chain: the
+    steps from the base to the body, where it is a serial arm; description: what a mechanism file
+    says to build it.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Machine:
     known: Mapping[str, str] = field(default_factory=dict)
     dimension: int = 3
     gauge: Gauge = field(default_factory=Gauge)
+    chain: tuple[Step, ...] = ()
     description: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -146,6 +149,7 @@ def assemble(
         home={q + end: v for end in ENDS[:ends] for q, v in machine.home.items()},
         implied={q: v for i in instruments for q, v in i.implied.items()},
         orientations=tuple(i.orientation for i in instruments if i.orientation),
+        chain=machine.chain,
         placement=instruments[0].place if len(instruments) == 1 else None,
         description={**machine.description, "instrument": [i.description for i in instruments]},
     )

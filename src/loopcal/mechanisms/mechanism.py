@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, nearest
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import Inputs, trace
+from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.parameters import Parameter, Parameters, declared, matching
 from loopcal.units import unit
@@ -70,7 +71,8 @@ class Mechanism:
     which the search for it begins where it is not read; implied: quantity -> reading [SI] that it
     has in every pose by construction, unless the data say otherwise; orientations: which known
     constants are measured orientations; remarks: what a user should
-    know of how it was made, such as why a parameter is fixed.
+    know of how it was made, such as why a parameter is fixed; chain: the steps of a serial arm,
+    from its base to its body; effects: by name, the parameters of each effect beyond geometry.
     """
 
     name: str
@@ -86,6 +88,8 @@ class Mechanism:
     implied: Mapping[str, float] = field(default_factory=dict)
     orientations: tuple[Orientation, ...] = ()
     remarks: tuple[str, ...] = ()
+    chain: tuple[Step, ...] = ()
+    effects: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @classmethod
     def from_function(

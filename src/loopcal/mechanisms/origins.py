@@ -142,5 +142,6 @@ def joint_chain(
         dict(reads),
         {p.name: p for p in parameters},
         lambda x, p: ChainFrame(steps, x, p),
+        chain=steps,
         description=description or {"type": "urdf", "axes": axes, "joints": list(joints)},
     )

@@ -152,6 +152,7 @@ def chain_machine(
         {step.joint: step.unit for step in steps if step.joint},
         {s.parameter: Parameter(s.parameter, 0.0, s.unit) for s in steps if s.parameter},
         lambda x, p: ChainFrame(steps, x, p),
+        chain=steps,
         description=description or {},
     )
 

@@ -1,0 +1,62 @@
+"""A tape whose inputs mean something else: each is replaced by an expression of the inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from loopcal.expressions.graph import Graph, Node
+from loopcal.expressions.operations import LEAVES
+from loopcal.expressions.tape import Tape
+from loopcal.expressions.trace import Scalar
+
+Named = Mapping[str, Any]
+
+
+def substituted(
+    tape: Tape,
+    meaning: Callable[[Named, Named], tuple[Named, Named]],
+    *,
+    known: Sequence[str] = (),
+    parameters: Sequence[str] = (),
+) -> Tape:
+    """The loops f(x', p') with x', p' made of x and p; the rest of the tape stays as it is.
+
+    meaning(x, p): what stands in the place of quantities and of parameters, by name; those that
+    it does not name stay themselves. x has the quantities and known constants, p the parameters;
+    known, parameters: further ones that these expressions need.
+    """
+    graph = Graph()
+    names = {
+        "quantity": tape.quantities,
+        "known": (*tape.known, *known),
+        "parameter": (*tape.parameters, *parameters),
+    }
+    inputs = {
+        kind: {name: Scalar(graph, graph.leaf(kind, i)) for i, name in enumerate(its)}
+        for kind, its in names.items()
+    }
+    of_x, of_p = meaning(inputs["quantity"] | inputs["known"], inputs["parameter"])
+    stated = {"quantity": of_x, "known": {}, "parameter": of_p}
+
+    def leaf(kind: str, payload: float) -> Node:
+        if kind == "constant":
+            return graph.constant(payload)
+        name = names[kind][int(payload)]
+        value = stated[kind].get(name, inputs[kind][name])
+        return value.node if isinstance(value, Scalar) else graph.constant(float(value))
+
+    place: list[Node] = []
+    for name, payload in tape.operations:
+        if name in LEAVES:
+            place.append(leaf(name, payload[0]))
+        else:
+            place.append(graph.apply(name, *(place[int(a)] for a in payload)))
+    return Tape.from_graph(
+        graph,
+        [place[output] for output in tape.outputs],
+        quantities=tape.quantities,
+        known=names["known"],
+        parameters=names["parameter"],
+        loops=tape.loops,
+    )

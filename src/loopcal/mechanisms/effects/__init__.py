@@ -1,0 +1,1 @@
+"""What geometry does not explain, as changes of what readings and parameters mean in a pose."""

@@ -1,0 +1,71 @@
+"""Backlash: where a joint stands within its play depends on where it came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from loopcal.errors import InputError
+from loopcal.mechanisms.effects.effect import joints
+from loopcal.mechanisms.frame import Values
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameter
+
+SD = {"rad": 1e-3, "m": 1e-3}
+"""Prior sd of half a play, [rad] or [m]."""
+JOINT = "{joint}"
+
+
+@dataclass(frozen=True)
+class Backlash:
+    """q' = q - JOINT_backlash * d, d the direction in which the joint was approached.
+
+    d is a known constant of every pose: +1 where the reading grew until it stopped, -1 where it
+    fell, 0 where the play was taken out. JOINT_backlash is half the play [rad or m]: what is
+    driven lags behind. direction: name of that constant, in which {joint} stands for the joint's
+    name.
+
+    Raises InputError for a name that is the same for several joints.
+    """
+
+    joints: tuple[str, ...] = ("*",)
+    direction: str = "{joint}_direction"
+    name: str = "backlash"
+
+    def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
+        """JOINT_backlash of each joint."""
+        found = joints(mechanism, self.joints)
+        if len(found) > 1 and JOINT not in self.direction:
+            raise InputError(
+                f"{len(found)} joints share the direction {self.direction!r}",
+                remedy=f"name one for each joint, as in direction = {Backlash.direction!r}",
+            )
+        units = mechanism.quantities
+        return {
+            f"{q}_backlash": Parameter(f"{q}_backlash", 0.0, units[q], SD.get(units[q], 1e-3))
+            for q in found
+        }
+
+    def known(self, mechanism: Mechanism) -> dict[str, str]:
+        """The direction of each joint."""
+        return {self._direction(joint): "1" for joint in joints(mechanism, self.joints)}
+
+    def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
+        """The readings less half the play."""
+        return {
+            joint: x[joint] - p[f"{joint}_backlash"] * x[self._direction(joint)]
+            for joint in joints(mechanism, self.joints)
+        }
+
+    def _direction(self, joint: str) -> str:
+        return self.direction.replace(JOINT, joint)
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """As in a mechanism file."""
+        return {
+            "type": "backlash",
+            "name": self.name,
+            "joints": list(self.joints),
+            "direction": self.direction,
+        }

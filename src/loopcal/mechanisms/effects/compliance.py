@@ -1,0 +1,140 @@
+"""An arm that yields under its weight: drives, bearings and links as springs of first order.
+
+Whatever moves the chain may yield: a joint (its gear and shaft), or a parameter of the geometry
+(the tilt of an axis in its bearing, the twist of a link). It gives way in proportion to the force
+of gravity on it, computed from the geometry as it is without yielding.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from loopcal.errors import InputError
+from loopcal.mechanisms.effects.effect import joints
+from loopcal.mechanisms.effects.gravity import ACCELERATION, Load, acting, carries, unit_forces
+from loopcal.mechanisms.frame import Values
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameter, matching
+
+SAG_SD = {"rad": ("rad/m", 1e-2), "m": ("m", 1e-3)}
+"""Lumped: unit and prior sd, of 100 kg on a joint of 1e5 N m/rad, on a slide of 1e6 N/m."""
+YIELD_SD = {"rad": ("rad/(N m)", 1e-5), "m": ("m/N", 1e-6)}
+
+
+@dataclass(frozen=True)
+class Compliance:
+    """q' = q + c Q(theta), Q the moment (or force) of gravity about the axis that q moves.
+
+    Masses known: Q = sum_k m_k g l_k, one parameter c = NAME_yield [rad/(N m) or m/N] for each
+    joint or parameter that yields. Masses unknown: c m_k g is estimated as one, NAME_sag_LOAD
+    [rad per metre of lever, or m], for each load that weighs on it: c and m cannot be told apart.
+
+    loads: points with weight, see `Load`; yielding: joints and parameters by names or globs,
+    alone "*" all revolute joints; gravity: direction in which it pulls, in the first frame of
+    the chain: the base of the arm, or the instrument's frame for an arm whose own parameters
+    hold the placement. Source of Q: virtual work, see `gravity`.
+
+    Raises InputError without loads, for masses that are known in part, and for a direction zero.
+    """
+
+    loads: tuple[Load, ...]
+    yielding: tuple[str, ...] = ("*",)
+    gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    name: str = "compliance"
+
+    def __post_init__(self) -> None:
+        names = [load.name for load in self.loads]
+        if not names or len({*names}) < len(names):
+            raise InputError(
+                f"the loads of {self.name!r} are {names}",
+                remedy="list the points that weigh something, each with a name of its own",
+            )
+        if len({load.mass is None for load in self.loads}) > 1:
+            raise InputError(
+                f"{self.name!r} knows the masses of some loads only",
+                remedy="give all masses, or none: what they weigh is then estimated with the "
+                "compliance",
+            )
+        if not any(self.gravity) or not all(map(math.isfinite, self.gravity)):
+            raise InputError(
+                f"gravity has the direction {list(self.gravity)}",
+                remedy="give the vector that points down, (0, 0, -1) where z points up",
+            )
+
+    @property
+    def lumped(self) -> bool:
+        """Whether masses are unknown."""
+        return self.loads[0].mass is None
+
+    def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
+        """One for each joint or parameter that yields, lumped: for each load on it as well."""
+        made: dict[str, Parameter] = {}
+        for name in self._yielding(mechanism):
+            si = self._unit(mechanism, name)
+            loads = [load for load in self.loads if carries(mechanism.chain, name, load)]
+            unit, sd = (SAG_SD if self.lumped else YIELD_SD)[si]
+            for own in self._names(name, loads):
+                made[own] = Parameter(own, 0.0, unit, sd)
+        return made
+
+    def known(self, mechanism: Mechanism) -> dict[str, str]:
+        """None."""
+        return {}
+
+    def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
+        """What yields, with what it yields by."""
+        chain, yielding = mechanism.chain, self._yielding(mechanism)
+        norm = math.hypot(*self.gravity)
+        down = [v / norm for v in self.gravity]
+        new = {name: (x if name in mechanism.quantities else p)[name] for name in yielding}
+        for load in self.loads:
+            on = [name for name in yielding if carries(chain, name, load)]
+            for name, force in unit_forces(chain, on, load, down, x, p).items():
+                weight = 1.0 if load.mass is None else load.mass * ACCELERATION
+                (own,) = self._names(name, [load])
+                new[name] = new[name] + p[own] * (weight * force)
+        return new
+
+    def _names(self, name: str, loads: list[Load]) -> list[str]:
+        if not loads:
+            return []
+        return [f"{name}_sag_{load.name}" for load in loads] if self.lumped else [f"{name}_yield"]
+
+    def _unit(self, mechanism: Mechanism, name: str) -> str:
+        if name in mechanism.quantities:
+            return mechanism.quantities[name]
+        return mechanism.parameters[name].unit
+
+    def _yielding(self, mechanism: Mechanism) -> list[str]:
+        chain = mechanism.chain
+        if not chain:
+            raise InputError(
+                f"{mechanism.name!r} is no chain of joints from a base to a body, so its load on "
+                "each joint is not known",
+                remedy="leave out the effect 'compliance'",
+            )
+        if self.yielding == ("*",):
+            return [q for q in joints(mechanism, ("*",), "rad") if acting(chain, q)]
+        movers = dict.fromkeys(n for step in chain for n in (step.joint, step.parameter) if n)
+        found: dict[str, None] = {}
+        for pattern in self.yielding:
+            found |= dict.fromkeys(matching(pattern, movers, "joint or parameter of the chain"))
+        return list(found)
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """As in a mechanism file."""
+        loads = [
+            {"name": load.name, "joint": load.joint, "point": list(load.point)}
+            | ({} if load.mass is None else {"mass": load.mass})
+            for load in self.loads
+        ]
+        return {
+            "type": "compliance",
+            "name": self.name,
+            "yielding": list(self.yielding),
+            "gravity": list(self.gravity),
+            "loads": loads,
+        }

@@ -1,0 +1,116 @@
+"""What gravity does to a chain: the generalised force of its loads on joints and parameters.
+
+By the principle of virtual work the force that loads of weights m_k g at the points r_k exert on
+anything q that moves the chain is Q = d/dq sum_k m_k g . r_k. Where q turns (slides along) the
+axis a of a step, dr/dq = a x (r - o) (= a): the moment about that axis (the force along it). It
+is summed over the steps that q moves, in which a mimicking joint, or a parameter used twice, has
+several.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from loopcal.errors import InputError
+from loopcal.expressions.vectors import cross, rotate, vector
+from loopcal.mechanisms.chain import Step, apply
+from loopcal.mechanisms.frame import Values, Vector
+
+ACCELERATION = 9.80665
+"""Standard gravity [m/s^2], 3rd CGPM (1901); the Earth's own differs by up to 0.3 %."""
+
+
+@dataclass(frozen=True)
+class Load:
+    """A point of the arm that weighs something.
+
+    joint: the joint that it moves with; point [m]: where, in the frame directly behind that
+    joint's motion, one of whose axes the joint turns about; mass [kg], None where it is not known.
+
+    Raises InputError for a mass that is not positive.
+    """
+
+    name: str
+    joint: str
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mass: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.mass is not None and not 0.0 < self.mass < math.inf:
+            raise InputError(
+                f"the mass of the load {self.name!r} is {self.mass:g} kg",
+                remedy="give a positive number, or none where it is not known",
+            )
+
+
+def acting(chain: Sequence[Step], name: str) -> list[int]:
+    """Positions of the steps that a joint or parameter moves."""
+    return [i for i, step in enumerate(chain) if name in (step.joint, step.parameter)]
+
+
+def end_of(chain: Sequence[Step], load: Load) -> int:
+    """How many steps stand between the base and a load.
+
+    Raises InputError for a joint that the chain has not.
+    """
+    found = [i for i, step in enumerate(chain) if step.joint == load.joint]
+    if not found:
+        raise InputError(
+            f"the load {load.name!r} moves with {load.joint!r}, which is no joint of the arm",
+            remedy="name the joint behind which it sits",
+        )
+    return found[-1] + 1
+
+
+def carries(chain: Sequence[Step], name: str, load: Load) -> bool:
+    """Whether the load weighs on this joint or parameter: behind it, and not on its own axis."""
+    end = end_of(chain, load)
+    for i in acting(chain, name):
+        axis, turns = "xyz".index(chain[i].motion[1]), chain[i].motion[0] == "r"
+        across = [v for k, v in enumerate(load.point) if k != axis]
+        if i < end and (not turns or i < end - 1 or any(across)):
+            return True
+    return False
+
+
+def unit_forces(
+    chain: Sequence[Step],
+    names: Sequence[str],
+    load: Load,
+    down: Sequence[float],
+    x: Values,
+    p: Values,
+) -> dict[str, Any]:
+    """Q / (m g) of one load on each name: a lever [m] where it turns, a number where it slides.
+
+    down: unit vector along which gravity pulls, in the first frame of the chain.
+    """
+    end = end_of(chain, load)
+    pulls = _seen(chain[:end], down, x, p)
+    moving = [[n for n in names if n in (s.joint, s.parameter)] for s in chain[:end]]
+    forces: dict[str, Any] = dict.fromkeys(names, 0.0)
+    point = vector(*load.point)
+    for i in range(end - 1, -1, -1):
+        step = chain[i]
+        point = apply((step,), point, x, p)
+        if moving[i]:
+            axis = "xyz".index(step.motion[1])
+            force = (cross(point, pulls[i]) if step.motion[0] == "r" else pulls[i])[axis]
+        for name in moving[i]:
+            weight = step.direction if step.joint == name else step.sign
+            forces[name] = forces[name] + weight * force
+    return forces
+
+
+def _seen(chain: Sequence[Step], down: Sequence[float], x: Values, p: Values) -> list[Vector]:
+    """The direction of gravity in the frame ahead of each step."""
+    pull = vector(*down)
+    out = []
+    for step in chain:
+        out.append(pull)
+        if step.motion[0] == "r":
+            pull = rotate(step.motion[1], -step.amount(x, p), pull)
+    return out

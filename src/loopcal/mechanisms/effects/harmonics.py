@@ -1,0 +1,78 @@
+"""Gears and encoders that are not round: errors that repeat with the turning joint."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from loopcal.errors import InputError
+from loopcal.mechanisms.effects.effect import joints
+from loopcal.mechanisms.frame import Values
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameter
+
+SD = 1e-3
+"""Prior sd [rad] of an amplitude: a graduation 50 um off centre on a radius of 50 mm."""
+
+
+@dataclass(frozen=True)
+class Harmonics:
+    """Eccentricity of an encoder (order 1), its ellipticity (2), teeth of a gear (its ratio).
+
+    theta' = theta + sum_k (JOINT_cosK cos(k theta) + JOINT_sinK sin(k theta)) [rad]
+
+    joints: names or globs; orders: k > 0, not whole where a wheel turns with another ratio. A
+    disc that is e off centre and read at a radius r is wrong by (e / r) sin(theta - theta_0), an
+    elliptic one by twice the angle, a gear with its ratio. Part of order 1 looks like geometry:
+    the joint's axis, or what it carries, displaced; the prior decides what the poses leave open.
+
+    Raises InputError for an order that is not positive, or none.
+    """
+
+    joints: tuple[str, ...] = ("*",)
+    orders: tuple[float, ...] = (1.0, 2.0)
+    name: str = "harmonics"
+
+    def __post_init__(self) -> None:
+        if not self.orders or any(not k > 0.0 or math.isinf(k) for k in self.orders):
+            raise InputError(
+                f"the orders of {self.name!r} are {list(self.orders)}",
+                remedy="give positive numbers: 1 for once per turn of the joint",
+            )
+
+    def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
+        """JOINT_cosK and JOINT_sinK [rad] of each joint and order."""
+        return {
+            name: Parameter(name, 0.0, "rad", SD)
+            for joint in joints(mechanism, self.joints, "rad")
+            for k in self.orders
+            for name in (f"{joint}_cos{k:g}", f"{joint}_sin{k:g}")
+        }
+
+    def known(self, mechanism: Mechanism) -> dict[str, str]:
+        """None."""
+        return {}
+
+    def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
+        """The angles with their harmonics."""
+        return {joint: self._turned(joint, x, p) for joint in joints(mechanism, self.joints, "rad")}
+
+    def _turned(self, joint: str, x: Values, p: Values) -> Any:
+        total = theta = x[joint]
+        for k in self.orders:
+            total = total + p[f"{joint}_cos{k:g}"] * np.cos(k * theta)
+            total = total + p[f"{joint}_sin{k:g}"] * np.sin(k * theta)
+        return total
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """As in a mechanism file."""
+        return {
+            "type": "harmonics",
+            "name": self.name,
+            "joints": list(self.joints),
+            "orders": list(self.orders),
+        }
