@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError, nearest
 from loopcal.files.chain_entries import exponential, urdf
+from loopcal.files.parallel_entries import MAKERS, parallel
 from loopcal.files.parameter_entries import changed, declared_here
 from loopcal.files.place import Place
 from loopcal.files.serial_entries import motoman, serial
@@ -111,6 +112,7 @@ BUILDERS: dict[str, Callable[[Any, Mapping[str, str], Place], Mechanism]] = {
     "urdf": urdf,
     "exponentials": exponential,
     "motoman-ma1400": motoman,
+    **dict.fromkeys(MAKERS, parallel),
 }
 """By type, what makes a mechanism of the model of its table."""
 

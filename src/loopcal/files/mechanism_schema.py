@@ -10,6 +10,7 @@ from loopcal.files.chain_schema import Exponentials, Urdf
 from loopcal.files.instrument_schema import Instruments
 from loopcal.files.mechanism_parts import Amount, Motions, ParameterEntries, Units, Value
 from loopcal.files.model import Model, UnitName
+from loopcal.files.parallel_schema import Delta, PassiveMachine
 
 
 class BasePlacement(Model):
@@ -134,12 +135,20 @@ class Function(Model):
     parameters: ParameterEntries = Field(default={})
 
 
-AnyMechanism = PlanarTwoLink | Serial | Urdf | Exponentials | Motoman | Function
+AnyMechanism = (
+    PlanarTwoLink | Serial | Urdf | Exponentials | PassiveMachine | Delta | Motoman | Function
+)
 TaggedMechanism = (
     Annotated[PlanarTwoLink, Tag("planar-two-link")]
     | Annotated[Serial, Tag("serial")]
     | Annotated[Urdf, Tag("urdf")]
     | Annotated[Exponentials, Tag("exponentials")]
+    | Annotated[PassiveMachine, Tag("four-bar")]
+    | Annotated[PassiveMachine, Tag("five-bar")]
+    | Annotated[PassiveMachine, Tag("three-rrr")]
+    | Annotated[PassiveMachine, Tag("stewart-gough")]
+    | Annotated[Delta, Tag("linear-delta")]
+    | Annotated[Delta, Tag("rotary-delta")]
     | Annotated[Motoman, Tag("motoman-ma1400")]
     | Annotated[Function, Tag("function")]
 )
@@ -148,6 +157,12 @@ TYPES: dict[str, type[AnyMechanism]] = {
     "serial": Serial,
     "urdf": Urdf,
     "exponentials": Exponentials,
+    "four-bar": PassiveMachine,
+    "five-bar": PassiveMachine,
+    "three-rrr": PassiveMachine,
+    "stewart-gough": PassiveMachine,
+    "linear-delta": Delta,
+    "rotary-delta": Delta,
     "motoman-ma1400": Motoman,
     "function": Function,
 }

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from loopcal.files.parallel_entries import MAKERS as PARALLEL
 from loopcal.files.toml_reader import SCHEMA
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
@@ -38,7 +39,7 @@ def mechanism_to_toml(mechanism: Mechanism) -> str:
         "# value: nominal; sd: how well it is known beforehand, absent where not at all;",
         "# fixed = true: not estimated.",
         "[parameters]",
-        *(_parameter(parameter) for parameter in mechanism.parameters),
+        *(_parameter(p, described.get("held", ())) for p in mechanism.parameters),
     ]
     return "\n".join(parts) + "\n"
 
@@ -57,6 +58,9 @@ def _structure(mechanism: Mechanism, described: Mapping[str, Any]) -> list[str]:
             return lines
         case "urdf" | "exponentials":
             return [*_chain(described), *_remarks(mechanism), *_chain_joints(described)]
+        case kind if kind in PARALLEL:
+            given = {key: described.get(key) for key in ("passive", "home")}
+            return [_line(key, value) for key, value in given.items() if value]
         case "motoman-ma1400":
             return [_line("before", described["before"])] if described["before"] else []
         case "function":
@@ -111,12 +115,13 @@ def _chain_joints(described: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _parameter(parameter: Parameter) -> str:
+def _parameter(parameter: Parameter, held: Sequence[str]) -> str:
+    """held: parameters that are fixed unless the file says otherwise."""
     entry: dict[str, Any] = {"value": parameter.nominal, "unit": parameter.unit}
     if not math.isinf(parameter.prior_sd):
         entry["sd"] = parameter.prior_sd
-    if parameter.fixed:
-        entry["fixed"] = True
+    if parameter.fixed or parameter.name in held:
+        entry["fixed"] = parameter.fixed
     return _line(parameter.name, entry)
 
 

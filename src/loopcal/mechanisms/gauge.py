@@ -61,19 +61,13 @@ def held(gauge: Gauge, instruments: Sequence[Reader]) -> set[str]:
     names: set[str] = set()
     if not any(i.form in _COORDINATES and not i.placement for i in instruments):
         names |= set(gauge.base)
-    tying = next((i for i in instruments if i.form == "pose" and not _turned(i)), None)
-    if gauge.body:
-        names |= set(gauge.body if tying is None else tying.parameters)
+    if not any(i.form == "pose" and not i.parameters for i in instruments):
+        names |= set(gauge.body)
     if gauge.translating and instruments:
         names |= {n for n, p in instruments[0].parameters.items() if p.unit == "m"}
     if not any("m" in i.readings.values() for i in instruments):
         names |= set(gauge.scale)
     return names
-
-
-def _turned(instrument: Reader) -> bool:
-    """Whether the frame it reads is turned in the body by parameters of its own."""
-    return any(p.unit == "rad" for p in instrument.parameters.values())
 
 
 def fixed(parameters: Mapping[str, Parameter], names: set[str]) -> dict[str, Parameter]:

@@ -121,7 +121,8 @@ def assemble(
         *(i.parameters for i in instruments),
     ):
         parameters |= {name: p for name, p in part.items() if name not in parameters}
-    parameters = fixed(parameters, held(machine.gauge, instruments))
+    without_effect = held(machine.gauge, instruments)
+    parameters = fixed(parameters, without_effect)
     parameters |= _stated(parameters, nominal or {})
 
     def loops(x: Any, p: Any) -> list[Any]:
@@ -151,7 +152,11 @@ def assemble(
         orientations=tuple(i.orientation for i in instruments if i.orientation),
         chain=machine.chain,
         placement=instruments[0].place if len(instruments) == 1 else None,
-        description={**machine.description, "instrument": [i.description for i in instruments]},
+        description={
+            **machine.description,
+            "instrument": [i.description for i in instruments],
+            "held": sorted(without_effect),
+        },
     )
 
 

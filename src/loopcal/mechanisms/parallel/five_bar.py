@@ -20,6 +20,7 @@ from loopcal.mechanisms.parallel.parts import (
     planar_leg,
     planar_leg_names,
     plane_frame,
+    starts,
 )
 
 PASSIVE = ("phi_1", "phi_2")
@@ -48,8 +49,8 @@ def five_bar(
     the elbow. The example: a1 = (0, 0), a2 = (0.25, 0), links of 0.25 and 0.35 m. home: values
     [SI] from which unread quantities are searched.
 
-    Raises InputError for a passive joint that is not there. Source: Wampler, Hollerbach and Arai
-    (1995), whose loop equations name passive joints alike.
+    Raises InputError for a passive joint or a quantity at home that is not there.
+    Source: Wampler, Hollerbach and Arai (1995), whose loop equations name passive joints alike.
     """
     passive = chosen_passive(passive, PASSIVE, name)
 
@@ -73,7 +74,7 @@ def five_bar(
         frame,
         tuple(loop for i in (1, 2) for loop in planar_leg_names(i, passive)),
         equations,
-        home={q: v for q, v in _HOME.items() if q in quantities} | dict(home or {}),
+        home=starts(_HOME, home, quantities, name),
         dimension=2,
         gauge=Gauge(base=("a1_x", "a1_y", "a2_y"), scale=("a2_x",)),
         description={"type": "five-bar", "passive": list(passive), "home": dict(home or {})},

@@ -21,6 +21,7 @@ from loopcal.mechanisms.parallel.parts import (
     offsets,
     plane_frame,
     read,
+    starts,
 )
 
 PASSIVE = ("theta_2", "phi_1")
@@ -47,7 +48,8 @@ def four_bar(
     (0, 0), a2 = (0.40, 0), 0.12, 0.38 and 0.25 m, a crank that goes round. home: angles [rad]
     from which unread ones are searched.
 
-    Raises InputError for a passive joint that is not there. Source: Freudenstein (1955).
+    Raises InputError for a passive joint or a quantity at home that is not there.
+    Source: Freudenstein (1955).
     """
     passive = chosen_passive(passive, PASSIVE, name)
 
@@ -77,7 +79,7 @@ def four_bar(
         frame,
         (*rocker, *(["phi_1"] if "phi_1" in passive else [])),
         equations,
-        home={q: v for q, v in _HOME.items() if q in angles} | dict(home or {}),
+        home=starts(_HOME, home, angles, name),
         dimension=2,
         gauge=Gauge(base=("a1_x", "a1_y", "a2_y"), scale=("a2_x",)),
         description={"type": "four-bar", "passive": list(passive), "home": dict(home or {})},

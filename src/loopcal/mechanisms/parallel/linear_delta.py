@@ -19,6 +19,7 @@ from loopcal.mechanisms.parallel.parts import (
     offsets,
     read,
     ring,
+    starts,
 )
 
 LEGS = (1, 2, 3)
@@ -42,6 +43,7 @@ def linear_delta(*, home: Mapping[str, float] | None = None, name: str = "linear
     rods of 0.30 m, carriages above the platform. home: values [m] from which unread quantities
     are searched; with carriages below give a larger platform_z.
 
+    Raises InputError for a quantity at home that is not there.
     Source: Clavel (1988); Vischer and Clavel (1998), for the errors that its geometry may have.
     """
 
@@ -61,7 +63,7 @@ def linear_delta(*, home: Mapping[str, float] | None = None, name: str = "linear
         lambda x, p: BodyFrame(np.eye(3), _point(x)),
         tuple(f"leg_{i}" for i in LEGS),
         equations,
-        home=_HOME | dict(home or {}),
+        home=starts(_HOME, home, quantities, name),
         gauge=Gauge(
             base=("a1_x", "a1_y", "rail_1_rx", "rail_1_ry", "slide_1_offset", "a2_y"),
             translating=True,

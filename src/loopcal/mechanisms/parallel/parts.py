@@ -79,6 +79,23 @@ def offsets(quantities: Mapping[str, str]) -> dict[str, Parameter]:
     return {f"{q}_offset": Parameter(f"{q}_offset", 0.0, unit) for q, unit in quantities.items()}
 
 
+def starts(
+    own: Mapping[str, float], stated: Mapping[str, float] | None, there: Iterable[str], machine: str
+) -> dict[str, float]:
+    """Where quantities stand at home: the machine's own values, replaced by those stated.
+
+    Raises InputError for what is no quantity of the machine.
+    """
+    names = tuple(there)
+    for name in stated or {}:
+        if name not in names:
+            raise InputError(
+                f"the home of {machine!r} names {name!r}, which is no quantity of it",
+                remedy=nearest(name, names),
+            )
+    return {name: value for name, value in {**own, **(stated or {})}.items() if name in names}
+
+
 def ring(radius: float, degrees: Sequence[float]) -> list[tuple[float, float]]:
     """Points (x, y) on a circle about the origin."""
     turns = [math.radians(angle) for angle in degrees]

@@ -20,6 +20,7 @@ from loopcal.mechanisms.parallel.parts import (
     offsets,
     read,
     ring,
+    starts,
 )
 
 LEGS = (1, 2, 3)
@@ -43,6 +44,7 @@ def rotary_delta(*, home: Mapping[str, float] | None = None, name: str = "rotary
     90 degrees, a_i on a circle of 0.15 m (the base's less the platform's), arms of 0.20 m, rods of
     0.45 m. home: values [SI] from which unread quantities are searched.
 
+    Raises InputError for a quantity at home that is not there.
     Source: Clavel (1988); Vischer and Clavel (1998), for the errors that its geometry may have.
     """
 
@@ -63,7 +65,7 @@ def rotary_delta(*, home: Mapping[str, float] | None = None, name: str = "rotary
         lambda x, p: BodyFrame(np.eye(3), _point(x)),
         tuple(f"leg_{i}" for i in LEGS),
         equations,
-        home=_HOME | dict(home or {}),
+        home=starts(_HOME, home, quantities, name),
         gauge=Gauge(
             base=("a1_x", "a1_y", "a1_z", "azimuth_1", "tilt_1", "theta_1_offset"),
             translating=True,

@@ -20,6 +20,7 @@ from loopcal.mechanisms.parallel.parts import (
     offsets,
     read,
     ring,
+    starts,
 )
 
 LEGS = (1, 2, 3, 4, 5, 6)
@@ -58,8 +59,8 @@ def stewart_gough(
     10, 50, 130 and 170, legs of 0.55 m and what is read. home: values [SI] from which unread
     quantities are searched.
 
-    Raises InputError for a passive joint that is not there. Source: Wampler, Hollerbach and Arai
-    (1995), section IV; the 42 parameters Masory, Wang and Zhuang (1993).
+    Raises InputError for a passive joint or a quantity at home that is not there.
+    Source: Wampler, Hollerbach and Arai (1995); the 42 parameters Masory, Wang and Zhuang (1993).
     """
     passive = chosen_passive(passive, PASSIVE, name)
 
@@ -70,12 +71,13 @@ def stewart_gough(
         return loops + [_turned(p, q, legs[int(q[-1]) - 1]) - read(x, p, q) for q in passive]
 
     sensed = {f"leg_{i}": "m" for i in LEGS} | dict.fromkeys(passive, "rad")
+    quantities = sensed | _PLATFORM
     mounted = dict.fromkeys(q[-1] for q in passive)
     mounts = [f"joint_{i}_{turn}" for i in mounted for turn in ("rz", "ry")]
     base, platform = ring(0.50, _BASE_CORNERS), ring(0.30, _PLATFORM_CORNERS)
     return Machine(
         name,
-        sensed | _PLATFORM,
+        quantities,
         joint_coordinates({f"a{i}": (*base[i - 1], 0.0) for i in LEGS})
         | joint_coordinates({f"b{i}": (*platform[i - 1], 0.0) for i in LEGS})
         | offsets(sensed)
@@ -84,7 +86,7 @@ def stewart_gough(
         lambda x, p: _platform(x),
         (*(f"leg_{i}" for i in LEGS), *passive),
         equations,
-        home=_HOME | dict(home or {}),
+        home=starts(_HOME, home, quantities, name),
         gauge=Gauge(
             base=("a1_x", "a1_y", "a1_z", "a2_y", "a2_z", "a4_z"),
             body=("b1_x", "b1_y", "b1_z", "b2_y", "b2_z", "b4_z"),

@@ -23,6 +23,7 @@ from loopcal.mechanisms.parallel.parts import (
     planar_leg_names,
     plane_frame,
     ring,
+    starts,
 )
 
 LEGS = (1, 2, 3)
@@ -53,7 +54,8 @@ def three_rrr(
     on a circle of 0.35 m, platform joints likewise on one of 0.10 m, links of 0.20 m. home: values
     [SI] from which unread quantities are searched.
 
-    Raises InputError for a passive joint that is not there. Source: Gosselin and Angeles (1988).
+    Raises InputError for a passive joint or a quantity at home that is not there.
+    Source: Gosselin and Angeles (1988).
     """
     passive = chosen_passive(passive, PASSIVE, name)
 
@@ -75,7 +77,7 @@ def three_rrr(
         lambda x, p: _platform(x),
         tuple(loop for i in LEGS for loop in planar_leg_names(i, passive)),
         equations,
-        home={q: v for q, v in _HOME.items() if q in quantities} | dict(home or {}),
+        home=starts(_HOME, home, quantities, name),
         dimension=2,
         gauge=Gauge(base=("a1_x", "a1_y", "a2_y"), body=("b1_x", "b1_y", "b2_y"), scale=("a2_x",)),
         description={"type": "three-rrr", "passive": list(passive), "home": dict(home or {})},
