@@ -68,6 +68,11 @@ def _state(result: Result) -> list[str]:
     condition = information.condition_number
     told = f"{information.rank} of {information.parameters} parameters determined"
     lines.append(told + (f", condition number {significant(condition, 3)}" if condition else ""))
+    if remarks := len(result.mechanism.remarks):
+        lines.append(
+            f"{remarks} remark{'s' if remarks > 1 else ''} on the mechanism, such as why a "
+            "parameter is fixed: loopcal check tells them"
+        )
     before, after = result.closure_before, result.closure_after
     lines.append(
         f"loop equations: rms {before.rms:.3g} before, {after.rms:.3g} after"

@@ -102,6 +102,7 @@ class Check:
             "identifiability": self.identifiability.document(),
             "observability": self.observability.document(),
             "prediction": {"sd_at_poses": dict(self.expected_at_poses)},
+            "remarks": list(self.mechanism.remarks),
         }
 
     def __str__(self) -> str:
@@ -116,6 +117,8 @@ class Check:
                 f"{_in(sd, SHOWN.get(unit, unit))} at 95 % of these poses"
             )
         lines += self.identifiability.words()
+        if self.mechanism.remarks:
+            lines += ["", *self.mechanism.remarks]
         return "\n".join([*lines, "", f"{self.verdict.upper()}  {self.words}"])
 
 
