@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.expressions.vectors import rotate
+from loopcal.expressions.vectors import rotate, vector
 
 MOTIONS = ("tx", "ty", "tz", "rx", "ry", "rz")
 
@@ -71,7 +71,7 @@ def apply(
         else:
             moved = list(point)
             moved["xyz".index(axis)] = moved["xyz".index(axis)] + amount
-            point = np.array(moved, dtype=point.dtype)
+            point = vector(*moved)
     return point
 
 

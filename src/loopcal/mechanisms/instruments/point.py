@@ -52,6 +52,7 @@ def point(
         "point",
         placement=stands.declared,
         place=None if station is None else stands,
+        dimension=dimension,
         description={
             "type": "point",
             "name": name,
