@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from loopcal.mechanisms.exponentials import ScrewJoint, exponentials
+from loopcal.mechanisms.instruments.point import point
+from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.motoman import motoman_ma1400
+from loopcal.mechanisms.origins import LinkJoint, joint_chain
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.mechanisms.serial import Joint, serial_arm
 from loopcal.mechanisms.skeleton import skeleton
+from loopcal.mechanisms.station import Target
 from tests.reference.machines import dh_arm
 from tests.reference.plain_tape import loop_values
 
@@ -17,6 +22,25 @@ ARMS = {
     "dh with a base": dh_arm(),
     "dh without": serial_arm([Joint("a"), Joint("b")], {"a_1": 0.5, "a_2": 0.4}, base=False),
     "transitions": motoman_ma1400(),
+    "origins": assemble(
+        joint_chain(
+            [
+                LinkJoint("lift", "prismatic", (0.1, 0, 0.2), axis=(0, 0, 1)),
+                LinkJoint("plate", "fixed", (0, 0.3, 0), (0, np.pi / 2, 0)),
+                LinkJoint("turn", "revolute", (0.4, 0, 0), axis=(0, 0.6, 0.8)),
+            ]
+        ),
+        [point(station="tracker", target="ball")],
+        {"tracker_x": 1.0, "tracker_rz": 0.5, "ball_x": 0.2, "ball_z": -0.1},
+    ),
+    "exponentials": assemble(
+        exponentials(
+            [ScrewJoint("a", (0, 0, 1)), ScrewJoint("b", (0, 1, 0), (0.3, 0, 0.5))],
+            home=((0.6, 0, 0.5), (0.1, 0.2, 0.3)),
+        ),
+        [point(station=None, target=Target(("u", "v", "w")))],
+        {"v": 0.1, "b_x": 0.01},
+    ),
     "planar": planar_two_link({"phi20": 0.1, "xA": 0.2}),
 }
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from loopcal.mechanisms.chain import product
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.placement import ChainPlacement
-from loopcal.mechanisms.serial import chain_steps, tool_names
-from loopcal.mechanisms.station import Station
+from loopcal.mechanisms.serial import tool_names
+from loopcal.mechanisms.station import Station, Target
 
 Array = NDArray[np.float64]
 
@@ -26,21 +26,32 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     described = mechanism.description or {}
     if described.get("type") == "planar-two-link":
         return _planar(values, joints)
-    if isinstance(mechanism.placement, ChainPlacement):
-        steps, tool = mechanism.placement.steps, mechanism.placement.tool
-    elif described.get("type") == "serial":
-        base = Station("base" if described["base"] else None).steps
-        steps = (*base, *chain_steps(described["joints"]))
-        tool = tool_names(described["joints"])
-    else:
+    if not mechanism.chain:
         return None
+    stands = next((f.placement for f in mechanism.families if f.placement), None)
+    station = stands.steps if isinstance(stands, Station) else ()
+    steps = (*station, *mechanism.chain)
+    tool = _looked_at(mechanism)
     T, points = np.eye(4), []
     for step in steps:
         if step.joint is not None:
             points.append(T[:3, 3])
         T = T @ product([step], joints, values)
-    points += [T[:3, 3], T[:3, :3] @ [values[name] for name in tool] + T[:3, 3]]
+    at = np.array([values[name] for name in tool] or [0.0, 0.0, 0.0])
+    points += [T[:3, 3], T[:3, :3] @ at + T[:3, 3]]
     return np.array(points)
+
+
+def _looked_at(mechanism: Mechanism) -> tuple[str, ...]:
+    """Names of the coordinates of the first instrument's target, in the body's frame."""
+    if isinstance(mechanism.placement, ChainPlacement):
+        return mechanism.placement.tool
+    described = mechanism.description or {}
+    if "instrument" not in described:
+        return tool_names(described["joints"])
+    targets = [entry.get("target") for entry in described["instrument"]]
+    target: str | list[str] = next((t for t in targets if t), [])
+    return Target.named(target).parameters if isinstance(target, str) else tuple(target)
 
 
 def _planar(values: Mapping[str, float], joints: Mapping[str, float]) -> Array:
