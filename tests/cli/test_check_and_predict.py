@@ -144,3 +144,24 @@ def test_a_result_written_from_python_is_read_in_si(folder: Path, run: Run) -> N
     done = run("predict", "own", "new.csv", "--json")
     assert done.code == 0
     assert json.loads(done.out)["poses"][0]["pose"] == "1"
+
+
+def test_check_says_why_parameters_of_a_urdf_are_fixed(
+    tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for command in (
+        ("new", "arm", "--mechanism", "urdf"),
+        ("simulate", "arm/project.toml", "--out", "arm/poses.csv", "--seed", "1"),
+    ):
+        assert run(*command).code == 0
+    said = run("check", "arm/project.toml")
+    reason = "'flange_z' is fixed: it does to the readings what 'tool_z' does."
+    assert reason in said.out
+    document = json.loads(run("check", "arm/project.toml", "--json").out)
+    assert reason in document["remarks"]
+    fixed = [p["name"] for p in document["parameters"] if p["fixed"]]
+    assert len(document["remarks"]) == len(fixed) == 24
+    told = run("calibrate", "arm/project.toml").out
+    assert "24 remarks on the mechanism, such as why a parameter is fixed" in told
+    assert reason in (tmp_path / "arm/project-result/mechanism.toml").read_text()
