@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from loopcal.files.effect_schema import MechanismModel
 from loopcal.files.instrument_schema import Instruments
 from loopcal.files.mechanism_parts import ParameterEntries, Units
 from loopcal.files.model import Finite, Model
@@ -51,7 +52,7 @@ class LinkJointEntry(Model):
     mimic: MimicEntry | None = None
 
 
-class Urdf(Model):
+class Urdf(MechanismModel):
     """The chain of joints between two links of a robot, from its URDF or listed here."""
 
     type: Literal["urdf"]
@@ -96,7 +97,7 @@ class HomePose(Model):
     rpy: Three = Field(default=[0.0, 0.0, 0.0], description="Roll, pitch and yaw.")
 
 
-class Exponentials(Model):
+class Exponentials(MechanismModel):
     """A serial machine as a product of exponentials: exp([S_1] q_1) ... exp([S_n] q_n) M."""
 
     type: Literal["exponentials"]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError, nearest
 from loopcal.files.chain_entries import exponential, urdf
+from loopcal.files.effect_entries import affected, needed
 from loopcal.files.parallel_entries import MAKERS, parallel
 from loopcal.files.parameter_entries import changed, declared_here
 from loopcal.files.place import Place
@@ -33,12 +34,13 @@ def read_mechanism(
     *,
     function: Loops | Mechanism | None = None,
     instruments: Sequence[Mapping[str, Any]] | None = None,
+    effects: Sequence[Mapping[str, Any]] | None = None,
 ) -> Mechanism:
     """The mechanism of a file.
 
     function: for a file of the type "function", which declares everything but the code: the
     loops f(x, p), or the mechanism made of them, whose values the file then replaces;
-    instruments: [[instrument]] tables in place of the file's own.
+    instruments, effects: [[instrument]] and [[effect]] tables in place of the file's own.
 
     Raises InputError, naming file and key, for all that cannot be read or does not fit.
     """
@@ -48,6 +50,8 @@ def read_mechanism(
     stated = {key: value for key, value in data.items() if key != "schema"}
     if instruments is not None:
         stated["instrument"] = list(instruments)
+    if effects is not None:
+        stated["effect"] = list(effects)
     return mechanism_from_data(stated, place, function=function)
 
 
@@ -86,7 +90,7 @@ def mechanism_from_data(
         )
     model = validated(schema.TYPES[kind], dict(data), place)
     if isinstance(model, schema.Function):
-        return _function(model, function, parameters or {}, place)
+        return _affected_function(model, function, parameters or {}, place)
     if function is not None:
         raise InputError(
             f"this describes a mechanism of the type {kind!r}, and a function is named as well",
@@ -98,6 +102,7 @@ def mechanism_from_data(
         made = BUILDERS[kind](model, units, place)
     except InputError as error:
         raise error if error.place else error.at(str(place)) from None
+    made = affected(made, model.effect, units, place.at("effect"))
     entries = changed(made.parameters, model.parameters, place.at("parameters"), units)
     return made.with_parameters(entries)
 
@@ -115,6 +120,30 @@ BUILDERS: dict[str, Callable[[Any, Mapping[str, str], Place], Mechanism]] = {
     **dict.fromkeys(MAKERS, parallel),
 }
 """By type, what makes a mechanism of the model of its table."""
+
+
+def _affected_function(
+    model: Function,
+    function: Loops | Mechanism | None,
+    parameters: Mapping[str, Any],
+    place: Place,
+) -> Mechanism:
+    """The mechanism of a function with its effects, whose parameters are not the function's."""
+    there = function if isinstance(function, Mechanism) else None
+    entries = [e for e in model.effect if there is None or e.name not in there.effects]
+    if not entries:
+        return _function(model, function, parameters, place)
+    units, here = model.units.by_dimension(), place.at("effect")
+    own = needed(there or _function(model, function, parameters, place), entries, units, here)
+    plain = {
+        "parameters": {n: e for n, e in model.parameters.items() if n not in own},
+        "known": {n: u for n, u in model.known.items() if there is None or n not in own},
+    }
+    others = {n: e for n, e in parameters.items() if n not in own}
+    made = _function(model.model_copy(update=plain), function, others, place)
+    made = affected(made, entries, units, here)
+    stated = {n: e for n, e in model.parameters.items() if n in own}
+    return made.with_parameters(changed(made.parameters, stated, place.at("parameters"), units))
 
 
 def _function(

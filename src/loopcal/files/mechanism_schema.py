@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag
 
 from loopcal.files.chain_schema import Exponentials, Urdf
+from loopcal.files.effect_schema import MechanismModel
 from loopcal.files.instrument_schema import Instruments
 from loopcal.files.mechanism_parts import Amount, Motions, ParameterEntries, Units, Value
 from loopcal.files.model import Model, UnitName
@@ -64,7 +65,7 @@ class JointEntry(Model):
 NOMINAL_KEYS = ("a", "d", "alpha", "beta", "offset", "x", "y", "z", "phix", "phiy", "phiz")
 
 
-class PlanarTwoLink(Model):
+class PlanarTwoLink(MechanismModel):
     """The planar two-link arm: xA, yA, l2, l3, phi20, phi30; reads xP, yP, phi2, phi3."""
 
     type: Literal["planar-two-link"]
@@ -77,7 +78,7 @@ def _base_form(value: Any) -> str:
     return "flag" if isinstance(value, bool) else "placement"
 
 
-class Serial(Model):
+class Serial(MechanismModel):
     """A serial arm: a chain of joints, its tool point measured in the instrument's frame."""
 
     type: Literal["serial"]
@@ -103,7 +104,7 @@ class Serial(Model):
     parameters: ParameterEntries = Field(default={})
 
 
-class Motoman(Model):
+class Motoman(MechanismModel):
     """The Motoman MA1400 with its 27 parameters; reads theta_1 to theta_6 and x, y, z."""
 
     type: Literal["motoman-ma1400"]
@@ -113,7 +114,7 @@ class Motoman(Model):
     parameters: ParameterEntries = Field(default={})
 
 
-class Function(Model):
+class Function(MechanismModel):
     """What is read and what is constant in loops written as a Python function f(x, p).
 
     The function itself is named where the project is used: --mechanism FILE.py:FUNCTION.

@@ -34,7 +34,8 @@ def mechanism_to_toml(mechanism: Mechanism) -> str:
         *head,
         *([_line("instrument", [])] if described.get("instrument") == [] else []),
         *_structure(mechanism, described),
-        *_instruments(described.get("instrument", [])),
+        *_tables("instrument", described.get("instrument", [])),
+        *_tables("effect", described.get("effect", [])),
         "",
         "# value: nominal; sd: how well it is known beforehand, absent where not at all;",
         "# fixed = true: not estimated.",
@@ -74,11 +75,11 @@ def _structure(mechanism: Mechanism, described: Mapping[str, Any]) -> list[str]:
             return []
 
 
-def _instruments(listed: Sequence[Mapping[str, Any]]) -> list[str]:
+def _tables(key: str, listed: Sequence[Mapping[str, Any]]) -> list[str]:
     return [
         line
         for entry in listed
-        for line in ("", "[[instrument]]", *(_line(key, value) for key, value in entry.items()))
+        for line in ("", f"[[{key}]]", *(_line(k, value) for k, value in entry.items()))
     ]
 
 

@@ -6,12 +6,12 @@ from typing import Literal
 
 from pydantic import Field
 
+from loopcal.files.effect_schema import MechanismModel
 from loopcal.files.instrument_schema import Instruments
 from loopcal.files.mechanism_parts import Amount, ParameterEntries, Units
-from loopcal.files.model import Model
 
 
-class ParallelMachine(Model):
+class ParallelMachine(MechanismModel):
     """What all parallel machines have; their geometry is in their parameters."""
 
     name: str | None = None

@@ -168,7 +168,12 @@ def stated_mechanism(
         return given
     if "type" not in stated and "file" in stated:
         path = expanded(stated["file"], folder, here.at("file"))
-        return read_mechanism(path, function=given, instruments=stated.get("instrument"))
+        return read_mechanism(
+            path,
+            function=given,
+            instruments=stated.get("instrument"),
+            effects=stated.get("effect"),
+        )
     return mechanism_from_data(stated, here, function=given, parameters=model.parameters)
 
 

@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
+from loopcal.files.effect_schema import Effects
 from loopcal.files.instrument_schema import Instruments
 from loopcal.files.mechanism_parts import ParameterEntries, Units, Value
 from loopcal.files.mechanism_schema import TaggedMechanism
@@ -35,6 +36,9 @@ class MechanismFile(Model):
     )
     instrument: Instruments | None = Field(
         default=None, description="What is read of the machine, in place of the file's own."
+    )
+    effect: Effects | None = Field(
+        default=None, description="What geometry does not explain, in place of the file's own."
     )
 
 
