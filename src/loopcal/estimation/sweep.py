@@ -169,21 +169,16 @@ class Sweeper:
             done[:, poses], late[poses] = closed.corrections, closed.open
         return Closed(done, late)
 
-    def close_block(
-        self,
-        parameters: Array,
-        start: Array,
-        pattern: Pattern,
-        poses: Poses,
-    ) -> tuple[Array, Array]:
-        """Corrections (k, b) that close the loops of a block, and what they cost: |E|^2, (b,)."""
-        self.at(parameters)
-        noise = self.noise(pattern, poses)
+    def misfit(self, corrections: Array, pattern: Pattern, poses: Poses) -> Array:
+        """What loops linearised at these corrections (k, b) cost to close, |E|^2, (b,).
+
+        At the parameters as they were set; infinite where it is no number.
+        """
         readings, known = self.problem.readings[:, poses], self.problem.known[:, poses]
-        closed = self._close(pattern, readings, known, start, noise, NEAR, 1.0)
-        values = self._values(pattern, readings, closed.corrections, known, Stage.BY_QUANTITY)
-        whitened = self.reduce(values, closed.corrections, noise)
-        return whitened.correction, np.square(whitened.E).sum(axis=0)
+        values = self._values(pattern, readings, corrections, known, Stage.BY_QUANTITY)
+        E = self.reduce(values, corrections, self.noise(pattern, poses)).E
+        cost = np.square(E).sum(axis=0)
+        return np.where(np.isfinite(cost), cost, np.inf)
 
     def at(self, parameters: Array) -> None:
         """Set the parameters (n_all,) [SI] for the evaluations to come."""
