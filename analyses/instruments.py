@@ -1,11 +1,12 @@
 """Does every instrument calibrate? Truth recovered, chi-squared, coverage and the identifiable set.
 
 Simulated calibrations of a general six-axis arm, a planar arm and a Stewart-Gough platform, looked
-at by each instrument in turn. The fits begin 1 mm and 1 mrad off (anchors, centres and planes 30
-times as far, stations anywhere). Parameters that no data of this kind can tell apart are held, one
-of each set. Each setup counts how often the 95 % interval of a parameter holds the truth, and
-compares chi-squared with its degrees of freedom; `identifiable` is the rank found without holding
-anything, beside the number that the docs derive.
+at by each instrument in turn, and of arms described by joint origins and by exponentials. The fits
+begin 1 mm and 1 mrad off (anchors, centres and planes 30 times as far, stations anywhere).
+Parameters that no data of this kind can tell apart are held, one of each set. Each setup counts how
+often the 95 % interval of a parameter holds the truth, and compares chi-squared with its degrees of
+freedom; `identifiable` is the rank found without holding anything, beside the number that the docs
+derive.
 
     python analyses/instruments.py [--draws 500] [--processes 2] [--only WORD ...]
 """
@@ -27,13 +28,16 @@ from scipy.stats import kstest
 
 import loopcal as lc
 from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.exponentials import ScrewJoint, exponentials
 from loopcal.mechanisms.instruments.contact import ball_bar, plane, socket, sphere
 from loopcal.mechanisms.instruments.length import distance, draw_wire, relative_distance
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.instruments.spherical import spherical
 from loopcal.mechanisms.machine import Instrument, Machine, assemble
+from loopcal.mechanisms.origins import LinkJoint, joint_chain
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
+from loopcal.mechanisms.redundancy import redundant
 from loopcal.mechanisms.serial import chain_machine, serial_machine
 
 Array = NDArray[np.float64]
@@ -58,6 +62,34 @@ TO_A_SIDE = (0.18, 0.40, 0.13, -0.70, -0.77, 0.07)
 ON_A_PLANE = (0.03, 1.26, -1.00, 1.26, -0.53, -0.21)
 IN_A_SOCKET = (-1.165, -0.744, 0.843, 0.231, -1.139, -0.188)
 """Joints of an arm in reach of what it touches."""
+X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+SIX = (
+    LinkJoint("q1", "revolute", (0, 0, 0.4), axis=Z),
+    LinkJoint("q2", "revolute", (0.15, 0, 0.05), axis=Y),
+    LinkJoint("q3", "revolute", (0, 0, 0.6), (0, pi / 2, 0), axis=Y),
+    LinkJoint("q4", "revolute", (-0.12, 0, 0.3), axis=Z),
+    LinkJoint("q5", "revolute", (0, 0, 0.34), axis=Y),
+    LinkJoint("q6", "continuous", (0, 0, 0.1), axis=Z),
+    LinkJoint("flange", "fixed", (0, 0, 0.02)),
+)
+"""Six revolute joints, the second and the third parallel, one origin pitched by 90 degrees."""
+SLIDES = (
+    LinkJoint("s1", "prismatic", (0.2, 0, 0.1), axis=X),
+    LinkJoint("s2", "prismatic", (0, 0, 0.3), axis=(0, 0.6, 0.8)),
+    LinkJoint("r1", "revolute", (0.1, 0, 0.2), (0, 0.3, 0), axis=Z),
+    LinkJoint("r2", "revolute", (0.3, 0.1, 0), axis=X),
+    LinkJoint("r3", "revolute", (0.3, 0, 0), axis=Y),
+)
+"""Two prismatic joints, one of them along no coordinate axis, and three revolute ones."""
+SCREWS = (
+    ScrewJoint("q1", Z, (0, 0, 0)),
+    ScrewJoint("q2", Y, (0.15, 0, 0.45)),
+    ScrewJoint("q3", Y, (0.15, 0, 1.05)),
+    ScrewJoint("q4", X, (0, 0, 0.93)),
+    ScrewJoint("q5", Y, (0.79, 0, 0.93)),
+    ScrewJoint("q6", X, (0, 0, 0.93)),
+)
+HOME = ((0.91, 0.0, 0.93), (0.0, pi / 2, 0.0))
 EXACT = lc.Noise({"*": 0.0})
 
 
@@ -158,6 +190,15 @@ def touching(
     return Setup(truth, (*LAST, *FIRST, *held), identifiable, joints, start, tuple(values))
 
 
+def chain(machine: Machine, instrument: Instrument, identifiable: int) -> Setup:
+    """A machine of joint origins or exponentials, redundant parameters held as files hold them."""
+    truth = assemble(machine, [instrument], placed("base") | TOOL)
+    first = [*instrument.placement, *instrument.parameters]
+    held = tuple(r.parameter for r in redundant(truth, first=first))
+    ranges = {q: (-1.6, 1.6) if u == "rad" else (-0.3, 0.3) for q, u in machine.quantities.items()}
+    return Setup(truth, held, identifiable, lc.random_poses(ranges, 100, seed=11))
+
+
 def in_plane(
     instrument: Instrument,
     values: Mapping[str, float],
@@ -240,6 +281,12 @@ SETUPS: dict[str, Callable[[], Setup]] = {
         ["phi20", "l2"],
         {"phi3": 1.2},
     ),
+    "origins point": lambda: chain(joint_chain(SIX), point(), 27),
+    "origins pose": lambda: chain(joint_chain(SIX), pose(), 30),
+    "origins and axes pose": lambda: chain(joint_chain(SIX, axes=True), pose(), 30),
+    "origins, two prismatic, point": lambda: chain(joint_chain(SLIDES), point(), 19),
+    "exponentials point": lambda: chain(exponentials(SCREWS, home=HOME), point(), 27),
+    "exponentials pose": lambda: chain(exponentials(SCREWS, home=HOME), pose(), 30),
     "platform pose": lambda: on_legs(pose(), placed("base") | at("tool", 0.02, 0.01, 0.1), 42),
     "platform point": lambda: on_legs(point(), placed("base") | at("tool", 0.02, 0.01, 0.1), 39),
 }

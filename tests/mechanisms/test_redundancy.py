@@ -7,9 +7,10 @@ from math import pi
 import numpy as np
 import pytest
 
+from analyses.instruments import HOME, SCREWS, SIX, SLIDES, Z
 from loopcal.expressions.engine import engine_for
 from loopcal.files.urdf import read_urdf
-from loopcal.mechanisms.exponentials import ScrewJoint, exponentials
+from loopcal.mechanisms.exponentials import exponentials
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
@@ -19,23 +20,6 @@ from loopcal.mechanisms.redundancy import redundant, without_redundant
 from loopcal.mechanisms.serial import Joint, serial_arm
 from tests.reference.robots import CHAINS, urdf_of
 
-X, Y, Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
-SIX = (
-    LinkJoint("q1", "revolute", (0, 0, 0.4), axis=Z),
-    LinkJoint("q2", "revolute", (0.15, 0, 0.05), axis=Y),
-    LinkJoint("q3", "revolute", (0, 0, 0.6), (0, pi / 2, 0), axis=Y),
-    LinkJoint("q4", "revolute", (-0.12, 0, 0.3), axis=Z),
-    LinkJoint("q5", "revolute", (0, 0, 0.34), axis=Y),
-    LinkJoint("q6", "revolute", (0, 0, 0.1), axis=Z),
-    LinkJoint("flange", "fixed", (0, 0, 0.02)),
-)
-SLIDES = (
-    LinkJoint("s1", "prismatic", (0.2, 0, 0.1), axis=X),
-    LinkJoint("s2", "prismatic", (0, 0, 0.3), axis=(0, 0.6, 0.8)),
-    LinkJoint("r1", "revolute", (0.1, 0, 0.2), (0, 0.3, 0), axis=Z),
-    LinkJoint("r2", "revolute", (0.3, 0.1, 0), axis=X),
-    LinkJoint("r3", "revolute", (0.3, 0, 0), axis=Y),
-)
 ARMS = {"six": (SIX, 6, 0), "slides": (SLIDES, 3, 2)}
 
 
@@ -93,10 +77,7 @@ def test_robots_of_others_have_as_many(name):
 
 
 def test_exponentials_have_as_many():
-    axes = [(Z, (0, 0, 0)), (Y, (0.15, 0, 0.45)), (Y, (0.15, 0, 1.05)), (X, (0, 0, 0.93))]
-    axes += [(Y, (0.79, 0, 0.93)), (X, (0, 0, 0.93))]
-    joints = [ScrewJoint(f"q{i}", w, q) for i, (w, q) in enumerate(axes, 1)]
-    machine = exponentials(joints, home=((0.91, 0, 0.93), (0, pi / 2, 0)))
+    machine = exponentials(SCREWS, home=HOME)
     for instrument, whole in ((point(), 27), (pose(), 30)):
         made = assemble(machine, [instrument])
         first = [*instrument.placement, *instrument.parameters]
