@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.constants import known_constants, with_implied
+from loopcal.estimation.enough import refuse_too_few
 from loopcal.estimation.size import refuse_without_length
 from loopcal.expressions.tape import Tape
 from loopcal.measurements.dataset import Dataset
@@ -150,7 +151,7 @@ def build_problem(
         dataset.poses,
         patterns,
     )
-    _check_enough(problem)
+    refuse_too_few(problem)
     refuse_without_length(mechanism, problem.readings, uncertainty.sd)
     return problem
 
@@ -252,24 +253,3 @@ def _filled(raw: Array, home: Sequence[float]) -> Array:
         elif gaps.any():
             row[gaps] = np.interp(order[gaps], order[~gaps], row[~gaps])
     return filled
-
-
-def _check_enough(problem: Problem) -> None:
-    for pattern in problem.patterns:
-        loops = len(pattern.loops)
-        if len(pattern.unmeasured) > loops:
-            first = 0 if isinstance(pattern.poses, slice) else int(pattern.poses[0])
-            names = [problem.mechanism.tape.quantities[i] for i in pattern.unmeasured]
-            raise InputError(
-                f"pose {problem.poses[first]!r} has {len(names)} unmeasured quantities "
-                f"({', '.join(names)}) and only {loops} loop equations to find them",
-                remedy="measure more quantities in this pose, or exclude it",
-            )
-    informed = sum(math.isfinite(sd) for sd in problem.prior_sd)
-    needed = len(problem.free) - informed
-    if problem.equations < needed:
-        raise InputError(
-            f"{problem.equations} loop equations ({len(problem.poses)} poses) cannot determine "
-            f"{needed} parameters without prior knowledge",
-            remedy="measure more poses, fix parameters, or give them a finite prior sd",
-        )

@@ -21,7 +21,7 @@ class Gauge:
 
     base: where the base frame lies, tied by an instrument that reads coordinates in it; body:
     where the body's frame lies, tied by an instrument that reads the pose of that very frame;
-    scale: the size of a machine that itself reads angles alone, tied by any reading of a length.
+    scale: the size of a machine that itself reads angles alone, tied by any measured length.
     translating: the body never turns, so the place of a target on it and that of the station
     cannot be told apart, and the first instrument's target is held.
     """
@@ -48,6 +48,10 @@ class Reader(Protocol):
         """Of where it stands."""
 
     @property
+    def implied(self) -> Mapping[str, float]:
+        """Readings that are the same in every pose by construction, and so measure nothing."""
+
+    @property
     def form(self) -> str:
         """What its readings are together."""
 
@@ -65,7 +69,8 @@ def held(gauge: Gauge, instruments: Sequence[Reader]) -> set[str]:
         names |= set(gauge.body)
     if gauge.translating and instruments:
         names |= {n for n, p in instruments[0].parameters.items() if p.unit == "m"}
-    if not any("m" in i.readings.values() for i in instruments):
+    units = [u for i in instruments for q, u in i.readings.items() if q not in i.implied]
+    if "m" not in units:
         names |= set(gauge.scale)
     return names
 
