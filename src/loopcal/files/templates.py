@@ -8,7 +8,20 @@ from importlib import resources
 
 from loopcal.errors import InputError, nearest
 
-TEMPLATES = ("planar-two-link", "serial", "urdf", "exponentials", "motoman-ma1400", "function")
+TEMPLATES = (
+    "planar-two-link",
+    "serial",
+    "urdf",
+    "exponentials",
+    "motoman-ma1400",
+    "four-bar",
+    "five-bar",
+    "three-rrr",
+    "linear-delta",
+    "rotary-delta",
+    "stewart-gough",
+    "function",
+)
 """Types of mechanism for which there is a project to start from."""
 
 

@@ -30,7 +30,8 @@ _PLATFORM |= dict.fromkeys(("platform_rz", "platform_ry", "platform_rx"), "rad")
 _BASE_CORNERS = (225.0, 315.0, 345.0, 75.0, 105.0, 195.0)
 _PLATFORM_CORNERS = (250.0, 290.0, 10.0, 50.0, 130.0, 170.0)
 _OFFSET = 0.55
-_HOME = dict.fromkeys(_PLATFORM, 0.0) | {"platform_z": 0.7}
+_HOME = dict.fromkeys((*_PLATFORM, *PASSIVE), 0.0) | {"platform_z": 0.7}
+_HOME |= {f"leg_{i}": 0.2 for i in LEGS}
 
 
 def stewart_gough(
