@@ -110,7 +110,7 @@ def calibrate(
                 max_iterations=max_iterations,
                 progress=progress,
             )
-            return _result(method, problem, robust, data, loss=loss)
+            return result_of(method, problem, robust, data, loss=loss)
 
         def fit(problem: Problem) -> Solution:
             if method == "implicit-loop-undamped":
@@ -120,12 +120,12 @@ def calibrate(
             return solve(problem, exact=exact, max_iterations=max_iterations, progress=progress)
 
         if exact or noise is None or not noise.estimate:
-            return _result(method, problem, fit(problem), data)
+            return result_of(method, problem, fit(problem), data)
         estimate = estimate_noise(
             problem, components(problem, noise), fit, at_readings=method == "reweighted"
         )
         learnt = replace(estimate.problem, start=problem.start)
-        return _result(method, learnt, estimate.solution, data, problem, estimate)
+        return result_of(method, learnt, estimate.solution, data, problem, estimate)
 
 
 def _check_loss(loss: str, method: str, noise: Noise | None) -> None:
@@ -162,7 +162,7 @@ def _started(
     return problem
 
 
-def _result(
+def result_of(
     method: str,
     problem: Problem,
     solution: Solution,

@@ -85,6 +85,15 @@ class Problem:
             for pattern in self.patterns
         )
 
+    @property
+    def count(self) -> int:
+        """How many poses there are."""
+        return len(self.poses)
+
+    def pose(self, number: int) -> str:
+        """The id of the pose at a position."""
+        return self.poses[number]
+
     def tape(self, pattern: Pattern) -> Tape:
         """The loops that hold in the poses of a pattern."""
         return held_loops(self.mechanism.tape, pattern.loops)

@@ -175,7 +175,7 @@ class _Solver:
         return point
 
     def _cannot_close(self, sweep: Sweep) -> InputError:
-        pose = self.problem.poses[int(sweep.singular[0])]
+        pose = self.problem.pose(int(sweep.singular[0]))
         return InputError(
             f"the loops of {sweep.singular.size} poses cannot close, the first is pose {pose!r}: "
             "some equation there contains no uncertain quantity that could be corrected",
@@ -310,14 +310,14 @@ class _Solver:
     def _solution(self, end: _Point, reason: str, corrections: Array | None = None) -> Solution:
         detail = ""
         if reason == "cannot_close" and end.sweep.open_poses.size:
-            some = [self.problem.poses[i] for i in end.sweep.open_poses[:5]]
+            some = [self.problem.pose(int(i)) for i in end.sweep.open_poses[:5]]
             detail = f"Poses: {', '.join(some)}."
         assert end.spectrum is not None
         if reason in ("max_iterations", "stalled"):
             detail = _weakness(hardly_determined(end.spectrum, self.problem.names))
         prior = end.merit - end.sweep.cost
         status = Status.of(
-            reason, self.iterations, self.sweeper.evaluations / len(self.problem.poses), detail
+            reason, self.iterations, self.sweeper.evaluations / self.problem.count, detail
         )
         if corrections is None:
             near = end.sweep.step <= 1.0  # a longer step may lead anywhere

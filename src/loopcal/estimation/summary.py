@@ -10,7 +10,7 @@ from loopcal.estimation.rounding import rounded_by_sd, significant
 from loopcal.units import from_si
 
 if TYPE_CHECKING:
-    from loopcal.estimation.on_request import Validation
+    from loopcal.estimation.on_request import ModelComparison, Validation
     from loopcal.estimation.result import Accuracy, Result
 
 SHOWN = {"m": "mm", "rad": "deg"}
@@ -41,6 +41,8 @@ def summary(result: Result) -> str:
         lines.append("(error: true minus estimate)")
     if result.intervals:
         lines += ["", *interval_table(result)]
+    if result.models is not None:
+        lines += ["", *model_table(result.models)]
     for warning in result.warnings:
         lines += ["", f"WARNING  {warning}"]
     return "\n".join(lines)
@@ -50,7 +52,7 @@ def _state(result: Result) -> list[str]:
     status = result.status
     head = "converged" if status.converged else f"NOT CONVERGED ({status.reason})"
     steps = f"{status.iterations} iteration{'s' if status.iterations != 1 else ''}"
-    used = len(result.dataset)
+    used = result.problem.count
     source = result.dataset.source
     poses = f"{used} poses"
     if source.rows_read and source.rows_read != used:
@@ -123,6 +125,29 @@ def validation_table(validations: Mapping[str, Validation]) -> list[str]:
         likely = found.log_likelihood
         rows.append([name, *told, "" if likely is None else f"{likely:.1f}"])
     return columns(rows)
+
+
+def model_table(found: ModelComparison) -> list[str]:
+    """One line for each model: its size, rms and log-likelihood on poses not used; which to take.
+
+    behind: by how much less than the best, with the sd of that difference.
+    """
+    validations = [m.validation for m in found.models if m.validation is not None]
+    units = {v.accuracy.unit for v in validations if v.accuracy is not None}
+    unit = SHOWN.get(one, one) if (one := next(iter(units), "")) else ""
+    rows = [["model", "parameters", f"rms [{unit}]", "log-likelihood", "behind", "sd"]]
+    for m in found.models:
+        row = [m.name, str(m.parameters), *[""] * 4]
+        if m.validation is not None:
+            accuracy, likely = m.validation.accuracy, m.validation.log_likelihood
+            row[2] = "" if accuracy is None else _distances(accuracy, unit)[1]
+            row[3] = "" if likely is None else f"{likely:.1f}"
+            row[4] = "best" if not m.behind else f"{m.behind:.1f}"
+            row[5] = "" if not m.behind else f"{m.sd:.1f}"
+        rows.append(row)
+    failed = [f"{m.name}: {m.failed}" for m in found.models if m.failed]
+    scheme = f"(on poses not used, {validations[0].words})" if validations else ""
+    return [*columns(rows), scheme, *failed, found.words]
 
 
 def _distances(accuracy: Accuracy, unit: str) -> list[str]:

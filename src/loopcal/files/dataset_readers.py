@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.files.columns import ColumnLike, all_numeric, refuse_doubles, specified, wanted
+from loopcal.files.columns import (
+    Column,
+    ColumnLike,
+    all_numeric,
+    refuse_doubles,
+    specified,
+    wanted,
+)
 from loopcal.files.delimited import read_delimited
 from loopcal.files.matlab import read_matlab
 from loopcal.files.parquet import read_parquet
@@ -92,7 +100,28 @@ def read_dataset(
     step = checked_every(every)
     used = np.arange(number) % step == 0
     used[excluded] = False
-    keep = np.flatnonzero(used)
+    source = Source(
+        file=table.file,
+        part=table.part,
+        sha256=table.sha256,
+        rows_read=number,
+        excluded=tuple(dict.fromkeys(ids[i] for i in excluded)),
+        every=step,
+    )
+    return dataset_of(table, asked, np.flatnonzero(used), ids, source)
+
+
+def dataset_of(
+    table: Table,
+    asked: Mapping[str, Column],
+    keep: NDArray[np.int64],
+    ids: Sequence[str],
+    source: Source,
+) -> Dataset:
+    """The readings of some rows of a table, by position; ids of all its rows.
+
+    source: what is known of the file; its rows and columns are filled in here.
+    """
 
     def values(column: str | int, given: str | None) -> Array:
         return to_si(table.numbers(table.position(column), keep), given or "1")
@@ -104,13 +133,8 @@ def read_dataset(
         {q: unit(u).si for q, u in stated.items()},
         tuple(ids[i] for i in keep),
         {q: values(column, given) for q, (column, given) in with_sd.items()},
-        Source(
-            file=table.file,
-            part=table.part,
-            sha256=table.sha256,
-            rows_read=number,
-            excluded=tuple(dict.fromkeys(ids[i] for i in excluded)),
-            every=step,
+        replace(
+            source,
             rows=table.rows[keep],
             columns={q: table.label(table.position(c.column)) for q, c in asked.items()},
             sd_columns={q: table.label(table.position(c)) for q, (c, _) in with_sd.items()},

@@ -92,6 +92,7 @@ def result_document(
         and after
         and {"unit": before.unit, "before": _distances(before), "after": _distances(after)},
         "validation": _validation(result),
+        "models": _models(result),
         "identifiability": _identifiability(result),
         "observability": None,
         "prediction": None,
@@ -215,6 +216,29 @@ def _validation(result: Result) -> dict[str, Any] | None:
     }
 
 
+def _models(result: Result) -> list[dict[str, Any]] | None:
+    if result.models is None:
+        return None
+    entries = []
+    for m in result.models.models:
+        accuracy = m.validation and m.validation.accuracy
+        entries.append(
+            {
+                "name": m.name,
+                "effects": list(m.effects),
+                "fixed": list(m.fixed),
+                "parameters": m.parameters,
+                "accuracy": accuracy and _distances(accuracy),
+                "log_likelihood": m.validation and m.validation.log_likelihood,
+                "behind": m.behind,
+                "sd_of_behind": None if m.sd is None else _finite(m.sd),
+                "recommended": m.name == result.models.recommended,
+                "failed": m.failed or None,
+            }
+        )
+    return entries
+
+
 def _loose(result: Result) -> set[str]:
     """Parameters that no data and no prior determine."""
     return {name for u in result.identifiability.not_identifiable for name in u.combination}
@@ -274,7 +298,7 @@ def _data(result: Result) -> dict[str, Any]:
         "file": source.file,
         "sha256": source.sha256,
         "poses": source.rows_read or len(dataset),
-        "used": len(dataset),
+        "used": result.problem.count,
         "excluded": list(source.excluded),
         "every": source.every,
         "joined": [{"file": part.file, "sha256": part.sha256} for part in source.joined],

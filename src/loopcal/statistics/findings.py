@@ -57,7 +57,7 @@ def findings(result: Result) -> Findings:
     """Everything that follows from the result's parameter system."""
     return Findings(
         what_data_say(result.problem, result.information, result.sd, unit_sd=_unit_sd(result)),
-        observability(result.information, len(result.problem.poses)),
+        observability(result.information, result.problem.count),
         predictor(result),
         find_outliers(result),
         other_optima(result),

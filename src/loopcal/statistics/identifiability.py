@@ -154,7 +154,7 @@ def what_data_say(
 
 def calibration_index(problem: Problem) -> CalibrationIndex:
     """Count the equations that the poses give, as Hollerbach and Wampler do."""
-    poses = len(problem.poses)
+    poses = problem.count
     quantities, loops = problem.readings.shape[0], len(problem.mechanism.tape.loops)
     mobility = (quantities - loops) * poses
     return CalibrationIndex(

@@ -1,0 +1,137 @@
+"""Poses that come in chunks give what the same poses in memory give."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from loopcal import Dataset, Noise, calibrate
+from loopcal.errors import InputError
+from loopcal.estimation.result import Result
+from loopcal.estimation.streamed import calibrate_stream
+from loopcal.estimation.streaming import Chunk
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.motoman import motoman_ma1400
+from loopcal.mechanisms.planar import planar_two_link
+from loopcal.simulation.poses import random_poses
+from loopcal.simulation.simulate import simulate
+
+
+@dataclass
+class Pieces:
+    """A data set in pieces of a size that does not divide it."""
+
+    data: Dataset
+    noise: Noise
+    size: int = 170
+    served: int = 0
+
+    @property
+    def poses(self) -> int:
+        return len(self.data)
+
+    def chunks(self) -> Iterator[Chunk]:
+        for begin in range(0, len(self.data), self.size):
+            part = slice(begin, begin + self.size)
+            entries = {
+                key: value[part] if getattr(value, "ndim", 0) == 3 else value
+                for key, value in self.noise.entries.items()
+            }
+            self.served += 1
+            yield Chunk(self.data.take(part), Noise(entries))
+
+
+def arm_and_data(poses: int = 900, seed: int = 3) -> tuple[Mechanism, Dataset]:
+    arm = motoman_ma1400()
+    driven = random_poses({f"theta_{i}": (-1.5, 1.5) for i in range(1, 7)}, poses, seed=seed)
+    truth = {"x1": 0.153, "z2": 0.612, "phix1": 0.003, "x0": 1.0, "phix0": 0.1}
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    return arm, simulate(arm, driven, noise=noise, seed=seed, truth=truth).dataset
+
+
+def alike(streamed: Result, whole: Result) -> None:
+    assert streamed.status.converged
+    assert whole.status.converged
+    for name in whole.estimated:
+        sd = whole.sd[name]
+        assert sd is not None
+        assert streamed.value[name] == pytest.approx(whole.value[name], abs=1e-7 * sd)
+        assert streamed.sd[name] == pytest.approx(sd, rel=1e-9)
+    if whole.chi_squared is not None:
+        assert streamed.chi_squared is not None
+        assert streamed.chi_squared.value == pytest.approx(whole.chi_squared.value, rel=1e-9)
+        assert streamed.chi_squared.degrees_of_freedom == whole.chi_squared.degrees_of_freedom
+    assert streamed.accuracy_after is not None
+    assert whole.accuracy_after is not None
+    for key in ("mean", "rms", "max", "poses"):
+        expected = getattr(whole.accuracy_after, key)
+        assert getattr(streamed.accuracy_after, key) == pytest.approx(expected, rel=1e-9)
+    assert streamed.accuracy_after.p95 == pytest.approx(whole.accuracy_after.p95, rel=5e-3)
+
+
+@pytest.mark.parametrize("method", ["implicit-loop", "least-squares"])
+def test_a_stream_gives_what_memory_gives(method: str) -> None:
+    arm, data = arm_and_data()
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    streamed = calibrate_stream(arm, Pieces(data, noise), method=method)
+    alike(streamed, calibrate(arm, data, noise=noise, method=method))
+
+
+def test_covariances_of_each_reading_and_gaps_come_along() -> None:
+    arm, data = arm_and_data(400)
+    z = np.where(np.arange(400) % 7 == 0, np.nan, data["z"])
+    data = data.with_readings({"z": z})
+    spread = np.linspace(1.0, 3.0, 400)[:, None, None]
+    noise = Noise({"theta_*": 5e-5, ("x", "y", "z"): 1e-10 * np.eye(3) * spread})
+    alike(calibrate_stream(arm, Pieces(data, noise)), calibrate(arm, data, noise=noise))
+
+
+def test_an_angle_that_nobody_reads_is_found_in_every_chunk() -> None:
+    arm = planar_two_link()
+    driven = random_poses({"phi2": (0.0, 3.0), "phi3": (0.3, 2.5)}, 500, seed=1)
+    exact = Noise({"phi?": 1e-3, "*": 1e-5})
+    data = simulate(arm, driven, noise=exact, seed=1, truth={"l2": 0.803}).dataset
+    noise = Noise({"phi2": 1e-3, "phi3": np.inf, "*": 1e-5})
+    arm = arm.with_parameters(arm.parameters.with_fixed(["phi30", "l3"]))
+    alike(calibrate_stream(arm, Pieces(data, noise)), calibrate(arm, data, noise=noise))
+
+
+def test_every_chunk_is_handed_out_with_its_corrections() -> None:
+    arm, data = arm_and_data(500)
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    seen: list[Result] = []
+    calibrate_stream(arm, Pieces(data, noise), chunk_done=seen.append)
+    whole = calibrate(arm, data, noise=noise)
+    assert [pose for part in seen for pose in part.dataset.poses] == list(data.poses)
+    streamed = np.concatenate([part.corrections["theta_2"] for part in seen])
+    assert streamed == pytest.approx(whole.corrections["theta_2"], abs=1e-5 * 5e-5)
+
+
+def test_what_was_reached_is_where_an_interrupted_run_goes_on() -> None:
+    arm, data = arm_and_data(500)
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    points: list[dict[str, float]] = []
+    fresh = Pieces(data, noise)
+    first = calibrate_stream(arm, fresh, reached=points.append)
+    resumed = Pieces(data, noise)
+    again = calibrate_stream(arm, resumed, begin=points[-1])
+    assert resumed.served < fresh.served
+    for name in first.estimated:
+        sd = first.sd[name]
+        assert sd is not None
+        assert again.value[name] == pytest.approx(first.value[name], abs=1e-6 * sd)
+
+
+def test_what_needs_all_poses_at_once_is_refused() -> None:
+    arm, data = arm_and_data(200)
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    with pytest.raises(InputError, match="as a stream"):
+        calibrate_stream(arm, Pieces(data, noise), method="reweighted")
+    learnt = Noise(noise.entries, estimate={"xyz": "group"})
+    stream = Pieces(data, noise)
+    stream.chunks = lambda: iter([Chunk(data, learnt)])  # type: ignore[method-assign]
+    with pytest.raises(InputError, match="learnt"):
+        calibrate_stream(arm, stream)
