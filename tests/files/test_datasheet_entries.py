@@ -111,3 +111,14 @@ def test_a_mistake_is_named_where_it_stands(text, place, words):
     assert (caught.value.place or "").endswith(f": {place}")
     assert words in str(caught.value)
     assert caught.value.remedy
+
+
+def test_a_tracker_of_ranges_and_angles_is_known_by_their_units():
+    text = """schema = 1
+mechanism = { type = "serial", joint = [{ name = "q" }], instrument = [{ type = "spherical" }] }
+[noise]
+"tracker_range,tracker_azimuth,tracker_elevation" = { tracker = "leica-at500" }
+"""
+    found = dict(read_project("-", text=text).noise.entries)
+    tracker = found[("tracker_range", "tracker_azimuth", "tracker_elevation")]
+    assert tracker == lc.Tracker.of("leica-at500", native=True)

@@ -83,6 +83,21 @@ def test_in_a_plane_there_is_one_transverse_direction():
     np.testing.assert_allclose(C, [np.diag([4e-12, 1e-10])])
 
 
+def test_native_readings_have_the_same_covariance_as_the_point_they_make():
+    """C = J S J^T, with J the derivative of x, y, z by range, azimuth and elevation."""
+    rng = np.random.default_rng(8)
+    r, a, e = rng.uniform(1, 20, 30), rng.uniform(-3, 3, 30), rng.uniform(-1.2, 1.2, 30)
+    u = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    level = np.array([-np.sin(a), np.cos(a), 0 * a])
+    up = np.array([-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)])
+    J = np.array([u, r * np.cos(e) * level, r * up]).transpose(2, 1, 0)
+    native = Tracker.of("leica-at500", native=True).covariance(np.array([r, a, e]).T)
+    points = lc.tracker_covariance((r * u).T, "leica-at500")
+    np.testing.assert_allclose(J @ native @ J.transpose(0, 2, 1), points, rtol=1e-12, atol=1e-24)
+    flat = Tracker.of("leica-at500", native=True).covariance(np.array([r, a]).T)
+    np.testing.assert_allclose(flat[:, 1, 1], native[:, 2, 2])
+
+
 def test_rounded_coordinates_add_their_variance():
     plain = lc.tracker_covariance(POINTS, "leica-at500")
     rounded = lc.tracker_covariance(POINTS, "leica-at500", rounded_to=1e-4)
@@ -167,6 +182,8 @@ def test_a_lost_reflector_is_named_by_its_pose():
         lambda: lc.tracker_covariance([[1.0, 0, 0]], "leica-at500", station=[0, 0]),
         lambda: lc.tracker_covariance([[0.0, 0, 0]], "leica-at500"),
         lambda: lc.tracker_covariance([[1.0, 0, 0]], "leica-at500", rounded_to=-1),
+        lambda: Tracker.of("leica-at500", native=True, station=[0, 0, 0]),
+        lambda: Tracker.of("leica-at500", native=True).covariance([[0.0, 1.0, 0.1]]),
         lambda: lc.encoder_sd(),
         lambda: lc.encoder_sd(bits=0),
         lambda: lc.encoder_sd(bits=3, counts=8),

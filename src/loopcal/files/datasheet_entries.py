@@ -25,15 +25,16 @@ if TYPE_CHECKING:
 def tracker_of(
     entry: NoiseEntry, names: tuple[str, ...], units: Mapping[str, str], place: Place
 ) -> Tracker:
-    """The tracker of an entry for the coordinates `names`.
+    """The tracker of an entry for the coordinates, or the range and angles, `names`.
 
-    Raises InputError for figures that cannot be used, and quantities that are no coordinates.
+    Raises InputError for figures that cannot be used, and quantities that are neither.
     """
     here = place.at("tracker")
-    if len(names) not in (2, 3) or {units[n] for n in names} != {"m"}:
+    native = [units[n] for n in names] == ["m", "rad", "rad"][: len(names)]
+    if len(names) not in (2, 3) or not (native or {units[n] for n in names} == {"m"}):
         raise InputError(
-            f"a tracker measures the coordinates of a point together, and {', '.join(names)} "
-            "are not that",
+            "a tracker measures the coordinates of a point together, or its range, azimuth and "
+            f"elevation, and {', '.join(names)} are not that",
             place=str(here),
             remedy='name them in their order, say "x,y,z" or xyz',
         )
@@ -57,7 +58,7 @@ def tracker_of(
     try:
         assert entry.tracker is not None
         figures = entry.tracker.model_dump(exclude_none=True)
-        return Tracker.of(**figures, station=station, rounded_to=step)
+        return Tracker.of(**figures, station=station, rounded_to=step, native=native)
     except InputError as error:
         raise error.at(str(here)) from None
 

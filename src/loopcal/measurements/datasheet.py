@@ -66,14 +66,16 @@ class Tracker:
 
     range, transverse: sds along and across the line of sight; station: where the instrument
     stands in the frame of its coordinates [m], None for the origin; rounding: sd [m] of
-    every coordinate's last digit. As the value of a `Noise` entry for the coordinates together it
-    gives every reading the covariance of the place where it was taken.
+    every coordinate's last digit; native: its readings are not coordinates but range, azimuth and
+    elevation (in a plane without it). As the value of a `Noise` entry for the readings together it
+    gives each the covariance of the place where it was taken.
     """
 
     range: LengthFigure
     transverse: LengthFigure
     station: tuple[float, ...] | None = None
     rounding: float = 0.0
+    native: bool = False
     ndim: ClassVar[int] = 0
     """As of an array: it stands for any number of poses."""
 
@@ -88,6 +90,7 @@ class Tracker:
         coverage: float | str | None = None,
         station: ArrayLike | None = None,
         rounded_to: float = 0.0,
+        native: bool = False,
     ) -> Tracker:
         """A tracker by the name of a preset, or from its range and transverse figures.
 
@@ -120,6 +123,12 @@ class Tracker:
                 f"the {missing} figure of the tracker is missing",
                 remedy='give both, say range = "10 um + 0.3 um/m", transverse = "15 um + 6 um/m"',
             )
+        if native and (station is not None or rounded_to):
+            raise InputError(
+                "a station and a rounding belong to a tracker's coordinates, and ranges and angles "
+                "are read",
+                remedy="leave them out",
+            )
         factor = sd_per_figure(kind or "mpe", coverage)
         place = None if station is None else tuple(np.asarray(station, dtype=float).tolist())
         return cls(
@@ -127,33 +136,38 @@ class Tracker:
             length_figure(transverse, factor),
             place,
             rounding_sd(rounded_to),
+            native,
         )
 
     def covariance(self, points: ArrayLike) -> Array:
         """Covariances (N, d, d) [m^2] of points (N, d) [m] in space or in a plane, d = 3 or 2.
 
         With r = point - station, u = r/|r|: sd_range^2 u u^T + sd_transverse^2 (I - u u^T).
-        Raises InputError for a point where the instrument stands.
+        Native readings (range r, azimuth, elevation e) instead of points: diagonal, sd_range,
+        sd_transverse / (r cos e) and sd_transverse / r [m, rad]. Raises InputError for a point
+        where the instrument stands.
         """
         r = np.asarray(points, dtype=np.float64)
         if r.ndim != 2 or r.shape[1] not in (2, 3):
             raise InputError(
                 f"the points have the shape {r.shape}", remedy="give (N, 3), or (N, 2) in a plane"
             )
-        if self.station is not None:
-            if len(self.station) != r.shape[1]:
-                raise InputError(
-                    f"the station has {len(self.station)} coordinates, a point {r.shape[1]}",
-                    remedy="give the instrument's place in the frame of the points",
-                )
-            r = r - np.array(self.station)
-        distance = np.linalg.norm(r, axis=1)
-        lost = self.at_station(np.asarray(points, dtype=np.float64))
+        if self.station is not None and len(self.station) != r.shape[1]:
+            raise InputError(
+                f"the station has {len(self.station)} coordinates, a point {r.shape[1]}",
+                remedy="give the instrument's place in the frame of the points",
+            )
+        lost = self.at_station(r)
         if lost.size:
             raise InputError(
                 f"point {int(lost[0]) + 1} lies where the tracker stands",
                 remedy="leave it out: a tracker writes 0, 0, 0 for a lost reflector",
             )
+        if self.native:
+            return self._of_readings(r)
+        if self.station is not None:
+            r = r - np.array(self.station)
+        distance = np.linalg.norm(r, axis=1)
         u = r / distance[:, None]
         along = u[:, :, None] * u[:, None, :]
         across = np.eye(r.shape[1]) - along
@@ -162,8 +176,18 @@ class Tracker:
         found: Array = own + self.rounding**2 * np.eye(r.shape[1])
         return found
 
+    def _of_readings(self, readings: Array) -> Array:
+        distance, across = readings[:, 0], self.transverse.at(readings[:, 0]) / readings[:, 0]
+        sds = [self.range.at(distance), across]
+        if readings.shape[1] == 3:
+            sds = [sds[0], across / np.cos(readings[:, 2]), across]
+        found: Array = np.square(sds).T[:, :, None] * np.eye(len(sds))
+        return found
+
     def at_station(self, points: Array) -> NDArray[np.intp]:
         """Positions of the points (N, d) that lie where the instrument stands."""
+        if self.native:
+            return np.flatnonzero(np.abs(points[:, 0]) < _NOWHERE)
         r = points if self.station is None else points - np.array(self.station)
         return np.flatnonzero(np.linalg.norm(r, axis=1) < _NOWHERE)
 

@@ -214,7 +214,7 @@ def _checked_entry(key: str | tuple[str, ...], value: Any) -> Any:
         size = len(key) if isinstance(key, tuple) else 1
         if size not in (2, 3) or len(value.station or key) != size:
             raise InputError(
-                f"a tracker measures points, and {key!r} are the coordinates of none"
+                f"a tracker measures points, and {key!r} are not the readings of one"
                 if value.station is None or size not in (2, 3)
                 else f"the tracker's station has {len(value.station)} coordinates, {key!r} {size}",
                 remedy="name the coordinates in their order, say (x, y, z)",
