@@ -19,7 +19,7 @@ from loopcal.files import result_file
 from loopcal.files.atomic import write_files
 from loopcal.files.new_project import write_new_project
 from loopcal.files.new_readings import read_new_readings
-from loopcal.files.project_data import load_dataset
+from loopcal.files.project_data import LoadedData, load_dataset
 from loopcal.files.project_file import Project, read_project
 from loopcal.files.python_function import load_function
 from loopcal.files.readings_file import readings_tables
@@ -35,6 +35,7 @@ from loopcal.simulation.simulate import Simulation, simulate
 from loopcal.statistics.check import Check, check
 from loopcal.statistics.findings import Findings, findings
 from loopcal.statistics.intervals import intervals
+from loopcal.statistics.models import compare_models
 from loopcal.statistics.prediction import Prediction, predict
 from loopcal.statistics.predictor import predictor_of
 from loopcal.statistics.validation import validate
@@ -80,6 +81,7 @@ def run_calibration(
     require_identifiable: bool = False,
     folds: int | None = None,
     profile: Sequence[str] = (),
+    compare: bool = False,
     report: bool = False,
     progress: Progress | None = None,
 ) -> Calibration:
@@ -90,7 +92,8 @@ def run_calibration(
     NAME-result beside the project NAME.toml; function: FILE.py:NAME of the loops;
     require_identifiable: whether every parameter must be determined, as the project may ask;
     folds: of a validation, instead of the project's; profile: parameters that get a profile
-    interval, beside those of the project; report: whether report.html is written as well.
+    interval, beside those of the project; compare: whether the project's models are compared,
+    and the result is that of the one recommended; report: whether report.html is written as well.
 
     The files are written, all or none, also where the fit did not converge: `objection` tells.
     Raises InputError for what cannot be used and UsageError for a method that is none.
@@ -109,14 +112,12 @@ def run_calibration(
     }
     asked_for = read.fit.validation if folds is None else ValidationSpec(folds=folds)
     try:
-        result = calibrate(read.mechanism, loaded.dataset, **how, progress=progress)
-        if asked_for is not None and result.status.converged:
-            parts = validation_arguments(read, asked_for)
-            try:
-                found = validate(read.mechanism, loaded.dataset, **how, **parts, full=result)
-                result = replace(result, validation=found)
-            except NoTrustworthyResult as error:
-                result = replace(result, warnings=(*result.warnings, f"Not validated: {error}"))
+        if compare:
+            result = _compared(read, loaded, how, asked_for or ValidationSpec(folds=10))
+        else:
+            result = calibrate(read.mechanism, loaded.dataset, **how, progress=progress)
+            if asked_for is not None and result.status.converged:
+                result = _validated(result, read, loaded, how, asked_for)
         patterns = (*read.fit.profile, *profile)
         if patterns and result.status.converged:
             result = replace(result, intervals=intervals(result, patterns))
@@ -140,6 +141,31 @@ def run_calibration(
     )
     asked = require_identifiable or read.fit.require_identifiable
     return Calibration(result, told, written, warnings, _objection(result, told, asked))
+
+
+def _validated(
+    result: Result,
+    project: Project,
+    loaded: LoadedData,
+    how: Mapping[str, Any],
+    asked_for: ValidationSpec,
+) -> Result:
+    parts = validation_arguments(project, asked_for)
+    try:
+        found = validate(project.mechanism, loaded.dataset, **how, **parts, full=result)
+        return replace(result, validation=found)
+    except NoTrustworthyResult as error:
+        return replace(result, warnings=(*result.warnings, f"Not validated: {error}"))
+
+
+def _compared(
+    project: Project, loaded: LoadedData, how: Mapping[str, Any], asked_for: ValidationSpec
+) -> Result:
+    """The calibration with the recommended one of the project's models."""
+    parts = validation_arguments(project, asked_for)
+    found = compare_models(project.mechanism, loaded.dataset, project.compare, **how, **parts)
+    chosen = next(m for m in found.models if m.name == found.recommended)
+    return replace(found.result, models=found, validation=chosen.validation)
 
 
 def write_result(

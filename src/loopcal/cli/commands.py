@@ -101,6 +101,14 @@ def calibrate(
             metavar="GLOB", help="Parameters that get a profile likelihood interval; repeatable."
         ),
     ] = None,
+    compare: Annotated[
+        bool,
+        typer.Option(
+            "--compare",
+            help="Judge the project's [[compare.model]] on poses not used, and calibrate with the "
+            "one recommended.",
+        ),
+    ] = False,
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Write no report.html; an earlier one goes.")
     ] = False,
@@ -119,6 +127,7 @@ def calibrate(
             require_identifiable=require_identifiable,
             folds=folds,
             profile=profile or (),
+            compare=compare,
             report=not no_report,
             progress=progress,
         )

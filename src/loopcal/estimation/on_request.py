@@ -1,4 +1,4 @@
-"""What a result carries only where it was asked for: validation and confidence intervals."""
+"""What a result carries only where it was asked for: validation, intervals, rival models."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from loopcal.estimation.result import Accuracy
+    from loopcal.estimation.result import Accuracy, Result
 
 Array = NDArray[np.float64]
 
@@ -50,3 +50,57 @@ class Interval:
     profile_low: float | None
     profile_high: float | None
     differs: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedModel:
+    """One of several models of the same readings, judged by poses that it has not seen.
+
+    effects: those beyond geometry that are switched on; fixed: parameters by names or globs that
+    it does not estimate; parameters: how many it does; validation: None where a fit did not
+    converge, with the reason in `failed`; behind: by how much its predictive log-likelihood is
+    less than the best one's; sd: of that difference, from its scatter over the poses.
+    """
+
+    name: str
+    effects: tuple[str, ...]
+    fixed: tuple[str, ...]
+    parameters: int
+    validation: Validation | None
+    behind: float | None = None
+    sd: float | None = None
+    failed: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelComparison:
+    """Models compared on the same poses; recommended: the simplest that the data do not refuse.
+
+    result: the calibration of all poses with the recommended model.
+    """
+
+    models: tuple[ComparedModel, ...]
+    recommended: str
+    result: Result
+
+    @property
+    def words(self) -> str:
+        """Why this model."""
+        known = [m for m in self.models if m.behind is not None]
+        best = next(m for m in known if m.behind == 0.0)
+        if best.name != self.recommended:
+            return (
+                f"Recommended: {self.recommended}, the simplest of those that predict as well as "
+                f"{best.name} within what chance explains."
+            )
+        if all(m is best or m.parameters >= best.parameters for m in known):
+            return f"Recommended: {best.name}, which predicts best and is the simplest."
+        return (
+            f"Recommended: {best.name}, which predicts best; every simpler model is behind by more "
+            "than chance explains."
+        )
+
+    def __str__(self) -> str:
+        from loopcal.estimation.summary import model_table
+
+        return "\n".join(model_table(self))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.on_request import Interval, Validation
+from loopcal.estimation.on_request import Interval, ModelComparison, Validation
 from loopcal.estimation.problem import Problem
 from loopcal.estimation.reduction import Accumulator, Spectrum
 from loopcal.estimation.status import Status
@@ -167,6 +167,8 @@ class Result:
     errors: Mapping[str, float] | None = None
     validation: Validation | None = None
     """Accuracy on poses that were not used, where it was asked for."""
+    models: ModelComparison | None = None
+    """Models this one was chosen from, where it was asked for."""
     intervals: Mapping[str, Interval | None] = field(default_factory=dict)
     """Confidence intervals of the parameters that were asked for."""
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError
+from loopcal.files.compare_entries import compare_spec
 from loopcal.files.data_entries import DataSpec, data_files
 from loopcal.files.mechanism_file import Loops, mechanism_from_data, read_mechanism
 from loopcal.files.noise_entries import NoiseSpec, noise_spec
@@ -18,6 +19,7 @@ from loopcal.files.place import Place
 from loopcal.files.simulation_entries import SimulationSpec, simulation_spec
 from loopcal.files.toml_reader import checked_schema, read_toml, shown, toml_data
 from loopcal.files.validation_entries import ValidationSpec, validation_spec
+from loopcal.mechanisms.effects.model import Model
 from loopcal.mechanisms.mechanism import Mechanism
 
 if TYPE_CHECKING:
@@ -49,7 +51,7 @@ class Project:
     path: of the file, None for standard input; folder: to which its paths are relative;
     mechanism: with the nominal values, priors and fixed parameters of the project; data and
     simulation: None where the project has no such table; inputs: the file as read, as plain
-    data (inf as a text, for JSON knows no such number).
+    data (inf as a text, for JSON knows no such number); compare: models by name.
     """
 
     title: str
@@ -61,6 +63,7 @@ class Project:
     fit: FitSpec
     simulation: SimulationSpec | None
     inputs: Mapping[str, Any]
+    compare: Mapping[str, Model]
 
     @property
     def name(self) -> str:
@@ -104,6 +107,7 @@ def read_project(
         if model.simulation is None
         else simulation_spec(model.simulation, machine, noise, place.at("simulation")),
         inputs=plain(data),
+        compare=compare_spec(model.compare, machine, place.at("compare")),
     )
 
 

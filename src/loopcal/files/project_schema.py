@@ -290,6 +290,27 @@ class FitEntry(Model):
     )
 
 
+class ModelEntry(Model):
+    """One of several models of the machine."""
+
+    name: str
+    effects: list[str] = Field(
+        default=[], description="Names of the mechanism's effects that are switched on."
+    )
+    fixed: list[str] = Field(
+        default=[], description="Parameters, by name or glob, that this model does not estimate."
+    )
+
+
+class CompareEntry(Model):
+    """Models that `loopcal calibrate --compare` judges by poses they have not seen.
+
+    The one without effects, "geometric", is always among them.
+    """
+
+    model: list[ModelEntry] = Field(min_length=1)
+
+
 class RangeEntry(Model):
     """Where a quantity is driven in a simulation."""
 
@@ -337,6 +358,7 @@ class ProjectModel(Model):
     )
     parameters: ParameterEntries = Field(default={})
     fit: FitEntry = FitEntry()
+    compare: CompareEntry | None = None
     simulation: SimulationEntry | None = None
 
 

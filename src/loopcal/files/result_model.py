@@ -179,6 +179,21 @@ class IndexEntry(Model):
     mobility: int
 
 
+class ModelEntry(Model):
+    """One of the models that were compared on the same poses, none of them used for its fit."""
+
+    name: str
+    effects: list[str] = Field(description="Effects beyond geometry that were switched on.")
+    fixed: list[str] = Field(description="Parameters that it did not estimate, names or globs.")
+    parameters: Count = Field(description="Number of estimated parameters.")
+    accuracy: Distances | None
+    log_likelihood: Finite | None
+    behind: Sd | None = Field(description="log_likelihood less than that of the best model by.")
+    sd_of_behind: Sd | None = Field(description="Standard error of it, from its scatter by pose.")
+    recommended: bool = Field(description="This document is the calibration with this model.")
+    failed: str | None = Field(description="Why it could not be judged.")
+
+
 class IdentifiabilityEntry(Model):
     """What can be told from these poses."""
 
@@ -333,6 +348,9 @@ class ResultDocument(Model):
         description="Null where the mechanism has no outputs, or outputs of several units."
     )
     validation: ValidationEntry | None = Field(description="Null: no validation was made.")
+    models: list[ModelEntry] | None = Field(
+        default=None, description="Models that were compared; null: none were."
+    )
     identifiability: IdentifiabilityEntry
     observability: ObservabilityEntry | None = Field(description="Null: not computed.")
     prediction: PredictionEntry | None = Field(

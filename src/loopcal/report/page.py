@@ -86,6 +86,7 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "verdict": verdict(document),
         "figures": drawn,
         "accuracy": tables.accuracy_table(document),
+        "models": tables.model_table(document),
         "sensors": tables.sensor_table(source),
         "parameters": tables.parameter_table(document),
         "outliers": tables.outlier_table(document),

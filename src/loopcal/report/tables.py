@@ -42,6 +42,31 @@ def accuracy_table(document: Mapping[str, Any]) -> Table | None:
     )
 
 
+def model_table(document: Mapping[str, Any]) -> Table | None:
+    """Models compared on the same poses, none of them used for the fit that predicted them."""
+    entries = document.get("models")
+    if not entries:
+        return None
+    unit = document["accuracy"]["unit"] if document["accuracy"] else "1"
+    rows = []
+    for m in entries:
+        likely, behind, sd = m["log_likelihood"], m["behind"], m["sd_of_behind"]
+        rows.append(
+            (
+                m["name"] + (" (recommended)" if m["recommended"] else ""),
+                ", ".join(m["effects"]) or "none",
+                str(m["parameters"]),
+                NONE if m["accuracy"] is None else size(m["accuracy"]["rms"], unit),
+                m["failed"] or NONE if likely is None else f"{likely:.1f}",
+                NONE if behind is None else "best" if behind == 0.0 else f"{behind:.1f}",
+                NONE if not behind or sd is None else f"{sd:.1f}",
+            )
+        )
+    head = ("model", "effects", "parameters", f"rms [{unit_shown(unit)}]", "log-likelihood")
+    caption = "Models on poses not used; behind: log-likelihood less than the best model's, and sd"
+    return Table(caption, (*head, "behind", "sd"), tuple(rows))
+
+
 def sensor_table(source: Source) -> Table | None:
     """The sds that the readings were given, and how large their corrections are beside them."""
     rows = []
