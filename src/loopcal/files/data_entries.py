@@ -40,6 +40,8 @@ class DataSpec:
     instruments: tuple[str, ...] = ()
     file_units: Mapping[str, str] = field(default_factory=dict)
     """Dimension -> unit of the columns that state none."""
+    stream: bool | None = None
+    """Whether to read in chunks; None: if the file is large."""
 
 
 def data_files(entry: DataEntry, mechanism: Mechanism, noise: NoiseSpec, place: Place) -> DataSpec:
@@ -67,8 +69,8 @@ def data_files(entry: DataEntry, mechanism: Mechanism, noise: NoiseSpec, place: 
         unread = {q for q in units if noise.sd_of(q) == math.inf} | set(mechanism.implied)
         columns = {q: Column(q, _unit(None, units[q], main.file_units)) for q in units}
         columns = {q: c for q, c in columns.items() if q not in unread}
-        return DataSpec(entry.file, columns, options=options)
-    spec = replace(main, options=options)
+        return replace(main, columns=columns, options=options, by_name=False, stream=entry.stream)
+    spec = replace(main, options=options, stream=entry.stream)
     if not (main.by_name or any(other.by_name for other in joins)):
         read = {q for part in (main, *joins) for q in part.columns}
         refuse_unread(read, mechanism, noise, place.at("columns"))

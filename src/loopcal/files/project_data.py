@@ -52,8 +52,23 @@ def load_dataset(project: Project) -> LoadedData:
             place=project.name,
             remedy='add [data] with file = "poses.csv"',
         )
-    wide = [(block, _covariance_columns(i, block)) for i, block in enumerate(project.noise.columns)]
-    read, told = _read(project, spec, place, dict(column for _, c in wide for column in c.items()))
+    read, told = _read(project, spec, place, columns_aside(project))
+    loaded = loaded_from(project, read)
+    own = {**project.mechanism.quantities, **project.mechanism.known}
+    return replace(loaded, warnings=(*told, *check_dataset(loaded.dataset, own)))
+
+
+def columns_aside(project: Project) -> dict[str, Column]:
+    """The columns of covariances, under names that no quantity can have."""
+    return {
+        name: column
+        for i, block in enumerate(project.noise.columns)
+        for name, column in _covariance_columns(i, block).items()
+    }
+
+
+def loaded_from(project: Project, read: Dataset) -> LoadedData:
+    """The readings of a project out of its columns, read with those aside; nothing is checked."""
     own = {**project.mechanism.quantities, **project.mechanism.known}
     dataset = replace(
         read,
@@ -61,11 +76,12 @@ def load_dataset(project: Project) -> LoadedData:
         units={q: u for q, u in read.units.items() if q in own},
     )
     covariances = {
-        block.quantities: _covariance(block, np.array([read[c] for c in columns]), dataset)
-        for block, columns in wide
+        block.quantities: _covariance(
+            block, np.array([read[c] for c in _covariance_columns(i, block)]), dataset
+        )
+        for i, block in enumerate(project.noise.columns)
     }
-    warnings = (*told, *check_dataset(dataset, own))
-    return LoadedData(dataset, project.noise.noise(covariances), warnings)
+    return LoadedData(dataset, project.noise.noise(covariances), ())
 
 
 def _read(
@@ -81,7 +97,7 @@ def _read(
         )
     if not spec.joins:
         columns = {**spec.columns, **aside}
-        return _believed(spec, read_dataset(path, columns, **spec.options)), ()
+        return believed(spec, read_dataset(path, columns, **spec.options)), ()
     parts = [_part(project, spec, path, aside)]
     for i, other in enumerate(spec.joins):
         where = place.at("join", i, "file")
@@ -121,10 +137,11 @@ def _part(project: Project, spec: DataSpec, path: Path, aside: Mapping[str, Colu
         )
     if not columns:  # ids alone: the poses in which an instrument without readings was used
         return read_poses(path, pose, **how)
-    return _believed(spec, read_dataset(path, columns, pose=pose, **how))
+    return believed(spec, read_dataset(path, columns, pose=pose, **how))
 
 
-def _believed(spec: DataSpec, read: Dataset) -> Dataset:
+def believed(spec: DataSpec, read: Dataset) -> Dataset:
+    """The readings with sds no smaller than the project believes."""
     sds = {q: np.fmax(v, spec.sd_at_least.get(q, 0.0)) for q, v in read.sds.items()}
     return replace(read, sds=sds)
 

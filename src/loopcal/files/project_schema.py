@@ -118,6 +118,11 @@ class DataEntry(FileEntry):
 
     exclude: list[NameOrNumber] = Field(default=[], description="Ids of poses to leave out.")
     every: Length = Field(default=1, description="Keep the 1st, (every + 1)th, ... row.")
+    stream: bool | None = Field(
+        default=None,
+        description="Parquet: whether poses are read in chunks, sweep by sweep, instead of being "
+        "held in memory; by default from two million rows on, and for a folder of files.",
+    )
     join: list[JoinEntry] = Field(
         default=[], description="Further files with readings of the same poses."
     )

@@ -1,0 +1,44 @@
+"""How far an interrupted calibration came: its parameters after the last finished iteration."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from loopcal.files.atomic import write_atomic
+
+NAME = "unfinished.json"
+
+
+class ProgressFile:
+    """unfinished.json in the folder of a result; it is there only while a calibration runs.
+
+    task: whatever makes it this calibration and no other (the project, its data, the method).
+    """
+
+    def __init__(self, folder: str | Path, task: Mapping[str, Any]) -> None:
+        self.path = Path(folder) / NAME
+        self.key = sha256(json.dumps(task, sort_keys=True, default=str).encode()).hexdigest()
+
+    def read(self) -> dict[str, float] | None:
+        """The parameter values [SI] that this very calibration had reached; None without any."""
+        try:
+            found = json.loads(self.path.read_text("utf-8"))
+            values = {str(name): float(v) for name, v in found["parameters"].items()}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return None
+        usable = found.get("task") == self.key and all(map(math.isfinite, values.values()))
+        return values if usable else None
+
+    def write(self, parameters: Mapping[str, float]) -> None:
+        """Keep these values. Raises InputError where they cannot be written."""
+        document = {"task": self.key, "parameters": dict(parameters)}
+        write_atomic(self.path, json.dumps(document, indent=1) + "\n")
+
+    def remove(self) -> None:
+        """Nothing is unfinished any more."""
+        self.path.unlink(missing_ok=True)
