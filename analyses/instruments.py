@@ -115,7 +115,12 @@ class Setup:
     def noise(self) -> lc.Noise:
         """20 um and 50 urad, whatever is read; what nobody reads is unmeasured."""
         sds = {q: {"m": 2e-5, "rad": 5e-5}[u] for q, u in self.truth.quantities.items()}
-        return lc.Noise(sds | dict.fromkeys(self.truth.home, np.inf))
+        return lc.Noise(sds | dict.fromkeys(self.unread, np.inf))
+
+    @property
+    def unread(self) -> tuple[str, ...]:
+        """Where a platform stands."""
+        return tuple(q for q in self.truth.quantities if q.startswith("platform_"))
 
     def nominal(self, seed: int) -> lc.Mechanism:
         """The machine as drawn: 1 mm and 1 mrad off, rough parameters further."""
@@ -289,6 +294,9 @@ SETUPS: dict[str, Callable[[], Setup]] = {
     "exponentials pose": lambda: chain(exponentials(SCREWS, home=HOME), pose(), 30),
     "platform pose": lambda: on_legs(pose(), placed("base") | at("tool", 0.02, 0.01, 0.1), 42),
     "platform point": lambda: on_legs(point(), placed("base") | at("tool", 0.02, 0.01, 0.1), 39),
+    "platform draw-wire": lambda: on_legs(
+        draw_wire(), at("wire", 0.9, 0.5, 1.4) | at("tool", 0.02, 0.01, 0.1), 37, poses=300
+    ),
 }
 
 
@@ -310,7 +318,7 @@ def identifiable(name: str) -> int:
     size += ["bar_length"] if "bar_length" in given.held else []
     made = lc.simulate(given.truth, given.driven, noise=EXACT, seed=0, start=given.start)
     free = given.truth.with_parameters(given.truth.parameters.with_fixed(size))
-    readings = {q: v for q, v in made.dataset.readings.items() if q not in given.truth.home}
+    readings = {q: v for q, v in made.dataset.readings.items() if q not in given.unread}
     found = lc.calibrate(free, readings, noise=given.noise, start="nominal")
     return found.identifiability.rank
 

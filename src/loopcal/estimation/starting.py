@@ -2,8 +2,10 @@
 
 The loops are solved for what is unmeasured, from its place holder (a value between neighbours, or
 the mechanism's home). They may close with several angles, and be near closing with others: a few
-poses are therefore searched from many angles. If home did as well in all of these, other
-starts are tried only for poses whose loops close worse than theirs; otherwise for every pose.
+poses are therefore searched from many angles. If the place holders did as well in all of these,
+other starts are tried only for poses whose loops close worse than theirs; otherwise for every
+pose. A home says more: how the machine is assembled. Unless it is wrong altogether it is left in
+those poses only in which it did far worse than in others.
 """
 
 from __future__ import annotations
@@ -23,6 +25,11 @@ _ROUND = 12
 _MOST, _MOST_FROM_HOME = 72, 24
 """Starts for several angles, without and with a home among them."""
 _FAR_BETTER = 0.25
+_ELSEWHERE = 1e-3
+"""Home is taken for wrong where elsewhere most poses close with so much of its misfit or less. One
+redundant reading closes by chance in some of a platform's forty ways to stand, if not in most."""
+_ASTRAY = 100.0
+"""A pose that home leaves with so many times the usual misfit may stand elsewhere."""
 _SAMPLE = 32
 """Poses of each pattern that are searched from everywhere."""
 
@@ -46,10 +53,13 @@ def start_corrections(sweeper: Sweeper, parameters: Array) -> Array:
         turns = _offsets(len(angles), _MOST_FROM_HOME if at_home else _MOST)[1:]
         some = np.unique(np.linspace(0, len(poses) - 1, _SAMPLE).astype(np.intp))
         sample = home.taken(some).from_elsewhere(sweeper, angles, turns)
-        best[:, sample.poses] = sample.corrections
-        astray = (sample.misfit < home.misfit[some]).any()
-        rest = np.ones(len(poses), dtype=bool) if astray else home.misfit > sample.misfit.max()
-        rest[some] = False
+        if at_home and not np.median(sample.misfit) < _ELSEWHERE * np.median(home.misfit[some]):
+            rest = home.misfit > _ASTRAY * np.median(home.misfit)
+        else:
+            best[:, sample.poses] = sample.corrections
+            astray = (sample.misfit < home.misfit[some]).any()
+            rest = np.ones(len(poses), dtype=bool) if astray else home.misfit > sample.misfit.max()
+            rest[some] = False
         for part in _parts(np.flatnonzero(rest), max(problem.block // len(turns), 1)):
             other = home.taken(part).from_elsewhere(sweeper, angles, turns)
             best[:, other.poses] = other.corrections
