@@ -63,7 +63,10 @@ def test_those_kept_are_independent_and_say_all(name, axes):
     assert int((every > 1e-6).sum()) == len(kept)
 
 
-@pytest.mark.parametrize("name", [n for n in CHAINS if "mimicking" not in n])
+ROBOTS = [n for n in CHAINS if "mimicking" not in n]
+
+
+@pytest.mark.parametrize("name", ROBOTS)
 def test_robots_of_others_have_as_many(name):
     robot, base, tip = CHAINS[name]
     joints = read_urdf(urdf_of(robot), base, tip)
@@ -74,6 +77,20 @@ def test_robots_of_others_have_as_many(name):
     for axes in (False, True):
         assert len(seen(joints, pose(), axes, ranges).parameters.free) == whole
         assert len(seen(joints, point(), axes, ranges).parameters.free) == whole - 3
+
+
+@pytest.mark.parametrize(("axes", "limits"), [(False, (1e-11, 6e-3)), (True, (1e-5, 4e-4))])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_choice_does_not_hang_on_its_limit(name, axes, limits, monkeypatch):
+    robot, base, tip = CHAINS[name]
+    joints = read_urdf(urdf_of(robot), base, tip)
+    ranges = {j.name: j.limits for j in joints if j.limits and j.mimic is None}
+    for instrument in (point(), pose()):
+        chosen = seen(joints, instrument, axes, ranges).remarks
+        for limit in limits:
+            monkeypatch.setattr("loopcal.mechanisms.redundancy.ALIKE", limit)
+            assert seen(joints, instrument, axes, ranges).remarks == chosen
+        monkeypatch.undo()
 
 
 def test_exponentials_have_as_many():
