@@ -2,7 +2,7 @@
 
 Simulated calibrations of a general six-axis arm, a planar arm and a Stewart-Gough platform, looked
 at by each instrument in turn, and of arms described by joint origins and by exponentials. The fits
-begin 1 mm and 1 mrad off (anchors, centres and planes 30 times as far, stations anywhere).
+begin up to 1 mm and 1 mrad off, anchors up to 0.3 m, planes and centres up to 30 mm and 30 mrad.
 Parameters that no data of this kind can tell apart are held, one of each set. Each setup counts how
 often the 95 % interval of a parameter holds the truth, and compares chi-squared with its degrees of
 freedom; `identifiable` is the rank found without holding anything, beside the number that the docs

@@ -10,8 +10,8 @@ from scipy.stats import kstest
 
 from analyses.instruments import SETUPS, Counts, identifiable, run, setup
 
-DRAWS = {"platform": 6}
-MANY = 40
+DRAWS = {"platform": 4}
+MANY = 16
 NAMES = tuple(SETUPS)
 
 

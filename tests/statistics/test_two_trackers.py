@@ -9,7 +9,7 @@ import pytest
 
 from analyses.two_trackers import Found, run
 
-DRAWS = 160
+DRAWS = 120
 NOISE = 4.5 * np.sqrt(2 / DRAWS)
 """The mean square of so many normal numbers is within this of 1, one time in 150,000 excepted."""
 
