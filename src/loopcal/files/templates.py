@@ -11,6 +11,9 @@ from loopcal.errors import InputError, nearest
 TEMPLATES = (
     "planar-two-link",
     "serial",
+    "serial-trackers",
+    "serial-draw-wire",
+    "serial-socket",
     "urdf",
     "exponentials",
     "motoman-ma1400",
@@ -22,7 +25,8 @@ TEMPLATES = (
     "stewart-gough",
     "function",
 )
-"""Types of mechanism for which there is a project to start from."""
+"""Types of mechanism, and common set-ups of a serial arm, for which there is a project to start
+from."""
 
 
 def template_files(kind: str, folder: str) -> Mapping[str, str]:
