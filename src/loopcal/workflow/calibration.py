@@ -1,0 +1,181 @@
+"""From a project file to written results: the one path behind the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
+from loopcal.estimation.calibrate import METHODS, calibrate
+from loopcal.estimation.result import Result
+from loopcal.estimation.solver import Progress
+from loopcal.files import result_file
+from loopcal.files.project_data import LoadedData, load_dataset
+from loopcal.files.project_file import Project
+from loopcal.files.result_file import WrittenResult
+from loopcal.files.truth_file import read_truth
+from loopcal.files.validation_entries import ValidationSpec, validation_arguments
+from loopcal.report.page import page_of
+from loopcal.statistics.findings import Findings, findings
+from loopcal.statistics.intervals import intervals
+from loopcal.statistics.models import compare_models
+from loopcal.statistics.validation import validate
+from loopcal.workflow.projects import named_project
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A calibration that was run and written.
+
+    written: where, and the content of result.json; findings: what its equations tell beyond the
+    parameters; warnings: about the readings; objection: why the result cannot be trusted, None
+    where it can.
+    """
+
+    result: Result
+    findings: Findings
+    written: WrittenResult
+    warnings: tuple[str, ...]
+    objection: str | None
+
+
+def run_calibration(
+    project: str | Path,
+    *,
+    method: str | None = None,
+    truth: str | Path | None = None,
+    out: str | Path | None = None,
+    function: str | None = None,
+    require_identifiable: bool = False,
+    folds: int | None = None,
+    profile: Sequence[str] = (),
+    compare: bool = False,
+    report: bool = False,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Calibrate as a project file says, and write result.json, residuals.csv, mechanism.toml.
+
+    project: its path, "-" for standard input; method: instead of the project's; truth: a file
+    of true parameters, whose errors are added; out: the folder to write to, by default
+    NAME-result beside the project NAME.toml; function: FILE.py:NAME of the loops;
+    require_identifiable: whether every parameter must be determined, as the project may ask;
+    folds: of a validation, instead of the project's; profile: parameters that get a profile
+    interval, beside those of the project; compare: whether the project's models are compared,
+    and the result is that of the one recommended; report: whether report.html is written as well.
+
+    The files are written, all or none, also where the fit did not converge: `objection` tells.
+    Raises InputError for what cannot be used and UsageError for a method that is none.
+    """
+    if method is not None and method not in METHODS:
+        raise UsageError(f"there is no method {method!r}", remedy=nearest(method, METHODS))
+    read = named_project(project, function)
+    loaded = load_dataset(read)
+    true = None if truth is None else read_truth(truth, read.mechanism)
+    how: dict[str, Any] = {
+        "noise": loaded.noise,
+        "method": method or read.fit.method,
+        "loss": read.fit.loss,
+        "start": read.fit.start,
+        "max_iterations": read.fit.max_iterations,
+    }
+    asked_for = read.fit.validation if folds is None else ValidationSpec(folds=folds)
+    try:
+        if compare:
+            result = _compared(read, loaded, how, asked_for or ValidationSpec(folds=10))
+        else:
+            result = calibrate(read.mechanism, loaded.dataset, **how, progress=progress)
+            if asked_for is not None and result.status.converged:
+                result = _validated(result, read, loaded, how, asked_for)
+        patterns = (*read.fit.profile, *profile)
+        if patterns and result.status.converged:
+            result = replace(result, intervals=intervals(result, patterns))
+        if read.fit.apply_variance_factor:
+            result = result.with_variance_factor()
+    except InputError as error:
+        raise error.at(read.name) from None
+    if true is not None:
+        errors = {name: value - result.value[name] for name, value in true.items()}
+        result = replace(result, errors=MappingProxyType(errors))
+    warnings = tuple(str(warning) for warning in loaded.warnings)
+    told = findings(result)
+    written = write_result(
+        result,
+        default_folder(read) if out is None else out,
+        title=read.title,
+        inputs=read.inputs,
+        warnings=warnings,
+        found=told,
+        report=report,
+    )
+    asked = require_identifiable or read.fit.require_identifiable
+    return Calibration(result, told, written, warnings, _objection(result, told, asked))
+
+
+def _validated(
+    result: Result,
+    project: Project,
+    loaded: LoadedData,
+    how: Mapping[str, Any],
+    asked_for: ValidationSpec,
+) -> Result:
+    parts = validation_arguments(project, asked_for)
+    try:
+        found = validate(project.mechanism, loaded.dataset, **how, **parts, full=result)
+        return replace(result, validation=found)
+    except NoTrustworthyResult as error:
+        return replace(result, warnings=(*result.warnings, f"Not validated: {error}"))
+
+
+def _compared(
+    project: Project, loaded: LoadedData, how: Mapping[str, Any], asked_for: ValidationSpec
+) -> Result:
+    """The calibration with the recommended one of the project's models."""
+    parts = validation_arguments(project, asked_for)
+    found = compare_models(project.mechanism, loaded.dataset, project.compare, **how, **parts)
+    chosen = next(m for m in found.models if m.name == found.recommended)
+    return replace(found.result, models=found, validation=chosen.validation)
+
+
+def write_result(
+    result: Result,
+    folder: str | Path,
+    *,
+    title: str | None = None,
+    inputs: Mapping[str, Any] | None = None,
+    warnings: tuple[str, ...] = (),
+    found: Findings | None = None,
+    report: bool = False,
+) -> WrittenResult:
+    """Write result.json, residuals.csv and mechanism.toml (calibrated), all or none.
+
+    The folder is made if need be; title, inputs (the project as it was read) and warnings go to
+    result.json, with what `findings` tells, or `found`; report: whether report.html comes with
+    them. Raises InputError, naming the file, the reason and a remedy, where they cannot be written.
+    """
+    fields = (found or findings(result)).document()
+    page = page_of(result, folder) if report else None
+    return result_file.write_result(
+        result, folder, title=title, inputs=inputs, warnings=warnings, findings=fields, report=page
+    )
+
+
+def default_folder(project: Project) -> Path:
+    """Where results go when nobody says: NAME-result beside the project NAME.toml."""
+    name = "loopcal" if project.path is None else project.path.stem
+    return project.folder / f"{name}-result"
+
+
+def _objection(result: Result, told: Findings, require_identifiable: bool) -> str | None:
+    """Why the result must not be used, where that is so."""
+    if told.outliers.columns:
+        faults = "; ".join(str(fault) for fault in told.outliers.columns)
+        return f"the file has columns at fault: {faults}. Put them right in the file or in [data]"
+    if not result.status.converged:
+        return f"the fit did not converge ({result.status.reason}): {result.status.message}"
+    loose = result.identifiability.not_identifiable
+    if require_identifiable and loose:
+        return "not every parameter is identifiable: " + "; ".join(u.words for u in loose)
+    return None

@@ -1,0 +1,78 @@
+"""What can be told before a fit, and from a result: checks and predictions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from loopcal.errors import InputError
+from loopcal.files.atomic import write_files
+from loopcal.files.new_readings import read_new_readings
+from loopcal.files.project_data import load_dataset
+from loopcal.files.python_function import load_function
+from loopcal.files.result_folder import read_result_folder
+from loopcal.files.table_writer import check_ending, table_bytes
+from loopcal.measurements.noise import Noise
+from loopcal.statistics.check import Check, check
+from loopcal.statistics.prediction import Prediction, predict
+from loopcal.statistics.predictor import predictor_of
+
+if TYPE_CHECKING:
+    pass
+
+from loopcal.workflow.projects import named_project
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """A project that was looked at before any fit; warnings: about its readings."""
+
+    check: Check
+    title: str
+    warnings: tuple[str, ...]
+
+
+def run_check(project: str | Path, *, function: str | None = None) -> Checked:
+    """What a project's readings can determine; nothing is fitted and nothing written.
+
+    Raises InputError for what cannot be used.
+    """
+    read = named_project(project, function)
+    loaded = load_dataset(read)
+    noise: Noise | None = loaded.noise
+    if read.fit.method == "least-squares" and not loaded.noise.entries:
+        noise = None
+    try:
+        done = check(read.mechanism, loaded.dataset, noise=noise, start=read.fit.start)
+    except InputError as error:
+        raise error.at(read.name) from None
+    return Checked(done, read.title, tuple(str(warning) for warning in loaded.warnings))
+
+
+def run_prediction(
+    result: str | Path, readings: str | Path, *, out: str | Path | None, function: str | None = None
+) -> Prediction:
+    """Predict outputs from a result on the disk and readings in the columns of its project.
+
+    out: a table to write (.csv, .tsv or .parquet). Raises InputError for what cannot be used.
+    """
+    if out is not None:
+        check_ending(out)
+    loops = None if function is None else load_function(function)
+    read = read_result_folder(result, function=loops)
+    try:
+        known = predictor_of(read.document, read.mechanism)
+    except InputError as error:
+        raise error.at(str(read.path)) from None
+    data = read_new_readings(readings, read.document["inputs"], read.mechanism)
+    done = predict(known, data)
+    if out is not None:
+        path = Path(out)
+        write_files(path.parent, {path.name: table_bytes(done.columns(), path.suffix)})
+    return done
+
+
+def prediction_table(prediction: Prediction) -> str:
+    """The table that `run_prediction` writes, as CSV text."""
+    return table_bytes(prediction.columns()).decode("utf-8")

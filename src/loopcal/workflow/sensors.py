@@ -1,0 +1,61 @@
+"""Sensor sds from repeated readings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from loopcal.errors import InputError
+from loopcal.files.project_data import load_dataset
+
+if TYPE_CHECKING:
+    from loopcal.statistics.repeats import Repeats
+
+from loopcal.workflow.projects import named_project
+
+
+@dataclass(frozen=True, eq=False)
+class SensorNoise:
+    """What repeated readings say of the sensors; text and document tell it, SI in the latter."""
+
+    repeats: Repeats
+    text: str
+    document: dict[str, Any]
+
+
+def sensor_noise(
+    files: Sequence[str | Path],
+    *,
+    project: str | Path | None = None,
+    columns: str | None = None,
+    pose: str | None = None,
+    function: str | None = None,
+) -> SensorNoise:
+    """Sensor sds from files of repeated readings, one pose each.
+
+    project: whose columns, units and loops are used, to tell joints from instrument; columns:
+    "S=rad,x=m" instead, else every column of numbers; pose: column of the ids.
+    Raises InputError for what cannot be read or used, UsageError for options that clash.
+    """
+    from loopcal.files.repeats_files import read_repeats
+    from loopcal.statistics import repeats_summary
+    from loopcal.statistics.repeats import repeated_readings, with_separation
+    from loopcal.statistics.separation import separate
+
+    read = None if project is None else named_project(project, function)
+    series = read_repeats(files, project=read, columns=columns, pose=pose)
+    found = repeated_readings(series)
+    if read is not None:
+        try:
+            elsewhere = load_dataset(read).dataset if read.fit.start != "nominal" else None
+        except InputError:
+            elsewhere = None  # its readings are not here; the series may place the machine
+        raw = {sensor.name: sensor.about_mean.sd for sensor in found.sensors}
+        try:
+            apart = separate(read.mechanism, series, raw, elsewhere=elsewhere)
+        except InputError as error:
+            raise error.at(read.name) from None
+        found = with_separation(found, apart)
+    return SensorNoise(found, repeats_summary.summary(found), repeats_summary.document(found))

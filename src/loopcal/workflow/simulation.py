@@ -1,0 +1,75 @@
+"""Readings simulated as a project says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from loopcal.errors import InputError
+from loopcal.files.atomic import write_files
+from loopcal.files.readings_file import readings_tables
+from loopcal.files.table_writer import check_ending
+from loopcal.files.truth_file import truth_json
+from loopcal.measurements.noise import resolve_noise
+from loopcal.simulation.simulate import Simulation, simulate
+
+if TYPE_CHECKING:
+    pass
+
+from loopcal.workflow.projects import named_project
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """Readings that were simulated and written, their truth beside them."""
+
+    simulation: Simulation
+    file: Path
+    truth_file: Path
+
+
+def run_simulation(
+    project: str | Path, *, out: str | Path, seed: int, function: str | None = None
+) -> Simulated:
+    """Make readings as the [simulation] of a project says, with the noise of a seed.
+
+    Writes the readings to `out` (.csv, .tsv or .parquet) under the column names and units in
+    which the project reads them, and the truth beside them: NAME.truth.json for NAME.csv.
+    Raises InputError for what cannot be used.
+    """
+    out = Path(out)
+    check_ending(out)
+    read = named_project(project, function)
+    if read.simulation is None:
+        raise InputError(
+            "the project does not say what to simulate",
+            place=read.name,
+            remedy="add [simulation.ranges], one line for every quantity that is driven",
+        )
+    noise = read.simulation.noise.noise()
+    try:
+        made = simulate(
+            read.mechanism,
+            read.simulation.driven(seed),
+            noise=noise,
+            seed=seed,
+            truth=read.simulation.machine(read.mechanism.parameters, seed),
+        )
+    except InputError as error:
+        raise error.at(read.name) from None
+    quantities = read.mechanism.tape.quantities
+    known = resolve_noise(noise, made.dataset, quantities, read.mechanism.quantity_group)
+    shape = (len(quantities), len(made.dataset))
+    sds = dict(zip(quantities, np.broadcast_to(known.sd, shape), strict=True))
+    truth_file = out.with_name(f"{out.stem}.truth.json")
+    write_files(
+        out.parent,
+        {
+            **readings_tables(made.dataset, read.data, sds, out),
+            truth_file.name: truth_json(made, read.mechanism),
+        },
+    )
+    return Simulated(made, out, truth_file)
