@@ -76,8 +76,9 @@ def other_optima(result: Result) -> tuple[OtherOptimum, ...]:
     """Optima of the implicit loop with two parameters exchanged that fit about as well.
 
     Sought where an angle is read with an sd of at least VAGUE, or not at all; elsewhere, and for
-    other methods and losses, none. An optimum with the same chi-squared is the same machine
-    written otherwise, and is not told of.
+    other methods and losses, none. A machine that states its home states with it the form in which
+    it stands. An optimum with the same chi-squared is the same machine written otherwise, and is
+    not told of.
     """
     usable = result.method == "implicit-loop" and result.loss == "gaussian"
     if not (usable and result.status.converged and result.chi_squared and _vague(result)):
@@ -98,8 +99,9 @@ def other_optima(result: Result) -> tuple[OtherOptimum, ...]:
 
 
 def _vague(result: Result) -> bool:
-    quantities = result.mechanism.quantities
-    sds = (sd for name, sd in result.reading_sds.items() if quantities[name] == "rad")
+    quantities, home = result.mechanism.quantities, result.mechanism.home
+    angles = [name for name in quantities if quantities[name] == "rad" and name not in home]
+    sds = (result.reading_sds[name] for name in angles)
     return any(bool((sd >= VAGUE).any()) for sd in sds)
 
 
