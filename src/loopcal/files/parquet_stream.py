@@ -46,7 +46,6 @@ class ParquetStream:
     project: Project
     files: tuple[_File, ...]
     name: str
-    size: int = CHUNK
 
     @cached_property
     def sha256(self) -> str:
@@ -80,8 +79,8 @@ class ParquetStream:
         pose = spec.options["pose"]
         begin = 0
         for file in self.files:
-            for offset in range(0, file.rows, self.size):
-                table = _rows(file, offset, self.size, columns, pose)
+            for offset in range(0, file.rows, CHUNK):
+                table = _rows(file, offset, CHUNK, columns, pose)
                 refuse_doubles(table, columns)
                 number = np.arange(begin, begin + len(table.rows))
                 begin += len(table.rows)
@@ -126,11 +125,11 @@ class ParquetStream:
         found: dict[str, int] = {}
         begin = 0
         for file in self.files:
-            for offset in range(0, file.rows, self.size):
-                count = min(self.size, file.rows - offset)
+            for offset in range(0, file.rows, CHUNK):
+                count = min(CHUNK, file.rows - offset)
                 ids = [str(begin + i + 1) for i in range(count)]
                 if pose is not None:
-                    table = _rows(file, offset, self.size, {}, pose)
+                    table = _rows(file, offset, CHUNK, {}, pose)
                     ids = list(table.ids(table.position(pose)))
                 found |= {p: begin + i for i, p in enumerate(ids) if p in asked}
                 begin += count

@@ -8,6 +8,7 @@ from typing import Any
 
 from loopcal.estimation.result import Result
 from loopcal.estimation.rounding import significant
+from loopcal.estimation.streaming import StreamedProblem
 from loopcal.estimation.summary import SHOWN
 from loopcal.statistics.identifiability import WhatDataSay, what_data_say
 from loopcal.statistics.observability import Observability, data_spectrum, observability
@@ -60,7 +61,7 @@ def findings(result: Result) -> Findings:
         observability(result.information, result.problem.count),
         predictor(result),
         find_outliers(result),
-        other_optima(result),
+        () if isinstance(result.problem, StreamedProblem) else other_optima(result),
     )
 
 

@@ -13,17 +13,20 @@ from loopcal.estimation.calibrate import METHODS, calibrate
 from loopcal.estimation.result import Result
 from loopcal.estimation.solver import Progress
 from loopcal.files import result_file
+from loopcal.files.parquet_stream import project_stream
 from loopcal.files.project_data import LoadedData, load_dataset
 from loopcal.files.project_file import Project
 from loopcal.files.result_file import WrittenResult
 from loopcal.files.truth_file import read_truth
 from loopcal.files.validation_entries import ValidationSpec, validation_arguments
+from loopcal.measurements.checks import DataWarning
 from loopcal.report.page import page_of
 from loopcal.statistics.findings import Findings, findings
 from loopcal.statistics.intervals import intervals
 from loopcal.statistics.models import compare_models
 from loopcal.statistics.validation import validate
 from loopcal.workflow.projects import named_project
+from loopcal.workflow.streams import run_stream
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +75,33 @@ def run_calibration(
     if method is not None and method not in METHODS:
         raise UsageError(f"there is no method {method!r}", remedy=nearest(method, METHODS))
     read = named_project(project, function)
-    loaded = load_dataset(read)
+    folder = default_folder(read) if out is None else Path(out)
     true = None if truth is None else read_truth(truth, read.mechanism)
+    asked = require_identifiable or read.fit.require_identifiable
+    stream = project_stream(read)
+    if stream is not None:
+        run = run_stream(
+            read,
+            stream,
+            folder,
+            method=method or read.fit.method,
+            asked={
+                "a validation": folds is not None or read.fit.validation is not None,
+                "a profile interval": profile or read.fit.profile,
+                "a comparison of models": compare,
+            },
+            progress=progress,
+        )
+        try:
+            done = _written(
+                run.result, read, folder, stream.warnings, true, asked=asked, report=report
+            )
+            run.finish()
+        except BaseException:
+            run.undo()
+            raise
+        return done
+    loaded = load_dataset(read)
     how: dict[str, Any] = {
         "noise": loaded.noise,
         "method": method or read.fit.method,
@@ -92,26 +120,42 @@ def run_calibration(
         patterns = (*read.fit.profile, *profile)
         if patterns and result.status.converged:
             result = replace(result, intervals=intervals(result, patterns))
-        if read.fit.apply_variance_factor:
-            result = result.with_variance_factor()
     except InputError as error:
         raise error.at(read.name) from None
-    if true is not None:
-        errors = {name: value - result.value[name] for name, value in true.items()}
+    return _written(result, read, folder, loaded.warnings, true, asked=asked, report=report)
+
+
+def _written(
+    result: Result,
+    project: Project,
+    folder: Path,
+    warnings: Sequence[DataWarning],
+    truth: Mapping[str, float] | None,
+    *,
+    asked: bool,
+    report: bool,
+) -> Calibration:
+    """The result as its files tell it; asked: whether every parameter must be determined."""
+    if project.fit.apply_variance_factor:
+        try:
+            result = result.with_variance_factor()
+        except InputError as error:
+            raise error.at(project.name) from None
+    if truth is not None:
+        errors = {name: value - result.value[name] for name, value in truth.items()}
         result = replace(result, errors=MappingProxyType(errors))
-    warnings = tuple(str(warning) for warning in loaded.warnings)
     told = findings(result)
+    words = tuple(str(warning) for warning in warnings)
     written = write_result(
         result,
-        default_folder(read) if out is None else out,
-        title=read.title,
-        inputs=read.inputs,
-        warnings=warnings,
+        folder,
+        title=project.title,
+        inputs=project.inputs,
+        warnings=words,
         found=told,
         report=report,
     )
-    asked = require_identifiable or read.fit.require_identifiable
-    return Calibration(result, told, written, warnings, _objection(result, told, asked))
+    return Calibration(result, told, written, words, _objection(result, told, asked))
 
 
 def _validated(

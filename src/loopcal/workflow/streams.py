@@ -1,0 +1,94 @@
+"""Calibration of more poses than memory holds: chunk by chunk, resumed where it was broken off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from loopcal.errors import InputError
+from loopcal.estimation.result import Result
+from loopcal.estimation.solver import Progress
+from loopcal.estimation.streamed import calibrate_stream
+from loopcal.files.parquet_stream import ParquetStream
+from loopcal.files.progress_file import ProgressFile
+from loopcal.files.project_file import Project
+from loopcal.files.residual_parts import ResidualParts
+from loopcal.files.versions import versions
+
+
+@dataclass(frozen=True, eq=False)
+class StreamedRun:
+    """A calibration from a stream whose files are not yet in place; resumed: where it went on."""
+
+    result: Result
+    parts: ResidualParts
+    progress: ProgressFile
+    resumed: bool
+
+    def finish(self) -> None:
+        """Put the residuals of all poses in place, once the result is written."""
+        self.parts.finish()
+        self.progress.remove()
+
+    def undo(self) -> None:
+        """Remove the residuals; what was reached stays for the next run."""
+        self.parts.undo()
+
+
+def run_stream(
+    project: Project,
+    stream: ParquetStream,
+    folder: Path,
+    *,
+    method: str,
+    asked: Mapping[str, Any],
+    progress: Progress | None,
+) -> StreamedRun:
+    """Calibrate from readings that come in chunks.
+
+    folder: of the result; asked: what else the user asked for, by the words for it. The
+    parameters of every iteration are kept there in unfinished.json, and a run that finds those
+    of the same project, readings and method goes on from them. The residuals of all poses are
+    written as they come. Raises InputError for what needs all poses in memory.
+    """
+    for words, wanted in {**asked, f"the loss {project.fit.loss!r}": _robust(project)}.items():
+        if wanted:
+            raise InputError(
+                f"{words} needs all poses in memory, and these come as a stream",
+                place=project.name,
+                remedy="leave it out, or thin the poses (data.every) and say stream = false",
+            )
+    task = {
+        "project": project.inputs,
+        "readings": stream.sha256,
+        "method": method,
+        "loopcal": versions()["loopcal"],
+    }
+    kept = ProgressFile(folder, task)
+    begin = kept.read()
+    parts = ResidualParts(folder)
+    try:
+        result = calibrate_stream(
+            project.mechanism,
+            stream,
+            method=method,
+            start=project.fit.start,
+            begin=begin,
+            max_iterations=project.fit.max_iterations,
+            progress=progress,
+            reached=kept.write,
+            chunk_done=parts.add,
+        )
+    except BaseException:
+        parts.undo()
+        raise
+    if begin is not None:
+        told = "Begun from where an interrupted run of the same calibration had come."
+        result = replace(result, warnings=(*result.warnings, told))
+    return StreamedRun(result, parts, kept, begin is not None)
+
+
+def _robust(project: Project) -> bool:
+    return project.fit.loss != "gaussian"
