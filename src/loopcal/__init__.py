@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from loopcal.errors import InputError, LoopcalError
     from loopcal.estimation.calibrate import calibrate
-    from loopcal.estimation.on_request import Interval, Validation
+    from loopcal.estimation.on_request import (
+        ComparedModel,
+        Interval,
+        ModelComparison,
+        Validation,
+    )
     from loopcal.estimation.result import (
         Accuracy,
         ChiSquared,
@@ -32,6 +37,14 @@ if TYPE_CHECKING:
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
     from loopcal.measurements.noise import Noise
+    from loopcal.mechanisms.effects.backlash import Backlash
+    from loopcal.mechanisms.effects.compliance import Compliance
+    from loopcal.mechanisms.effects.drift import Drift, Shift
+    from loopcal.mechanisms.effects.effect import with_effects
+    from loopcal.mechanisms.effects.gravity import Load
+    from loopcal.mechanisms.effects.harmonics import Harmonics
+    from loopcal.mechanisms.effects.model import Model
+    from loopcal.mechanisms.effects.scale import Scale
     from loopcal.mechanisms.mechanism import Mechanism
     from loopcal.mechanisms.motoman import motoman_ma1400
     from loopcal.mechanisms.parameters import Parameter, Parameters
@@ -46,6 +59,7 @@ if TYPE_CHECKING:
     from loopcal.statistics.comparison import compare
     from loopcal.statistics.findings import Findings, findings
     from loopcal.statistics.intervals import intervals
+    from loopcal.statistics.models import compare_models
     from loopcal.statistics.outliers import Outlier, Outliers, find_outliers
     from loopcal.statistics.prediction import Prediction, predict
     from loopcal.statistics.repeats import Repeats, repeated_readings
@@ -55,7 +69,7 @@ if TYPE_CHECKING:
 _HOME = {
     "errors": ("InputError", "LoopcalError"),
     "estimation.calibrate": ("calibrate",),
-    "estimation.on_request": ("Interval", "Validation"),
+    "estimation.on_request": ("ComparedModel", "Interval", "ModelComparison", "Validation"),
     "estimation.result": (
         *("Accuracy", "ChiSquared", "Closure", "Identifiability", "NoiseEntry", "Result"),
         "Undetermined",
@@ -73,6 +87,14 @@ _HOME = {
     "measurements.dataset": ("Dataset",),
     "measurements.datasheet": ("Tracker", "encoder_sd", "tracker_covariance"),
     "measurements.noise": ("Noise",),
+    "mechanisms.effects.backlash": ("Backlash",),
+    "mechanisms.effects.compliance": ("Compliance",),
+    "mechanisms.effects.drift": ("Drift", "Shift"),
+    "mechanisms.effects.effect": ("with_effects",),
+    "mechanisms.effects.gravity": ("Load",),
+    "mechanisms.effects.harmonics": ("Harmonics",),
+    "mechanisms.effects.model": ("Model",),
+    "mechanisms.effects.scale": ("Scale",),
     "mechanisms.mechanism": ("Mechanism",),
     "mechanisms.motoman": ("motoman_ma1400",),
     "mechanisms.parameters": ("Parameter", "Parameters"),
@@ -87,6 +109,7 @@ _HOME = {
     "statistics.intervals": ("intervals",),
     "statistics.validation": ("MethodComparison", "compare_methods", "validate"),
     "statistics.column_faults": ("ColumnFault",),
+    "statistics.models": ("compare_models",),
     "statistics.outliers": ("Outlier", "Outliers", "find_outliers"),
     "statistics.findings": ("Findings", "findings"),
     "statistics.prediction": ("Prediction", "predict"),
@@ -97,21 +120,29 @@ _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name
 
 __all__ = [
     "Accuracy",
+    "Backlash",
     "Check",
     "ChiSquared",
     "Closure",
     "ColumnFault",
     "Compared",
+    "ComparedModel",
+    "Compliance",
     "Dataset",
+    "Drift",
     "Findings",
+    "Harmonics",
     "Identifiability",
     "InputError",
     "Interval",
     "Joint",
+    "Load",
     "LoadedData",
     "LoopcalError",
     "Mechanism",
     "MethodComparison",
+    "Model",
+    "ModelComparison",
     "Noise",
     "NoiseEntry",
     "Outlier",
@@ -123,6 +154,8 @@ __all__ = [
     "Project",
     "Repeats",
     "Result",
+    "Scale",
+    "Shift",
     "Simulation",
     "Status",
     "TraceError",
@@ -135,6 +168,7 @@ __all__ = [
     "check",
     "compare",
     "compare_methods",
+    "compare_models",
     "cross",
     "dot",
     "encoder_sd",
@@ -162,6 +196,7 @@ __all__ = [
     "tracker_covariance",
     "validate",
     "vector",
+    "with_effects",
     "write_result",
 ]
 
