@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from analyses.machines import FIVE_BAR, ROTARY_DELTA, Ranges
 from loopcal.errors import InputError
 from loopcal.mechanisms.machine import Machine, assemble
 from loopcal.mechanisms.parallel.five_bar import five_bar
 from loopcal.mechanisms.parallel.rotary_delta import rotary_delta
-from tests.reference.parallel import FIVE_BAR, ROTARY_DELTA, Ranges
 
 NOISE = lc.Noise({"*": 5e-5, "platform_*": np.inf})
 

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import loopcal as lc
+from analyses.machines import STEWART_GOUGH
 from loopcal.estimation.problem import build_problem
 from loopcal.estimation.starting import start_corrections
 from loopcal.estimation.sweep import Sweeper
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
-from tests.reference.parallel import STEWART_GOUGH
 
 SDS = {"*": 5e-5, "leg_*": 1e-5, "platform_*": np.inf}
 POSITION = ["platform_x", "platform_y", "platform_z"]

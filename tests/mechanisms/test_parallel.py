@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import loopcal as lc
+from analyses.machines import CASES, OWN, STEWART_GOUGH, Case
 from loopcal.errors import InputError
 from loopcal.expressions.engine import engine_for
 from loopcal.mechanisms.machine import assemble
@@ -18,7 +19,7 @@ from loopcal.mechanisms.parallel.linear_delta import linear_delta
 from loopcal.mechanisms.parallel.rotary_delta import rotary_delta
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
 from loopcal.mechanisms.parallel.three_rrr import three_rrr
-from tests.reference.parallel import CASES, OWN, READINGS, STEWART_GOUGH, Case, spatial
+from tests.reference.parallel import READINGS, spatial
 from tests.reference.plain_tape import loop_values
 
 ALONE = {

@@ -5,100 +5,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from loopcal.mechanisms.instruments.point import point
-from loopcal.mechanisms.instruments.pose import pose
-from loopcal.mechanisms.machine import Instrument, Machine, assemble
-from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.parallel.five_bar import five_bar
-from loopcal.mechanisms.parallel.four_bar import four_bar
-from loopcal.mechanisms.parallel.linear_delta import linear_delta
-from loopcal.mechanisms.parallel.rotary_delta import rotary_delta
-from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
-from loopcal.mechanisms.parallel.three_rrr import three_rrr
-from loopcal.mechanisms.station import Target
-
 Array = NDArray[np.float64]
-Ranges = Mapping[str, tuple[float, float]]
-
-FOUR_BAR = {"theta_1": (-3.1, 3.1)}
-FIVE_BAR = {"platform_x": (0.0, 0.25), "platform_y": (0.3, 0.5)}
-THREE_RRR = {"platform_x": (-0.05, 0.05), "platform_y": (-0.05, 0.05), "platform_rz": (-0.3, 0.3)}
-LINEAR_DELTA = {"platform_x": (-0.07, 0.07), "platform_y": (-0.07, 0.07), "platform_z": (0.0, 0.2)}
-ROTARY_DELTA = {
-    "platform_x": (-0.15, 0.15),
-    "platform_y": (-0.15, 0.15),
-    "platform_z": (-0.5, -0.38),
-}
-STEWART_GOUGH = {
-    "platform_x": (-0.1, 0.1),
-    "platform_y": (-0.1, 0.1),
-    "platform_z": (0.6, 0.8),
-    "platform_rz": (-0.4, 0.4),
-    "platform_ry": (-0.3, 0.3),
-    "platform_rx": (-0.3, 0.3),
-}
-OWN = Target(())
-"""The frame of the body itself."""
-
-
-@dataclass(frozen=True)
-class Case:
-    """A machine with its instruments, where it is driven, and how many parameters it shows."""
-
-    machine: Callable[[], Machine]
-    instruments: Callable[[], list[Instrument]]
-    driven: Ranges
-    identifiable: int
-
-    def made(self) -> Mechanism:
-        """The mechanism."""
-        return assemble(self.machine(), self.instruments())
-
-    def unread(self, mechanism: Mechanism) -> list[str]:
-        """The platform's coordinates."""
-        return [q for q in mechanism.quantities if q.startswith("platform_")]
-
-
-def _planar(station: str | None = "base") -> list[Instrument]:
-    return [point(readings=("x", "y"), station=station, dimension=2)]
-
-
-CASES = {
-    "four-bar, point": Case(four_bar, _planar, FOUR_BAR, 10),
-    "four-bar, rocker read": Case(lambda: four_bar(passive=["theta_2"]), list, FOUR_BAR, 5),
-    "four-bar, both read": Case(lambda: four_bar(passive=["theta_2", "phi_1"]), list, FOUR_BAR, 6),
-    "five-bar, point": Case(five_bar, _planar, FIVE_BAR, 12),
-    "five-bar, one elbow read": Case(lambda: five_bar(passive=["phi_1"]), list, FIVE_BAR, 7),
-    "five-bar, both elbows read": Case(
-        lambda: five_bar(passive=["phi_1", "phi_2"]), list, FIVE_BAR, 8
-    ),
-    "3-RRR, point": Case(three_rrr, _planar, THREE_RRR, 20),
-    "3-RRR, pose": Case(three_rrr, lambda: [pose(dimension=2)], THREE_RRR, 21),
-    "3-RRR, own pose": Case(
-        three_rrr, lambda: [pose(dimension=2, station=None, target=OWN)], THREE_RRR, 21
-    ),
-    "3-RRR, elbows read": Case(
-        lambda: three_rrr(passive=["phi_1", "phi_2", "phi_3"]), list, THREE_RRR, 17
-    ),
-    "linear delta, point": Case(linear_delta, lambda: [point()], LINEAR_DELTA, 18),
-    "linear delta, own point": Case(linear_delta, lambda: [point(station=None)], LINEAR_DELTA, 18),
-    "rotary delta, point": Case(rotary_delta, lambda: [point()], ROTARY_DELTA, 24),
-    "rotary delta, own point": Case(rotary_delta, lambda: [point(station=None)], ROTARY_DELTA, 24),
-    "Stewart-Gough, point": Case(stewart_gough, lambda: [point()], STEWART_GOUGH, 39),
-    "Stewart-Gough, pose": Case(stewart_gough, lambda: [pose()], STEWART_GOUGH, 42),
-    "Stewart-Gough, own pose": Case(
-        stewart_gough, lambda: [pose(station=None, target=OWN)], STEWART_GOUGH, 42
-    ),
-    "Stewart-Gough, three angles": Case(
-        lambda: stewart_gough(passive=["alpha_1", "beta_1", "alpha_2"]), list, STEWART_GOUGH, 37
-    ),
-}
 
 
 def elbow_angle(reach: Array, first: float, second: float) -> tuple[float, float]:
