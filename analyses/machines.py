@@ -180,6 +180,17 @@ def line(name: str, parts: Sequence[Counts]) -> str:
     )
 
 
+def head(draws: int) -> list[str]:
+    """What stands above the table."""
+    single = 100 * np.sqrt(0.95 * 0.05 / draws)
+    return [
+        f"{draws} draws of {POSES} poses; the coverage of one parameter has an sd of {single:.1f} %",
+        "",
+        "                            rank of    chi-squared      intervals of 95 %       p uniform",
+        "                            fit docs    by freedom        that hold   least  most   fit error",
+    ]
+
+
 def main() -> None:
     """Print the table, and write it where asked."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -188,13 +199,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=[])
     parser.add_argument("--write", type=Path)
     given = parser.parse_args()
-    single = 100 * np.sqrt(0.95 * 0.05 / given.draws)
-    lines = [
-        f"{given.draws} draws of {POSES} poses; coverage of one parameter has an sd of {single:.1f} %",
-        "",
-        "                            rank of    chi-squared      intervals of 95 % that    p uniform",
-        "                         fit  docs    by freedom       hold [%]     least  most   fit  error",
-    ]
+    lines = head(given.draws)
     print("\n".join(lines), flush=True)
     parts = [range(i, given.draws, given.processes) for i in range(given.processes)]
     with ProcessPoolExecutor(given.processes) as pool:
