@@ -94,6 +94,12 @@ def test_a_target_left_at_nothing_is_taken_to_be_off_the_last_axis(folder):
     assert len(made(folder, unsaid | {"parameters": on_axis}).parameters.free) == 25
 
 
+@pytest.mark.parametrize(("kind", "whole"), [("socket", 23), ("draw-wire", 25), ("pose", 30)])
+def test_whatever_looks_at_it_what_it_tells_is_estimated(kind, whole, folder):
+    arm = made(folder, ROBOT | {"instrument": [{"type": kind}]})
+    assert len(arm.parameters.free) == whole
+
+
 def test_numbers_listed_are_in_the_units_of_the_file(folder):
     arm = made(folder, LISTED)
     assert arm.parameters["elbow_z"].nominal == pytest.approx(0.003, abs=1e-18)

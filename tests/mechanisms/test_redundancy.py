@@ -11,8 +11,11 @@ from analyses.instruments import HOME, SCREWS, SIX, SLIDES, Z
 from loopcal.expressions.engine import engine_for
 from loopcal.files.urdf import read_urdf
 from loopcal.mechanisms.exponentials import exponentials
+from loopcal.mechanisms.instruments.contact import ball_bar, plane, socket, sphere
+from loopcal.mechanisms.instruments.length import distance, draw_wire, relative_distance
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
+from loopcal.mechanisms.instruments.spherical import spherical
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.origins import LinkJoint, joint_chain
 from loopcal.mechanisms.planar import planar_two_link
@@ -91,6 +94,31 @@ def test_the_choice_does_not_hang_on_its_limit(name, axes, limits, monkeypatch):
             monkeypatch.setattr("loopcal.mechanisms.redundancy.ALIKE", limit)
             assert seen(joints, instrument, axes, ranges).remarks == chosen
         monkeypatch.undo()
+
+
+INSTRUMENTS = {
+    "point": (point(), 27),
+    "spherical": (spherical("T"), 27),
+    "pose": (pose(), 30),
+    "distance": (distance("wire"), 24),
+    "draw-wire": (draw_wire(), 25),
+    "relative distance": (relative_distance(), 21),
+    "sphere": (sphere(centre="centre"), 24),
+    "ball-bar that measures": (ball_bar(centre="centre"), 25),
+    "plane": (plane(), 23),
+    "socket": (socket(), 23),
+}
+"""Instruments, and how many of an arm's and their own parameters they tell: `test_instruments`
+counts the same numbers from readings."""
+
+
+@pytest.mark.parametrize("instrument", INSTRUMENTS)
+def test_other_instruments_tell_as_many_as_their_readings_do(instrument):
+    looking, whole = INSTRUMENTS[instrument]
+    made = assemble(joint_chain(SIX), [looking], {"tool_x": 0.05, "tool_z": 0.08})
+    own = [*looking.placement, *looking.parameters]
+    found = redundant(made, first=own, unsure=[n for n in own if not n.startswith("tool")])
+    assert len(without_redundant(made, found).parameters.free) == whole
 
 
 def test_exponentials_have_as_many():

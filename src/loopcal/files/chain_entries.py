@@ -135,14 +135,9 @@ def _seen(
     entries = {n: e for k, e in model.parameters.items() for n in made.parameters.matching(k)}
     free = [n for n, e in entries.items() if e.fixed is False]
     stated = {n for n, e in entries.items() if e.value is not None}
-    placed = [n for i in looking for n in i.placement]
-    looked_at = [n for i in looking for n in i.parameters]
-    found = redundant(
-        made,
-        ranges=ranges,
-        first=[*free, *placed, *looked_at],
-        unsure=[n for n in looked_at if n not in stated],
-    )
+    own = [n for i in looking for n in i.placement] + [n for i in looking for n in i.parameters]
+    unsure = [n for n in own if n not in stated]
+    found = redundant(made, ranges=ranges, first=[*free, *own], unsure=unsure)
     return without_redundant(made, found, but=free)
 
 

@@ -21,9 +21,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.expressions.engine import LoopValues, Stage, engine_for
-from loopcal.mechanisms.machine import ENDS
+from loopcal.expressions.engine import engine_for
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.sampling import Sample, samples
 
 Array = NDArray[np.float64]
 ALIKE = 5e-5
@@ -31,8 +31,6 @@ ALIKE = 5e-5
 largest remainder of the one kind is 5e-6 (right angles written as 1.5708), the smallest of the
 other 4e-4 (axes 0.4 mm apart); without them 4e-12 and 6e-3."""
 _NAMED, _SHARE = 3, 1e-3
-_OFF = 0.1
-_SPAN = {"m": 0.5, "rad": math.pi}
 
 
 @dataclass(frozen=True)
@@ -74,25 +72,17 @@ def redundant(
     ranges: quantity -> limits [SI] of the random poses (half a turn or 0.5 m to either side);
     readings: quantity -> (N,) values [SI] in place of random ones, for machines whose quantities
     must fit each other; first: names to be kept before all others, which come in the mechanism's
-    order; unsure: parameters whose nominal values say little, and are moved off them by chance,
-    such as a target's coordinates that stand at 0; unmeasured: quantities that nobody reads.
+    order; unsure: parameters whose nominal values say little, and are moved off them by chance or
+    to where they can be touched, such as coordinates that stand at 0; unmeasured: quantities that
+    nobody reads.
     """
-    draw = np.random.default_rng(seed)
-    loops = len(mechanism.tape.loops)
-    given = dict(readings or {})
-    count = max(60, 3 * len(mechanism.parameters) // loops)
-    count = len(next(iter(given.values()))) if given else count
-    within = dict(ranges or {})
-    for name, unit in (dict(mechanism.quantities) | dict(mechanism.known)).items():
-        span = _SPAN.get(unit, 1.0)
-        if name not in given:
-            limits = within.get(name.removesuffix(ENDS[1]), (-span, span))
-            given[name] = draw.uniform(*limits, count)
-    nominal = {p.name: p.nominal for p in mechanism.parameters}
-    nominal |= {name: nominal[name] + _OFF * draw.uniform(0.5, 1.0) for name in unsure}
     free = [p.name for p in mechanism.parameters if not p.fixed and math.isinf(p.prior_sd)]
     order = [n for n in first if n in free] + [n for n in free if n not in set(first)]
-    return _chosen(order, _columns(mechanism, order, nominal, given, unmeasured))
+    looked_at = samples(
+        mechanism, ranges=ranges or {}, unsure=unsure, readings=readings or {}, seed=seed
+    )
+    parts = [_columns(mechanism, sample, order, unmeasured) for sample in looked_at]
+    return _chosen(order, np.concatenate(parts))
 
 
 def without_redundant(
@@ -109,34 +99,15 @@ def without_redundant(
 
 
 def _columns(
-    mechanism: Mechanism,
-    names: Sequence[str],
-    nominal: Mapping[str, float],
-    given: Mapping[str, Array],
-    unmeasured: Sequence[str],
+    mechanism: Mechanism, sample: Sample, names: Sequence[str], unmeasured: Sequence[str]
 ) -> Array:
     """The loops' derivatives by these parameters (loops * poses, n), unmeasured eliminated."""
-    tape = mechanism.tape
-    size = len(next(iter(given.values())))
-    engine = engine_for(tape, tuple(names), size, tuple(unmeasured))
-    engine.at(np.array([nominal[name] for name in tape.parameters]))
-    x = np.array([given[q] for q in tape.quantities])
-    known = {name: given[name] for name in tape.known}
-
-    def evaluated(stage: Stage) -> LoopValues:
-        return engine.evaluate(x, np.array([*known.values()]).reshape(-1, size), stage)
-
-    for orientation in mechanism.orientations:  # as it would be measured, not half a turn away
-        turns = [tape.loops.index(turn) for turn in orientation.turns]
-        q = np.vstack([np.ones(size), np.zeros((3, size))])
-        known |= orientation.written(q)
-        read = np.array([given[turn] for turn in orientation.turns])
-        q[1:] = 0.5 * (evaluated(Stage.VALUES).f[turns] + read)
-        known |= orientation.written(q)
-    values = evaluated(Stage.BY_PARAMETER)
-    J = np.moveaxis(values.by_parameter, 2, 0).transpose(0, 2, 1)  # (poses, loops, n)
+    engine = engine_for(mechanism.tape, tuple(names), sample.readings.shape[1], tuple(unmeasured))
+    engine.at(sample.parameters)
+    values = engine.evaluate(sample.readings, sample.known)
+    J = np.moveaxis(values.by_parameter[:, sample.loops], 2, 0).transpose(0, 2, 1)
     if unmeasured:
-        U = np.moveaxis(values.by_quantity, 2, 0).transpose(0, 2, 1)
+        U = np.moveaxis(values.by_quantity[:, sample.loops], 2, 0).transpose(0, 2, 1)
         J = J - U @ (np.linalg.pinv(U) @ J)
     columns: Array = J.reshape(-1, len(names)).copy()
     return columns

@@ -1,0 +1,121 @@
+"""Poses in which a mechanism is looked at before there are any readings: random ones.
+
+Loops that predict a reading are looked at where the joints stand by chance. What touches by
+construction, a ball in its socket, does so in few poses: from random ones the joints are moved,
+by Newton's method, to where the gap is closed, the thing touched being placed within reach first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.expressions.engine import LoopValues, Stage, engine_for
+from loopcal.mechanisms.machine import ENDS
+from loopcal.mechanisms.mechanism import Family, Mechanism
+
+Array = NDArray[np.float64]
+_OFF = 0.1
+_SPAN = {"m": 0.5, "rad": math.pi}
+_CLOSED, _STEPS, _NEAR = 1e-9, 30, 0.3
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Some loops (their positions) at parameters (n,), readings (k, N) and constants (c, N)."""
+
+    loops: Sequence[int]
+    parameters: Array
+    readings: Array
+    known: Array
+
+
+def samples(
+    mechanism: Mechanism,
+    *,
+    ranges: Mapping[str, tuple[float, float]],
+    unsure: Sequence[str],
+    readings: Mapping[str, Array],
+    seed: int,
+) -> list[Sample]:
+    """What to look at: the loops that hold in any pose, and those of each thing that is touched.
+
+    ranges, unsure, readings: see `redundancy.redundant`.
+    """
+    draw = np.random.default_rng(seed)
+    tape = mechanism.tape
+    count = max(60, 3 * len(mechanism.parameters) // len(tape.loops))
+    count = len(next(iter(readings.values()))) if readings else count
+    given = dict(readings)
+    for name, unit in (dict(mechanism.quantities) | dict(mechanism.known)).items():
+        if name not in given:
+            span = _SPAN.get(unit, 1.0)
+            limits = ranges.get(name.removesuffix(ENDS[1]), (-span, span))
+            given[name] = draw.uniform(*limits, count)
+    nominal = {p.name: p.nominal for p in mechanism.parameters}
+    nominal |= {name: nominal[name] + _OFF * draw.uniform(0.5, 1.0) for name in unsure}
+    p = np.array([nominal[name] for name in tape.parameters])
+    x = np.array([given[q] for q in tape.quantities])
+    known = _measured(mechanism, p, x, {name: given[name] for name in tape.known})
+    touched = [f for f in mechanism.families if f.form == "gap"]
+    apart = {loop for family in touched for loop in family.loops}
+    free = [i for i, loop in enumerate(tape.loops) if loop not in apart]
+    found = [Sample(free, p, x, known)] if free else []
+    return [*found, *(_touching(mechanism, f, Sample([], p, x, known), unsure) for f in touched)]
+
+
+def _measured(mechanism: Mechanism, p: Array, x: Array, known: dict[str, Array]) -> Array:
+    """The known constants, orientations as they would be measured: not half a turn away."""
+    tape, size = mechanism.tape, x.shape[1]
+    engine = engine_for(tape, (), size, ())
+    engine.at(p)
+    for orientation in mechanism.orientations:
+        turns = [tape.loops.index(turn) for turn in orientation.turns]
+        read = x[[tape.quantities.index(turn) for turn in orientation.turns]]
+        q = np.vstack([np.ones(size), np.zeros((3, size))])
+        known |= orientation.written(q)
+        values = engine.evaluate(x, np.array([*known.values()]), Stage.VALUES)
+        q[1:] = 0.5 * (values.f[turns] + read)
+        known |= orientation.written(q)
+    return np.array([*known.values()]).reshape(-1, size)
+
+
+def _touching(
+    mechanism: Mechanism, family: Family, anywhere: Sample, unsure: Sequence[str]
+) -> Sample:
+    """Poses in which what touches does; poses as they are where none can be found."""
+    tape, size = mechanism.tape, anywhere.readings.shape[1]
+    loops = [tape.loops.index(loop) for loop in family.loops]
+    own = {name for i in loops for name in tape.depends_on()[i]}
+    placed = [n for n in unsure if n in own]
+    joints = [q for q in mechanism.quantities if q in own and q not in family.readings]
+    engine = engine_for(tape, tuple(placed), size, tuple(joints))
+    p, x = anywhere.parameters.copy(), anywhere.readings.copy()
+    rows = [tape.quantities.index(q) for q in joints]
+    x[[tape.quantities.index(q) for q in family.readings]] = 0.0
+
+    def evaluated() -> LoopValues:
+        engine.at(p)
+        return engine.evaluate(x, anywhere.known)
+
+    if placed:  # the first pose touches
+        where = [tape.parameters.index(name) for name in placed]
+        for _ in range(_STEPS):
+            values = evaluated()
+            A = values.by_parameter[:, loops, 0].T
+            p[where] -= np.linalg.pinv(A) @ values.f[loops, 0]
+    spread = x[rows] - x[rows][:, :1]
+    x[rows] = x[rows][:, :1] + _NEAR * spread
+    for _ in range(_STEPS):
+        values = evaluated()
+        U = np.moveaxis(values.by_quantity[:, loops], 2, 0).transpose(0, 2, 1)
+        step = np.linalg.pinv(U) @ values.f[loops].T[:, :, None]
+        x[rows] -= np.clip(step[:, :, 0].T, -_NEAR, _NEAR)
+    closed = np.abs(evaluated().f[loops]).max(axis=0) < _CLOSED
+    if closed.mean() < 0.5:
+        return Sample(loops, anywhere.parameters, anywhere.readings, anywhere.known)
+    return Sample(loops, p, x[:, closed], anywhere.known[:, closed])
