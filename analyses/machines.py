@@ -184,10 +184,10 @@ def head(draws: int) -> list[str]:
     """What stands above the table."""
     single = 100 * np.sqrt(0.95 * 0.05 / draws)
     return [
-        f"{draws} draws of {POSES} poses; the coverage of one parameter has an sd of {single:.1f} %",
+        f"{draws} draws of {POSES} poses; coverage of one parameter: sd {single:.1f} %",
         "",
-        "                            rank of    chi-squared      intervals of 95 %       p uniform",
-        "                            fit docs    by freedom        that hold   least  most   fit error",
+        "                           rank of    chi-squared       intervals of 95 %      p uniform",
+        "                           fit docs   by freedom         that hold  least  most  fit error",
     ]
 
 

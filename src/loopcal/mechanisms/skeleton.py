@@ -1,14 +1,15 @@
-"""The skeleton of an arm: where its joints and its tool point are in one pose."""
+"""The skeleton of a machine in one pose: an arm from base to tool, or legs and platform."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.mechanisms.chain import product
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parallel.drawing import LINES, PLANAR, parallel_lines
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.serial import tool_names
 from loopcal.mechanisms.station import Station, Target
@@ -17,19 +18,28 @@ Array = NDArray[np.float64]
 
 
 def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
-    """Points (k, 3), or (k, 2) of a planar arm, [m] from the first joint to the tool point.
+    """Points (k, 3), or (k, 2) of a planar machine, [m]; lines are parted by a row of NaN.
 
+    Of an arm from the first joint to the tool point, of a parallel machine its legs and bodies.
     joints: readings [m, rad] of one pose. In the instrument's frame, with the mechanism's own
-    parameters; None for mechanisms that are not arms of a known kind.
+    parameters; None for mechanisms that are not machines of a known kind.
     """
     values = {p.name: p.nominal for p in mechanism.parameters}
     described = mechanism.description or {}
     if described.get("type") == "planar-two-link":
         return _planar(values, joints)
-    if not mechanism.chain:
-        return None
     stands = next((f.placement for f in mechanism.families if f.placement), None)
     station = stands.steps if isinstance(stands, Station) else ()
+    kind = described.get("type")
+    if kind in LINES:
+        lines = parallel_lines(mechanism, kind, joints)
+        return (
+            None
+            if lines is None
+            else _seen(lines, product(station, {}, values), 2 if kind in PLANAR else 3)
+        )
+    if not mechanism.chain:
+        return None
     steps = (*station, *mechanism.chain)
     tool = _looked_at(mechanism)
     T, points = np.eye(4), []
@@ -40,6 +50,13 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     at = np.array([values[name] for name in tool] or [0.0, 0.0, 0.0])
     points += [T[:3, 3], T[:3, :3] @ at + T[:3, 3]]
     return np.array(points)
+
+
+def _seen(lines: Sequence[Array], T: Array, dimension: int) -> Array:
+    """The lines as a station sees them that stands at T (4, 4), one below the other."""
+    parted = [np.vstack([line @ T[:3, :3].T + T[:3, 3], np.full(3, np.nan)]) for line in lines]
+    seen: Array = np.vstack(parted)[:-1, :dimension]
+    return seen
 
 
 def _looked_at(mechanism: Mechanism) -> tuple[str, ...]:

@@ -82,7 +82,8 @@ def _skeleton(source: Source, points: Array) -> Array | None:
     middle = np.nanmedian(points, axis=1, keepdims=True)
     away = np.square(points - middle).sum(axis=0)
     names = source.document["data"]["quantities"]
-    readings = {q: v for q in names if (v := source.columns.reading(q)) is not None}
+    columns = {q: v for q in names if (v := source.columns.reading(q)) is not None}
+    readings = {q: v for q, v in columns.items() if np.isfinite(v).any()}
     away = away + sum(0.0 * values for values in readings.values())
     if not np.isfinite(away).any():
         return None
