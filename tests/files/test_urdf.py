@@ -165,6 +165,29 @@ def test_links_that_make_no_chain_are_told(base, tip, words, remedy, tmp_path):
     assert remedy in str(raised.value.remedy)
 
 
+def test_whatever_is_broken_it_is_told_or_read(tmp_path):
+    """Bytes changed, lost and put in: no other error comes out."""
+    whole, random = robot(LINKS + JOINTS).encode(), np.random.default_rng(1)
+    pieces = [b"<", b'"', b"nan", b"${x}", b"</joint>", b"\0", b"<axis/>", b"1e999", b"<mimic/>"]
+    told = 0
+    for _ in range(400):
+        text = bytearray(whole)
+        for at in random.integers(len(whole) - 40, size=random.integers(1, 4)).tolist():
+            match random.integers(3):
+                case 0:
+                    text[at] = int(random.integers(256))
+                case 1:
+                    del text[at : at + int(random.integers(1, 30))]
+                case _:
+                    text[at:at] = pieces[random.integers(len(pieces))]
+        try:
+            read_urdf(written(tmp_path, bytes(text)), "a", "d")
+        except InputError as error:
+            assert error.remedy
+            told += 1
+    assert told > 300
+
+
 def test_an_entity_is_never_expanded_nor_a_file_read(tmp_path):
     (tmp_path / "secret").write_text("0 0 1")
     head = f'<!DOCTYPE robot [<!ENTITY s SYSTEM "file://{tmp_path}/secret">]>'
