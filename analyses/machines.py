@@ -187,7 +187,7 @@ def head(draws: int) -> list[str]:
         f"{draws} draws of {POSES} poses; coverage of one parameter: sd {single:.1f} %",
         "",
         "                           rank of    chi-squared       intervals of 95 %      p uniform",
-        "                           fit docs   by freedom         that hold  least  most  fit error",
+        "                           fit docs   by freedom        that hold  least  most  fit error",
     ]
 
 
