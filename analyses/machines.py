@@ -56,6 +56,7 @@ STEWART_GOUGH = {
     "platform_ry": (-0.3, 0.3),
     "platform_rx": (-0.3, 0.3),
 }
+TOOL = {"tool_x": 0.06, "tool_y": 0.03, "tool_z": 0.08}
 OWN = Target(())
 """The frame of the body itself."""
 
@@ -70,8 +71,9 @@ class Case:
     identifiable: int
 
     def made(self) -> Mechanism:
-        """The mechanism."""
-        return assemble(self.machine(), self.instruments())
+        """The mechanism, its target at a place where no joint is."""
+        made = assemble(self.machine(), self.instruments())
+        return made.with_nominal({n: v for n, v in TOOL.items() if n in made.parameters.free})
 
     def unread(self, mechanism: Mechanism) -> list[str]:
         """The platform's coordinates."""
