@@ -136,7 +136,8 @@ def _seen(
     free = [n for n, e in entries.items() if e.fixed is False]
     stated = {n for n, e in entries.items() if e.value is not None}
     own = [n for i in looking for n in i.placement] + [n for i in looking for n in i.parameters]
-    unsure = [n for n in own if n not in stated]
+    stations = {n for i in looking if i.place is not None for n in i.placement}
+    unsure = [n for n in own if n not in stated and n not in stations]
     found = redundant(made, ranges=ranges, first=[*free, *own], unsure=unsure)
     return without_redundant(made, found, but=free)
 
