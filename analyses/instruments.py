@@ -8,7 +8,7 @@ often the 95 % interval of a parameter holds the truth, and compares chi-squared
 freedom; `identifiable` is the rank found without holding anything, beside the number that the docs
 derive.
 
-    python analyses/instruments.py [--draws 500] [--processes 2] [--only WORD ...]
+    python -m analyses.instruments [--draws 500] [--processes 2] [--only WORD ...] [--write FILE.md]
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import repeat
 from math import pi
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 from scipy.stats import kstest
 
 import loopcal as lc
+from analyses.written import read_block, write_block
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.exponentials import ScrewJoint, exponentials
 from loopcal.mechanisms.instruments.contact import ball_bar, plane, socket, sphere
@@ -385,18 +387,37 @@ def line(name: str, parts: Sequence[Counts]) -> str:
     )
 
 
+HEAD = (
+    f"{'machine and instrument':37} rank    chi-squared by    95 % intervals         p      steps\n"
+    f"{'':37} found due  freedom          hold           least most   uniform"
+)
+
+
+def written(path: Path, lines: Mapping[str, str]) -> None:
+    """Put the lines of some setups into the block of a document, beside those it has of others."""
+    old = read_block(path, "instruments").splitlines()
+    known = {name: row for name in SETUPS for row in old if row.startswith(f"{name} ".ljust(39))}
+    merged = known | dict(lines)
+    rows = [merged[name] for name in SETUPS if name in merged]
+    write_block(path, "instruments", "\n".join([HEAD, *rows]))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--draws", type=int, default=500)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--only", nargs="+", default=[])
+    parser.add_argument("--write", type=Path)
     given = parser.parse_args()
-    print(f"{given.draws} draws; rank found and derived, mean chi-squared by degree of freedom,")
-    print("coverage of 95 % intervals [%] pooled, least and most, p uniform (KS), iterations")
+    print(f"{given.draws} draws\n{HEAD}")
     parts = [range(i, given.draws, given.processes) for i in range(given.processes)]
+    lines = {}
     with ProcessPoolExecutor(given.processes) as pool:
         for name in (n for n in SETUPS if {*given.only} <= {*n.split()}):
-            print(line(name, list(pool.map(run, repeat(name), parts))), flush=True)
+            lines[name] = line(name, list(pool.map(run, repeat(name), parts)))
+            print(lines[name], flush=True)
+    if given.write:
+        written(given.write, lines)
 
 
 if __name__ == "__main__":
