@@ -48,6 +48,11 @@ DESCRIBED = {
     "everything free": ROBOT | {"fix_redundant": False},
     "listed": LISTED,
     "exponentials": SCREWS,
+    "effects": ROBOT
+    | {
+        "effect": [{"type": "harmonics", "joints": ["joint_1"]}],
+        "parameters": {"joint_1_sin*": {"sd": 1e-4}, "joint_2_x": {"sd": 1e-3}},
+    },
     "pose": ROBOT | {"instrument": [{"type": "pose", "station": "tracker"}]},
 }
 

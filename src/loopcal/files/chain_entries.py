@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from fnmatch import filter as filter_names
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -126,13 +127,15 @@ def _seen(
         looking = instruments(model.instrument, machine, units, place.at("instrument"))
     _refuse_shared_names(machine, looking, place)
     made = assemble(machine, looking)
-    here = place.at("parameters")
+    # what else is named are parameters of effects, which come later
+    names = made.parameters.names
+    of_these = {k: e for k, e in model.parameters.items() if k in names or filter_names(names, k)}
     made = replace(made, remarks=tuple(model.remarks)).with_parameters(
-        changed(made.parameters, model.parameters, here, units)
+        changed(made.parameters, of_these, place.at("parameters"), units)
     )
     if not model.fix_redundant:
         return made
-    entries = {n: e for k, e in model.parameters.items() for n in made.parameters.matching(k)}
+    entries = {n: e for k, e in of_these.items() for n in made.parameters.matching(k)}
     free = [n for n, e in entries.items() if e.fixed is False]
     stated = {n for n, e in entries.items() if e.value is not None}
     own = [n for i in looking for n in i.placement] + [n for i in looking for n in i.parameters]
