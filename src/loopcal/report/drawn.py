@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.distances import distances, point_outputs, points
 from loopcal.figures.accuracy import distance_histogram, over_poses
 from loopcal.figures.correlations import correlations
 from loopcal.figures.figure import Figure
@@ -44,14 +45,30 @@ def _of_outputs(source: Source) -> list[Figure | None]:
         return []
     unit = accuracy["unit"]
     scale = factor(unit)
-    lengths = [_lengths(differences) / scale for differences in (before, after)]
+    lengths = [_lengths(source, differences) / scale for differences in (before, after)]
     found = [distance_histogram(lengths[0], lengths[1], unit_shown(unit))]
-    points = [source.columns.reading(name) for name in after]
-    if unit == "m" and len(points) in (2, 3) and all(point is not None for point in points):
-        at = np.array(points)
-        differences = np.array(list(after.values()))
-        found.append(arrows(at, differences, _skeleton(source, at), unit_shown(unit), scale))
+    seen = _points(source, after)
+    if unit == "m" and seen is not None:
+        at, along = seen
+        found.append(arrows(at, along, _skeleton(source, at), unit_shown(unit), scale))
     return found
+
+
+def _points(source: Source, differences: Mapping[str, Array]) -> tuple[Array, Array] | None:
+    """Points (d, N) [m] that one instrument measured, and computed minus measured ones."""
+    families = source.mechanism.families if source.mechanism else ()
+    # the machine is drawn where the first instrument sees it whose place is known
+    for family in sorted(families, key=lambda f: f.placement is None):
+        names = point_outputs(source.mechanism, family) if source.mechanism else ()
+        read = {n: v for n in names if (v := source.columns.reading(n)) is not None}
+        if names and len(read) == len(names) and differences.keys() >= read.keys():
+            at = np.array(list(read.values()))
+            computed = at + np.array([differences[n] for n in names])
+            return points(family, at), points(family, computed) - points(family, at)
+    everything = [source.columns.reading(name) for name in differences]
+    if families or len(everything) not in (2, 3) or any(v is None for v in everything):
+        return None
+    return np.array(everything), np.array(list(differences.values()))
 
 
 def _residuals(source: Source) -> Figure | None:
@@ -59,7 +76,8 @@ def _residuals(source: Source) -> Figure | None:
     before, after = (source.columns.differences(when) for when in ("before", "after"))
     if accuracy is not None and after:
         scale, unit = factor(accuracy["unit"]), unit_shown(accuracy["unit"])
-        scaled = [{name: v / scale for name, v in d.items()} for d in (before, after)]
+        alike = [n for n in after if _unit(source, n) in (None, accuracy["unit"])]
+        scaled = [{n: d[n] / scale for n in alike} for d in (before, after)]
         return over_poses(
             scaled[0], scaled[1], source.columns.poses, unit, "Computed minus measured"
         )
@@ -70,8 +88,21 @@ def _residuals(source: Source) -> Figure | None:
     return over_poses(source.columns.residuals("before"), loops, source.columns.poses, "SI", what)
 
 
-def _lengths(differences: Mapping[str, Array]) -> Array:
-    found: Array = np.linalg.norm(np.array(list(differences.values())), axis=0)
+def _unit(source: Source, quantity: str) -> str | None:
+    """SI unit of a quantity, None where the mechanism is not known."""
+    return None if source.mechanism is None else source.mechanism.quantities.get(quantity)
+
+
+def _lengths(source: Source, differences: Mapping[str, Array]) -> Array:
+    """Distances of computed from measured outputs, of every instrument and pose."""
+    given = np.array(list(differences.values()))
+    found: Array = np.linalg.norm(given, axis=0)
+    if source.mechanism is not None and tuple(differences) == source.mechanism.outputs:
+        lost = np.full(given.shape[1], np.nan)
+        read = [source.columns.reading(name) for name in differences]
+        measured = np.array([lost if row is None else row for row in read])
+        told = distances(source.mechanism, measured, given)
+        found = found if told is None else told.values.ravel()
     return found
 
 
