@@ -1,0 +1,128 @@
+"""Contacts and orientations: implied readings, lost ones, several sockets, and no length at all."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import loopcal as lc
+from analyses.instruments import (
+    ARM_VALUES,
+    JOINTS,
+    LAST,
+    SIZE,
+    Setup,
+    at,
+    setup,
+    six_axis,
+    touching,
+)
+from loopcal.errors import InputError
+from loopcal.estimation.constants import known_constants, with_implied
+from loopcal.mechanisms.instruments.contact import ball_bar, socket
+from loopcal.mechanisms.instruments.pose import pose
+from loopcal.mechanisms.machine import assemble
+
+Array = NDArray[np.float64]
+HELD = (*LAST, "d_1", "offset_1", SIZE)
+NOISE = lc.Noise({"q*": 5e-5, "*_gap_*": 2e-5})
+ELSEWHERE = (0.85, 0.86, 0.04, -0.60, -1.25, -0.33)
+
+
+def simulated(given: Setup, seed: int) -> lc.Simulation:
+    return lc.simulate(given.truth, given.driven, noise=NOISE, seed=seed, start=given.start)
+
+
+def test_a_second_socket_tells_what_one_cannot() -> None:
+    """23 parameters and 3 more, each socket's loops in its own poses only."""
+    first = setup("six-axis socket")
+    second = touching(
+        lambda p: (socket("second"), at("second", *p)), 23, about=ELSEWHERE, solved=JOINTS[:3]
+    )
+    one, two = simulated(first, 3), simulated(second, 4)
+    arm = assemble(six_axis(), [socket(), socket("second")], {**two.parameters, **one.parameters})
+    arm = arm.with_parameters(arm.parameters.with_fixed(HELD))
+    poses = len(one.dataset), len(two.dataset)
+    joined = {q: np.concatenate([one.dataset[q], two.dataset[q]]) for q in JOINTS}
+    for name, was in (("socket", (0.0, np.nan)), ("second", (np.nan, 0.0))):
+        joined |= {f"{name}_gap_{a}": np.repeat(was, poses) for a in "xyz"}
+    both = lc.calibrate(arm, joined, noise=NOISE)
+    held = first.truth.with_parameters(first.truth.parameters.with_fixed(HELD))
+    alone = lc.calibrate(held, {q: one.dataset[q] for q in JOINTS}, noise=NOISE)
+    assert both.identifiability.rank == len(both.estimated) == 26
+    assert both.chi_squared is not None
+    assert both.chi_squared.degrees_of_freedom == 3 * sum(poses) - 26
+    assert 0.001 < (both.chi_squared.p_value or 0.0) < 0.999
+    # twice the poses in one socket would leave 0.71
+    better = [(both.sd[n] or 1.0) / (alone.sd[n] or 0.0) for n in alone.estimated]
+    assert np.median(better) < 0.6
+    for name in both.estimated:
+        assert abs(both.value[name] - arm.parameters[name].nominal) < 5 * (both.sd[name] or 0.0)
+
+
+def contact(*, fixed: tuple[str, ...] = (), bar: bool = False) -> lc.Mechanism:
+    looking = [socket(), *([ball_bar()] if bar else [])]
+    made = assemble(
+        six_axis(), looking, ARM_VALUES | ({"bar_length": 0.5, "bar_x": 1.0} if bar else {})
+    )
+    return made.with_parameters(made.parameters.with_fixed(fixed))
+
+
+READINGS = {q: np.random.default_rng(i).uniform(-1, 1, 40) for i, q in enumerate(JOINTS)}
+
+
+def test_a_machine_of_any_size_is_refused_and_a_length_is_named() -> None:
+    with pytest.raises(InputError, match="no length is measured") as refused:
+        lc.calibrate(contact(), READINGS, noise=NOISE)
+    assert "say d_4 = { fixed = true }" in (refused.value.remedy or "")
+
+
+@pytest.mark.parametrize(
+    ("mechanism", "readings"),
+    [
+        (contact(fixed=("a_2",)), READINGS),
+        (contact(fixed=("bar_length",), bar=True), READINGS),
+        (contact(), READINGS | {"socket_gap_x": np.full(40, 0.01)}),
+    ],
+    ids=["a link is held", "the length of a bar is known", "gaps are measured"],
+)
+def test_a_length_that_is_known_sets_the_size(
+    mechanism: lc.Mechanism, readings: dict[str, Array]
+) -> None:
+    noise = lc.Noise({"q*": 5e-5, "*_gap*": 2e-5})
+    result = lc.calibrate(mechanism, readings, noise=noise, max_iterations=1)
+    assert result.chi_squared is not None
+
+
+def test_a_blank_orientation_leaves_the_position() -> None:
+    arm = assemble(six_axis(), [pose(station=None)], ARM_VALUES)
+    blank = np.full(4, np.nan)
+    data = lc.Dataset.from_arrays(
+        {**{q: np.zeros(4) for q in JOINTS}, **{a: np.zeros(4) for a in "xyz"}}
+        | {"qw": np.array([1.0, np.nan, 2.0, 1.0]), "qx": np.array([0.0, 0.0, np.nan, 0.0])}
+        | {"qy": np.zeros(4), "qz": np.zeros(4)}
+    )
+    implied = with_implied(arm, data)
+    assert np.isnan(implied["pose_wx"]).tolist() == [False, True, True, False]
+    known = known_constants(arm, data)
+    assert known[:, 1].tolist() == known[:, 2].tolist() == [1.0, 0.0, 0.0, 0.0]
+    with pytest.raises(InputError, match="'qw' must be there"):
+        known_constants(arm, lc.Dataset.from_arrays(dict.fromkeys(JOINTS, blank)))
+
+
+@pytest.mark.parametrize("form", ["quaternion", "rotation-vector", "rz ry rx", "rx ry rx"])
+def test_simulated_orientations_are_off_by_their_noise(form: str) -> None:
+    """What was read and what was true differ by the small turns that the simulation keeps."""
+    arm = assemble(six_axis(), [pose(orientation=form)], ARM_VALUES)
+    noise = lc.Noise({"q*": 0.0, "xyz": 0.0, "pose_w*": 1e-3})
+    made = lc.simulate(arm, READINGS, noise=noise, seed=5)
+    assert np.abs(made.dataset["pose_wx"]).max() < 1e-15
+    off = np.array([made.quantities[f"pose_w{a}"] for a in "xyz"])
+    assert off.std() == pytest.approx(1e-3, rel=0.2)
+    # the loops close with the true turns beside the orientation that was read
+    columns = {c: made.dataset[c] for c in arm.tape.known}
+    again = lc.simulate(arm, READINGS | columns, noise=lc.Noise({"*": 0.0}), seed=0)
+    assert np.array([again.quantities[f"pose_w{a}"] for a in "xyz"]) == pytest.approx(
+        off, abs=1e-12
+    )
