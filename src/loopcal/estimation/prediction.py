@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.kernel import eliminate
-from loopcal.estimation.problem import BLOCK, Problem
+from loopcal.estimation.problem import BLOCK, Problem, held_loops
 from loopcal.expressions.engine import engine_for
 from loopcal.expressions.tape import Tape
 from loopcal.mechanisms.mechanism import Mechanism
@@ -25,7 +25,8 @@ def predict_outputs(
     parameters: (n_all,); readings: (k, N), with start values for the outputs; known: (c, N).
     """
     rows = [mechanism.tape.quantities.index(name) for name in mechanism.outputs]
-    return found_from_loops(mechanism.tape, rows, parameters, readings, known)[rows]
+    tape = mechanism.predicting().tape
+    return found_from_loops(tape, rows, parameters, readings, known)[rows]
 
 
 def found_from_loops(
@@ -71,18 +72,23 @@ def output_differences(
     mechanism = problem.mechanism
     rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
     differences = np.full((len(rows), len(problem.poses)), np.nan)
+    predicting = set(mechanism.predicting().tape.loops)
     for pattern in problem.patterns:
+        loops = tuple(i for i in pattern.loops if mechanism.tape.loops[i] in predicting)
+        tape = held_loops(mechanism.tape, loops)
+        inputs = frozenset().union(*tape.depends_on()) if loops else frozenset()
         there = [row for row in rows if row not in pattern.absent]
         measured = [row for row in there if row not in pattern.unmeasured]
-        unknown = list(dict.fromkeys([*there, *pattern.unmeasured]))
-        if not measured or len(unknown) > len(pattern.loops):
+        found_too = [i for i in pattern.unmeasured if tape.quantities[i] in inputs]
+        unknown = list(dict.fromkeys([*there, *found_too]))
+        if not measured or len(unknown) > len(loops):
             continue  # nothing to compare with, or the other readings do not say where they are
         x = problem.readings[:, pattern.poses]
         if corrections is not None and pattern.unmeasured:
             x = x.copy()
             x[list(pattern.unmeasured)] += corrections[list(pattern.unmeasured)][:, pattern.poses]
         known = problem.known[:, pattern.poses]
-        found = found_from_loops(problem.tape(pattern), unknown, parameters, x, known)
+        found = found_from_loops(tape, unknown, parameters, x, known)
         for row in measured:
             computed = found[row] - problem.readings[row, pattern.poses]
             differences[rows.index(row), pattern.poses] = computed

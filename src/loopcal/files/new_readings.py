@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from loopcal.files.columns import Column
-from loopcal.files.data_entries import DataSpec
+from loopcal.files.data_entries import DataSpec, named_columns
 from loopcal.files.dataset_readers import column_labels, read_dataset
 from loopcal.files.model import validated
 from loopcal.files.place import Place
@@ -21,7 +21,7 @@ _FORMAT = ("sheet", "header", "delimiter", "decimal", "encoding", "variable")
 
 
 def read_new_readings(path: str | Path, inputs: Mapping[str, Any], mechanism: Mechanism) -> Dataset:
-    """Readings of all quantities but the outputs, SI, under the columns and units of a project.
+    """Readings of what predicts the outputs, SI, under the columns and units of a project.
 
     inputs: the project as result.json holds it; without one, columns are named as quantities, in
     SI. The pose ids and sds of readings are read where the file has their columns. Raises
@@ -30,10 +30,13 @@ def read_new_readings(path: str | Path, inputs: Mapping[str, Any], mechanism: Me
     spec = _spec(inputs, mechanism)
     how: dict[str, Any] = {key: spec.options.get(key) for key in _FORMAT}
     there = column_labels(path, **how)
+    parts = [named_columns(p, there, mechanism) if p.by_name else p for p in (spec, *spec.joins)]
+    needless = {*mechanism.outputs, *mechanism.predicting().unused}
     columns = {
         quantity: _without_absent_sd(column, there)
-        for quantity, column in spec.columns.items()
-        if quantity not in mechanism.outputs
+        for part in parts
+        for quantity, column in part.columns.items()
+        if quantity not in needless
     }
     pose = spec.options.get("pose", "pose")
     pose_column = pose if pose in there or isinstance(pose, int) else None

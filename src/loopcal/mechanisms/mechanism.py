@@ -162,6 +162,25 @@ class Mechanism:
         """The same machine with other nominal values [SI] for the names given."""
         return replace(self, parameters=self.parameters.with_nominal(values))
 
+    def predicting(self) -> Mechanism:
+        """The mechanism with those loops alone that predict outputs from other readings.
+
+        What an instrument implies beside its outputs (small turns, gaps) is measured with them:
+        its loops would tell the prediction what it is compared with.
+        """
+        implied = {q for f in self.families for q in f.readings if f.form != "closure"}
+        implied -= set(self.outputs)
+        kept = [i for i, loop in enumerate(self.tape.loops) if loop not in implied]
+        if len(kept) == len(self.tape.loops) or not self.outputs:
+            return self
+        return replace(self, tape=self.tape.only(kept), families=())
+
+    @property
+    def unused(self) -> frozenset[str]:
+        """Quantities and known constants that are in no loop."""
+        used = frozenset().union(*self.tape.depends_on())
+        return frozenset((*self.tape.quantities, *self.tape.known)) - used
+
     def quantity_group(self, key: str) -> tuple[str, ...]:
         """The quantities that a name, a glob, or the joined names of the outputs stand for."""
         if self.outputs and key == "".join(self.outputs):

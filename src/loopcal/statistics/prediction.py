@@ -185,13 +185,16 @@ def predict(
             remedy="name the quantities that its loops predict: outputs = (...)",
         )
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
-    names = known.mechanism.tape.quantities
+    machine = known.mechanism.predicting()
+    names, unused = machine.tape.quantities, machine.unused
     also = [q for q in names if q not in data.readings and not q.startswith(PREFIX)]
-    also = [q for q in also if q not in known.mechanism.outputs]
-    _check_enough(known.mechanism, also)
-    found = replace(known.mechanism, outputs=(*known.mechanism.outputs, *also))
+    also = [q for q in also if q not in machine.outputs and q not in unused]
+    _check_enough(machine, also)
+    found = replace(machine, outputs=(*machine.outputs, *also))
     x = np.array([_readings(q, data, known) for q in names])
-    constants = np.array([data[q] for q in found.tape.known]).reshape(-1, len(data))
+    nothing = np.zeros(len(data))
+    listed = [nothing if q in unused else data[q] for q in found.tape.known]
+    constants = np.array(listed).reshape(-1, len(data))
     values = np.array([p.nominal for p in found.parameters])
     y = predict_outputs(found, values, x, constants)
     x[[names.index(q) for q in found.outputs]] = y

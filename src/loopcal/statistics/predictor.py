@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem import Pattern, Problem
 from loopcal.estimation.reduction import Spectrum
 from loopcal.estimation.result import Result
@@ -127,12 +128,18 @@ def _usual(bare: Predictor, problem: Problem, x: Array) -> dict[str, float]:
     mechanism = bare.mechanism
     values = np.array([p.nominal for p in mechanism.parameters])
     outputs = {mechanism.tape.quantities.index(q) for q in mechanism.outputs}
+    loops, unused = mechanism.predicting().tape.loops, mechanism.predicting().unused
     gathered = []
     for pattern in problem.patterns:
         poses = _some(pattern, len(problem.poses))
-        if not poses.size or len(outputs | set(pattern.unmeasured)) > len(mechanism.tape.loops):
+        too = {i for i in pattern.unmeasured if mechanism.tape.quantities[i] not in unused}
+        found = outputs | too
+        if not poses.size or len(found) > len(loops):
             continue  # the other readings do not say where the outputs are
         at, known = x[:, poses], problem.known[:, poses]
+        if outputs & set(pattern.absent):
+            at = at.copy()
+            at[sorted(outputs)] = predict_outputs(mechanism, values, at, known)
         S = output_sensitivity(mechanism, values, bare.names, at, known, pattern.unmeasured)
         gathered.append(by_parameters(bare, S.by_parameter))
     if not gathered:

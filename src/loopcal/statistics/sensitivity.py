@@ -41,9 +41,10 @@ def output_sensitivity(
     parameters: (n_all,); x: (k, N) where the loops close [SI]; known: (c, N); also: positions of
     further quantities that the loops determine.
     """
-    quantities = mechanism.tape.quantities
+    mechanism = mechanism.predicting()
+    quantities, unused = mechanism.tape.quantities, mechanism.unused
     outputs = [quantities.index(name) for name in mechanism.outputs]
-    found = list(dict.fromkeys([*outputs, *also]))
+    found = [i for i in dict.fromkeys([*outputs, *also]) if quantities[i] not in unused]
     poses, o = x.shape[1], len(outputs)
     by_parameter = np.full((poses, o, len(names)), np.nan)
     by_reading = np.full((poses, o, len(quantities)), np.nan)
