@@ -71,6 +71,7 @@ ROBOTS = [n for n in CHAINS if "mimicking" not in n]
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_robots_of_others_have_as_many(name):
+    """`analyses/robots.py` does the same for every chain of all of them."""
     robot, base, tip = CHAINS[name]
     joints = read_urdf(urdf_of(robot), base, tip)
     ranges = {j.name: j.limits for j in joints if j.limits and j.mimic is None}
