@@ -11,6 +11,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.distances import point_outputs, points
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem import Problem
+from loopcal.estimation.unclosed import open_loops
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 
 Array = NDArray[np.float64]
@@ -95,10 +96,20 @@ def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
         computed = measured + differences[[mechanism.outputs.index(q) for q in outputs]]
         both = points(family, computed), points(family, measured)
         alike.setdefault(placement.parameters, []).append((*both, placement))
+    if all(_lost(computed, measured) for s in alike.values() for computed, measured, _ in s):
+        reason = open_loops(problem)
+        if reason is not None:
+            raise reason
     for seen in alike.values():
         motion = align(np.hstack([s[0] for s in seen]), np.hstack([s[1] for s in seen]))
         values = seen[0][2].moved(values, motion.rotation, motion.shift)
     return mechanism.with_nominal(values), motion
+
+
+def _lost(computed: Array, measured: Array) -> bool:
+    """Whether the loops give no more than a few of the points (d, N) that were measured."""
+    there, found = (np.isfinite(p).all(axis=0).sum() for p in (measured, computed))
+    return bool(found < len(computed) <= there)
 
 
 def _stations(mechanism: Mechanism) -> list[tuple[Family, Placement]]:

@@ -106,7 +106,7 @@ def _gravest(problem: Problem) -> tuple[_Repair, ColumnFault] | None:
     before = _misfit(taken(problem, some)).size
     tried = [(_misfit(taken(r.problem, some)).size, r) for r in _repairs(problem)]
     least = min((size for size, _ in tried), default=math.inf)
-    if not least <= MUCH_BETTER * before:
+    if math.isinf(least) or not least <= MUCH_BETTER * before:
         return None
     alike = [repair for size, repair in tried if size <= EQUAL * least]
     best = alike[0]
