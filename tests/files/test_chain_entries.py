@@ -10,6 +10,7 @@ import pytest
 from loopcal.errors import InputError
 from loopcal.files.mechanism_file import mechanism_from_data, read_mechanism
 from loopcal.files.mechanism_writer import mechanism_to_toml
+from loopcal.files.project_file import read_project
 from loopcal.files.templates import template_files
 
 PROJECT = tomllib.loads(template_files("urdf", "NAME")["project.toml"])
@@ -89,6 +90,23 @@ def test_what_the_file_says_of_parameters_is_heeded(folder):
     every = made(folder, ROBOT | {"parameters": {"*": {"fixed": False}}})
     assert len(every.parameters.free) == 51
     assert every.remarks == ()
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_what_a_project_says_of_parameters_is_heeded_as_well(apart, folder):
+    text = template_files("urdf", "NAME")["project.toml"]
+    if apart:  # the mechanism in a file of its own
+        at, end = text.index("[mechanism]"), text.index("[data]")
+        mechanism = text[at:end].replace("[mechanism]\n", "schema = 1\n", 1)
+        (folder / "arm.toml").write_text(mechanism.replace("[mechanism.", "["))
+        text = text[:at] + '[mechanism]\nfile = "arm.toml"\n' + text[end:]
+    text = text.replace("[prior]", '[parameters]\n"base_*" = { fixed = true }\n[prior]')
+    text = text[: text.index("\n[simulation]")] + "\n[prior.tool_z]\nsd = 1e-3\n"
+    (folder / "project.toml").write_text(text)
+    free = read_project(folder / "project.toml").mechanism.parameters.free
+    assert not [n for n in free if n.startswith("base_")]
+    assert {"joint_1_x", "joint_1_rx"} <= set(free)
+    assert len(free) == 28  # 27, and one that the prior makes room for
 
 
 def test_a_target_left_at_nothing_is_taken_to_be_off_the_last_axis(folder):

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from fnmatch import filter as filter_names
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError
 from loopcal.files.instrument_entries import instruments
-from loopcal.files.parameter_entries import changed, in_si
+from loopcal.files.parameter_entries import in_si
 from loopcal.files.paths import expanded
 from loopcal.files.place import Place
 from loopcal.files.urdf import read_urdf
@@ -19,12 +17,9 @@ from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import Instrument, Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.origins import LinkJoint, Mimic, joint_chain
-from loopcal.mechanisms.redundancy import redundant, without_redundant
 
 if TYPE_CHECKING:
     from loopcal.files.chain_schema import Exponentials, LinkJointEntry, MimicEntry, Urdf
-
-Ranges = Mapping[str, tuple[float, float]]
 
 
 def urdf(model: Urdf, units: Mapping[str, str], place: Place) -> Mechanism:
@@ -45,9 +40,7 @@ def urdf(model: Urdf, units: Mapping[str, str], place: Place) -> Mechanism:
         name = model.name or "robot"
     else:
         joints, name = _of_file(model, place)
-    machine = joint_chain(joints, axes=model.axes, name=name)
-    ranges = {j.name: j.limits for j in joints if j.limits is not None and j.mimic is None}
-    return _seen(machine, ranges, model, units, place)
+    return _seen(joint_chain(joints, axes=model.axes, name=name), model, units, place)
 
 
 def _of_file(model: Urdf, place: Place) -> Any:
@@ -97,8 +90,7 @@ def exponential(model: Exponentials, units: Mapping[str, str], place: Place) -> 
 
     Raises InputError at the key or joint that does not fit.
     """
-    joints: list[ScrewJoint] = []
-    ranges: dict[str, tuple[float, float]] = {}
+    joints = []
     for i, entry in enumerate(model.joint):
         here = place.at("joint", i)
         moves = "m" if entry.kind == "prismatic" else "rad"
@@ -108,41 +100,20 @@ def exponential(model: Exponentials, units: Mapping[str, str], place: Place) -> 
             joints.append(ScrewJoint(entry.name, axis, at, entry.kind, limits))
         except InputError as error:
             raise error.at(str(here)) from None
-        ranges |= {entry.name: limits} if limits else {}
     xyz, rpy = model.home.xyz, model.home.rpy
     home = (_three(xyz, "m", units, place), _three(rpy, "rad", units, place))
-    return _seen(exponentials(joints, home=home, name=model.name), ranges, model, units, place)
+    return _seen(exponentials(joints, home=home, name=model.name), model, units, place)
 
 
 def _seen(
-    machine: Machine,
-    ranges: Ranges,
-    model: Urdf | Exponentials,
-    units: Mapping[str, str],
-    place: Place,
+    machine: Machine, model: Urdf | Exponentials, units: Mapping[str, str], place: Place
 ) -> Mechanism:
-    """The machine and what looks at it; parameters that the file leaves free by itself chosen."""
+    """The machine and what looks at it."""
     looking: list[Instrument] = [point()]
     if model.instrument is not None:
         looking = instruments(model.instrument, machine, units, place.at("instrument"))
     _refuse_shared_names(machine, looking, place)
-    made = assemble(machine, looking)
-    # what else is named are parameters of effects, which come later
-    names = made.parameters.names
-    of_these = {k: e for k, e in model.parameters.items() if k in names or filter_names(names, k)}
-    made = replace(made, remarks=tuple(model.remarks)).with_parameters(
-        changed(made.parameters, of_these, place.at("parameters"), units)
-    )
-    if not model.fix_redundant:
-        return made
-    entries = {n: e for k, e in of_these.items() for n in made.parameters.matching(k)}
-    free = [n for n, e in entries.items() if e.fixed is False]
-    stated = {n for n, e in entries.items() if e.value is not None}
-    own = [n for i in looking for n in i.placement] + [n for i in looking for n in i.parameters]
-    stations = {n for i in looking if i.place is not None for n in i.placement}
-    unsure = [n for n in own if n not in stated and n not in stations]
-    found = redundant(made, ranges=ranges, first=[*free, *own], unsure=unsure)
-    return without_redundant(made, found, but=free)
+    return assemble(machine, looking)
 
 
 def _refuse_shared_names(machine: Machine, looking: Sequence[Instrument], place: Place) -> None:

@@ -17,16 +17,19 @@ Limits = Annotated[
     Two | None,
     Field(description="Of the reading, to look within them for what can be identified."),
 ]
-FixRedundant = Annotated[
-    bool,
-    Field(
+
+
+class ChainModel(MechanismModel):
+    """What chains of all types may say."""
+
+    fix_redundant: bool = Field(
+        default=True,
         description="Whether parameters are fixed whose effect on the readings others have "
-        "already, chosen from the geometry; `loopcal check` says why each is."
-    ),
-]
-Remarks = Annotated[
-    list[str], Field(description="What `loopcal check` tells of it, as why a parameter is fixed.")
-]
+        "already, chosen from the geometry; `loopcal check` says why each is.",
+    )
+    remarks: list[str] = Field(
+        default=[], description="What `loopcal check` tells of it, as why a parameter is fixed."
+    )
 
 
 class MimicEntry(Model):
@@ -52,7 +55,7 @@ class LinkJointEntry(Model):
     mimic: MimicEntry | None = None
 
 
-class Urdf(MechanismModel):
+class Urdf(ChainModel):
     """The chain of joints between two links of a robot, from its URDF or listed here."""
 
     type: Literal["urdf"]
@@ -74,8 +77,6 @@ class Urdf(MechanismModel):
         description="Whether the joints' axes have parameters too, two tilts NAME_axis_rx, ...; "
         "the origins alone hold every geometry.",
     )
-    fix_redundant: FixRedundant = True
-    remarks: Remarks = Field(default=[])
     instrument: Instruments | None = None
     parameters: ParameterEntries = Field(default={})
 
@@ -97,7 +98,7 @@ class HomePose(Model):
     rpy: Three = Field(default=[0.0, 0.0, 0.0], description="Roll, pitch and yaw.")
 
 
-class Exponentials(MechanismModel):
+class Exponentials(ChainModel):
     """A serial machine as a product of exponentials: exp([S_1] q_1) ... exp([S_n] q_n) M."""
 
     type: Literal["exponentials"]
@@ -105,7 +106,5 @@ class Exponentials(MechanismModel):
     units: Units = Units()
     joint: list[ScrewEntry] = Field(min_length=1, description="From the base to the tip.")
     home: HomePose = HomePose()
-    fix_redundant: FixRedundant = True
-    remarks: Remarks = Field(default=[])
     instrument: Instruments | None = None
     parameters: ParameterEntries = Field(default={})

@@ -7,18 +7,21 @@ one are in the file's `units`, and without these in SI (m, rad). `mechanism_writ
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError, nearest
 from loopcal.files.chain_entries import exponential, urdf
 from loopcal.files.effect_entries import affected, needed
+from loopcal.files.identifiable import Told, identifiable
 from loopcal.files.parallel_entries import MAKERS, parallel
 from loopcal.files.parameter_entries import changed, declared_here
 from loopcal.files.place import Place
 from loopcal.files.serial_entries import motoman, serial
 from loopcal.files.toml_reader import checked_schema, read_toml, shown
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameters
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.units import unit
 
@@ -35,12 +38,14 @@ def read_mechanism(
     function: Loops | Mechanism | None = None,
     instruments: Sequence[Mapping[str, Any]] | None = None,
     effects: Sequence[Mapping[str, Any]] | None = None,
+    told: Told | None = None,
 ) -> Mechanism:
     """The mechanism of a file.
 
     function: for a file of the type "function", which declares everything but the code: the
     loops f(x, p), or the mechanism made of them, whose values the file then replaces;
-    instruments, effects: [[instrument]] and [[effect]] tables in place of the file's own.
+    instruments, effects: [[instrument]] and [[effect]] tables in place of the file's own; told:
+    as in `mechanism_from_data`.
 
     Raises InputError, naming file and key, for all that cannot be read or does not fit.
     """
@@ -52,7 +57,7 @@ def read_mechanism(
         stated["instrument"] = list(instruments)
     if effects is not None:
         stated["effect"] = list(effects)
-    return mechanism_from_data(stated, place, function=function)
+    return mechanism_from_data(stated, place, function=function, told=told)
 
 
 def read_arm(path: str | Path) -> Mechanism | None:
@@ -69,15 +74,18 @@ def mechanism_from_data(
     *,
     function: Loops | Mechanism | None = None,
     parameters: Mapping[str, Any] | None = None,
+    told: Told | None = None,
 ) -> Mechanism:
     """The mechanism that a table describes, without its schema.
 
     place: the file (and key) it stands at, for messages; parameters: a project's [parameters],
-    in which a mechanism of the type "function" may declare its own.
+    in which a mechanism of the type "function" may declare its own; told: what a project will say
+    of the parameters, around which those of a chain are chosen that are fixed.
 
     Raises InputError as `read_mechanism` does.
     """
     from loopcal.files import mechanism_schema as schema
+    from loopcal.files.chain_schema import ChainModel
     from loopcal.files.model import validated
 
     place = Place(place) if isinstance(place, str) else place
@@ -103,8 +111,15 @@ def mechanism_from_data(
     except InputError as error:
         raise error if error.place else error.at(str(place)) from None
     made = affected(made, model.effect, units, place.at("effect"))
-    entries = changed(made.parameters, model.parameters, place.at("parameters"), units)
-    return made.with_parameters(entries)
+
+    def stated(parameters: Parameters) -> Parameters:
+        return changed(parameters, model.parameters, place.at("parameters"), units)
+
+    if isinstance(model, ChainModel):
+        made = replace(made, remarks=tuple(model.remarks))
+        if model.fix_redundant:
+            made = identifiable(made, lambda p: stated(p) if told is None else told(stated(p)))
+    return made.with_parameters(stated(made.parameters))
 
 
 def _planar(model: PlanarTwoLink, units: Mapping[str, str], place: Place) -> Mechanism:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from loopcal.errors import InputError
 from loopcal.files.compare_entries import compare_spec
 from loopcal.files.data_entries import DataSpec, data_files
+from loopcal.files.identifiable import Told
 from loopcal.files.mechanism_file import Loops, mechanism_from_data, read_mechanism
 from loopcal.files.noise_entries import NoiseSpec, noise_spec
 from loopcal.files.parameter_entries import changed
@@ -21,6 +22,7 @@ from loopcal.files.toml_reader import checked_schema, read_toml, shown, toml_dat
 from loopcal.files.validation_entries import ValidationSpec, validation_spec
 from loopcal.mechanisms.effects.model import Model
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameters
 
 if TYPE_CHECKING:
     from loopcal.files.project_schema import FitEntry, ProjectModel, SdEntry
@@ -141,9 +143,12 @@ def _mechanism(
     given: Loops | Mechanism | None,
     place: Place,
 ) -> Mechanism:
-    made = stated_mechanism(model, data, folder, given, place)
-    parameters = changed(made.parameters, model.parameters, place.at("parameters"))
-    return made.with_parameters(changed(parameters, priors(model.prior), place.at("prior")))
+    def told(parameters: Parameters) -> Parameters:
+        said = changed(parameters, model.parameters, place.at("parameters"))
+        return changed(said, priors(model.prior), place.at("prior"))
+
+    made = stated_mechanism(model, data, folder, given, place, told)
+    return made.with_parameters(told(made.parameters))
 
 
 def stated_mechanism(
@@ -152,11 +157,13 @@ def stated_mechanism(
     folder: Path,
     given: Loops | Mechanism | None,
     place: Place,
+    told: Told | None = None,
 ) -> Mechanism:
     """The mechanism of a project or study, without what these say of its parameters.
 
     given: the loops of a mechanism of the type "function", or a whole mechanism for a file that
-    describes none. Raises InputError where there is none, or one that cannot be read.
+    describes none; told: what will be said of the parameters. Raises InputError where there is
+    none, or one that cannot be read.
     """
     stated = data.get("mechanism")
     here = place.at("mechanism")
@@ -177,8 +184,9 @@ def stated_mechanism(
             function=given,
             instruments=stated.get("instrument"),
             effects=stated.get("effect"),
+            told=told,
         )
-    return mechanism_from_data(stated, here, function=given, parameters=model.parameters)
+    return mechanism_from_data(stated, here, function=given, parameters=model.parameters, told=told)
 
 
 def priors(entries: Mapping[str, SdEntry]) -> dict[str, Any]:
