@@ -123,6 +123,21 @@ def test_whatever_looks_at_it_what_it_tells_is_estimated(kind, whole, folder):
     assert len(arm.parameters.free) == whole
 
 
+def test_an_arm_by_denavit_and_hartenberg_can_have_it_too(tmp_path):
+    text = template_files("serial", "NAME")["mechanism.toml"]
+    data = {k: v for k, v in tomllib.loads(text).items() if k != "schema"}
+    by_hand = mechanism_from_data(data, "")
+    assert by_hand.remarks == ()
+    bare = {k: v for k, v in data.items() if k != "parameters"}
+    assert len(mechanism_from_data(bare, "").parameters.free) == 33
+    chosen = mechanism_from_data(bare | {"fix_redundant": True}, "")
+    assert chosen.parameters == by_hand.parameters
+    assert len(chosen.remarks) == 6
+    (tmp_path / "arm.toml").write_text(mechanism_to_toml(chosen))
+    again = read_mechanism(tmp_path / "arm.toml")
+    assert (again.parameters, again.remarks) == (chosen.parameters, chosen.remarks)
+
+
 def test_numbers_listed_are_in_the_units_of_the_file(folder):
     arm = made(folder, LISTED)
     assert arm.parameters["elbow_z"].nominal == pytest.approx(0.003, abs=1e-18)

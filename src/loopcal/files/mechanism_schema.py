@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
-from loopcal.files.chain_schema import Exponentials, Urdf
+from loopcal.files.chain_schema import ChainModel, Exponentials, Urdf
 from loopcal.files.effect_schema import MechanismModel
 from loopcal.files.instrument_schema import Instruments
 from loopcal.files.mechanism_parts import Amount, Motions, ParameterEntries, Units, Value
@@ -78,7 +78,7 @@ def _base_form(value: Any) -> str:
     return "flag" if isinstance(value, bool) else "placement"
 
 
-class Serial(MechanismModel):
+class Serial(ChainModel):
     """A serial arm: a chain of joints, its tool point measured in the instrument's frame."""
 
     type: Literal["serial"]
@@ -100,6 +100,9 @@ class Serial(MechanismModel):
         default=["x", "y", "z"], description="Names of the measured coordinates."
     )
     joint: list[JointEntry] = Field(min_length=1, description="From the base to the tip.")
+    fix_redundant: bool = Field(
+        default=False, description="As of a chain of joint origins, where it is asked for."
+    )
     instrument: Instruments | None = None
     parameters: ParameterEntries = Field(default={})
 

@@ -54,6 +54,7 @@ def _structure(mechanism: Mechanism, described: Mapping[str, Any]) -> list[str]:
     match described["type"]:
         case "serial":
             lines = [_line(key, described[key]) for key in ("base", "point") if key in described]
+            lines += _remarks(mechanism)
             for joint in described["joints"]:
                 lines += ["", *_joint(joint)]
             return lines
