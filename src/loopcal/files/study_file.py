@@ -20,6 +20,7 @@ from loopcal.files.toml_reader import checked_schema, read_toml, shown, toml_dat
 from loopcal.files.versions import version
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameters
 
 if TYPE_CHECKING:
     from loopcal.files.project_schema import NoiseEntry, SdEntry
@@ -110,10 +111,12 @@ def read_study(
     model = validated(StudyModel, data, place)
     real = None if str(path) == "-" else Path(path)
     folder = Path() if real is None else real.parent
-    made = stated_mechanism(model, data, folder, mechanism, place)
-    machine = made.with_parameters(
-        changed(made.parameters, model.parameters, place.at("parameters"))
-    )
+
+    def told(parameters: Parameters) -> Parameters:
+        return changed(parameters, model.parameters, place.at("parameters"))
+
+    made = stated_mechanism(model, data, folder, mechanism, place, told)
+    machine = made.with_parameters(told(made.parameters))
     names = [entry.name or entry.method for entry in model.methods]
     _refuse_repeated(names, place.at("methods"))
     _refuse_repeated([entry.name for entry in model.scenarios], place.at("scenarios"))
