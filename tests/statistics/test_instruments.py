@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 from scipy.stats import kstest
 
 from analyses.instruments import SETUPS, Counts, identifiable, run, setup
+from analyses.written import read_block
+from tests.conftest import ROOT
 
 DRAWS = {"platform": 4}
 MANY = 16
@@ -43,3 +46,19 @@ def test_intervals_hold_the_truth_as_often_as_they_say(name: str) -> None:
 def test_p_values_of_all_of_them_are_uniform() -> None:
     p = np.concatenate([counted(name).p_values for name in NAMES])
     assert kstest(p, "uniform").pvalue > 0.01
+
+
+ROW = re.compile(
+    r"(?P<name>.*?) +(?P<rank>\d+) +(?P<due>\d+) +(?P<factor>[\d.]+) \+- (?P<factor_error>[\d.]+)"
+    r" +(?P<held>[\d.]+) \+- (?P<held_error>[\d.]+) .*"
+)
+
+
+def test_the_documentation_shows_every_setup_as_it_was_run() -> None:
+    rows = read_block(ROOT / "docs" / "explanation" / "instruments.md", "instruments").splitlines()
+    found = {m["name"]: m for row in rows if (m := ROW.fullmatch(row))}
+    assert tuple(found) == NAMES
+    for name, row in found.items():
+        assert int(row["rank"]) == int(row["due"]) == setup(name).identifiable
+        assert abs(float(row["factor"]) - 1.0) < 4 * float(row["factor_error"])
+        assert abs(float(row["held"]) - 95.0) < 4 * float(row["held_error"])
