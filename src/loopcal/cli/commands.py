@@ -8,6 +8,7 @@ import typer
 
 from loopcal.cli.output import log, print_json, print_out
 from loopcal.errors import NoTrustworthyResult
+from loopcal.files.templates import TEMPLATES
 
 app = typer.Typer(
     name="loopcal",
@@ -346,7 +347,7 @@ def new(
     name: Annotated[
         str, typer.Argument(metavar="NAME", help="Folder of the project, NAME/project.toml.")
     ],
-    mechanism: Annotated[str, typer.Option(metavar="TYPE", help="planar-two-link, serial, ... ")],
+    mechanism: Annotated[str, typer.Option(metavar="TYPE", help=f"One of {', '.join(TEMPLATES)}.")],
 ) -> None:
     """Write a commented project to start from."""
     from loopcal.workflow import new_project
