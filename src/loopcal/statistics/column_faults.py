@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.alignment import align, can_be_placed, placed
-from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.distances import distances
+from loopcal.estimation.prediction import output_differences, predict_outputs
 from loopcal.estimation.problem import Problem, taken
 from loopcal.estimation.solver import solve
 from loopcal.mechanisms.model_error import PREFIX
@@ -103,23 +104,48 @@ def column_faults(problem: Problem) -> tuple[ColumnFault, ...]:
 def _gravest(problem: Problem) -> tuple[_Repair, ColumnFault] | None:
     N = len(problem.poses)
     some = np.unique(np.linspace(0, N - 1, min(N, _SAMPLE)).round().astype(np.intp))
-    before = _misfit(taken(problem, some)).size
-    tried = [(_misfit(taken(r.problem, some)).size, r) for r in _repairs(problem)]
+    before = _compared(taken(problem, some))
+    tried = [(_compared(taken(r.problem, some)), r) for r in _repairs(problem)]
     least = min((size for size, _ in tried), default=math.inf)
     if math.isinf(least) or not least <= MUCH_BETTER * before:
         return None
     alike = [repair for size, repair in tried if size <= EQUAL * least]
-    best = alike[0]
-    after = _misfit(best.problem)
+    after = _misfit(alike[0].problem)
     good = np.flatnonzero(after.good)
     placeable = can_be_placed(problem.mechanism)
-    limit = (BETTER if placeable else MUCH_BETTER) * _fitted(taken(problem, good))
-    if not _fitted(taken(best.problem, good)) <= limit:
+
+    def fit(problem: Problem) -> float:
+        return _fitted(taken(problem, good)) / _length(taken(problem, good))
+
+    limit = (BETTER if placeable else MUCH_BETTER) * fit(problem)
+    alike = [repair for repair in alike if fit(repair.problem) <= limit]
+    if not alike:
         return None
+    best = alike[0]
     quantities = tuple(dict.fromkeys(name for repair in alike for name in repair.quantities))
     words = " or ".join(repair.words for repair in alike)
     whole = _misfit(problem).size
     return best, ColumnFault(quantities, words, whole, after.size, placeable)
+
+
+def _compared(problem: Problem) -> float:
+    """The misfit by which repairs are compared; beside what was read, where a machine is fitted.
+
+    A fit may take the scale of its lengths from the readings: all read a thousand times smaller
+    it is a machine, and a misfit, a thousand times smaller.
+    """
+    return _misfit(problem).size / _length(problem)
+
+
+def _length(problem: Problem) -> float:
+    """Root mean square of the lengths read [m], 1 of a machine that is placed, or reads none."""
+    if can_be_placed(problem.mechanism):
+        return 1.0
+    units = problem.mechanism.quantities
+    rows = [i for i, q in enumerate(problem.mechanism.tape.quantities) if units[q] == "m"]
+    read = np.isfinite(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[rows])
+    squares = np.square(problem.readings[rows])[read]
+    return math.sqrt(squares.mean()) if squares.any() else 1.0
 
 
 def _misfit(problem: Problem) -> _Misfit:
@@ -132,6 +158,8 @@ def _misfit(problem: Problem) -> _Misfit:
     mechanism = problem.mechanism
     if not can_be_placed(mechanism):
         return _Misfit(_fitted(problem, 15), every)
+    if len(mechanism.families) > 1 or any(f.form != "point" for f in mechanism.families):
+        return _seen(problem)
     rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
     hidden = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[rows])
     measured = np.where(hidden, np.nan, problem.readings[rows])
@@ -147,6 +175,28 @@ def _misfit(problem: Problem) -> _Misfit:
     except InputError:
         return _Misfit(math.inf, every)
     return _Misfit(float(np.sqrt(np.square(distance[half]).mean())), ~(distance > GROSS * middle))
+
+
+def _seen(problem: Problem) -> _Misfit:
+    """The same by whatever instruments see the machine, each placed by itself."""
+    mechanism = problem.mechanism
+    rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
+    half = every = np.ones(len(problem.poses), dtype=bool)
+    try:
+        for _ in range(_ROUNDS):
+            moved, _ = placed(taken(problem, np.flatnonzero(half)))
+            differences = output_differences(
+                problem, np.array([p.nominal for p in moved.parameters])
+            )
+            seen = distances(mechanism, problem.readings[rows], differences)
+            away = np.full(len(every), np.nan) if seen is None else seen.by_pose
+            if not np.isfinite(away).any():
+                return _Misfit(math.inf, every)
+            middle = float(np.nanmedian(away))
+            half = away <= middle
+    except InputError:
+        return _Misfit(math.inf, every)
+    return _Misfit(float(np.sqrt(np.square(away[half]).mean())), ~(away > GROSS * middle))
 
 
 def _fitted(problem: Problem, iterations: int = 100) -> float:

@@ -1,0 +1,39 @@
+"""Faults of the columns of instruments that read no coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+import loopcal as lc
+from analyses.instruments import Setup, setup
+from loopcal.estimation.problem import Problem, build_problem
+from loopcal.statistics.column_faults import column_faults
+
+
+def problem(given: Setup, poses: int, **wrong: str) -> Problem:
+    """The readings of some poses, columns named in `wrong` filled with those of another."""
+    some = {q: v[:poses] for q, v in given.driven.items()}
+    made = lc.simulate(given.truth, some, noise=given.noise, seed=2, start=given.start)
+    readings = dict(made.dataset.readings)
+    readings |= {name: readings[other] for name, other in wrong.items()}
+    nominal = given.nominal(2)
+    held = nominal.with_parameters(nominal.parameters.with_fixed(given.held))
+    return build_problem(held, lc.Dataset.from_arrays(readings), given.noise)
+
+
+def test_exchanged_angles_of_a_tracker_are_found() -> None:
+    angles = {"T_azimuth": "T_elevation", "T_elevation": "T_azimuth"}
+    (fault,) = column_faults(problem(setup("six-axis spherical"), 30, **angles))
+    assert fault.words == "the columns of T_azimuth and T_elevation are exchanged"
+    assert fault.after < 0.01 * fault.before
+
+
+def test_a_length_a_thousand_times_smaller_makes_no_better_machine() -> None:
+    """Only the wire says how large the arm is: in millimetres it would be as good, and smaller."""
+    given = setup("two-link draw-wire")
+    whole = problem(replace(given, far=0.0), 60)
+    bent = whole.readings.copy()
+    bent[list(whole.mechanism.quantities).index("wire")] += 0.02 * np.sin(3.0 * np.arange(60.0))
+    assert column_faults(replace(whole, readings=bent)) == ()
