@@ -29,7 +29,6 @@ from scipy.stats import kstest
 
 import loopcal as lc
 from analyses.written import read_block, write_block
-from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.exponentials import ScrewJoint, exponentials
 from loopcal.mechanisms.instruments.contact import ball_bar, plane, socket, sphere
 from loopcal.mechanisms.instruments.length import distance, draw_wire, relative_distance
@@ -39,8 +38,9 @@ from loopcal.mechanisms.instruments.spherical import spherical
 from loopcal.mechanisms.machine import Instrument, Machine, assemble
 from loopcal.mechanisms.origins import LinkJoint, joint_chain
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
+from loopcal.mechanisms.planar import planar_machine
 from loopcal.mechanisms.redundancy import redundant
-from loopcal.mechanisms.serial import chain_machine, serial_machine
+from loopcal.mechanisms.serial import serial_machine
 
 Array = NDArray[np.float64]
 SIGMAS = 1.959963984540054
@@ -139,13 +139,6 @@ def six_axis() -> Machine:
     return serial_machine([lc.Joint(q) for q in JOINTS], name="six-axis arm")
 
 
-def two_links() -> Machine:
-    """Two links in a plane."""
-    steps = [Step("rz", "phi20", "phi2"), Step("tx", "l2")]
-    steps += [Step("rz", "phi30", "phi3"), Step("tx", "l3")]
-    return replace(chain_machine(steps, name="two links"), dimension=2)
-
-
 ARM_VALUES = {f"{k}_{i}": v for k, row in ARM.items() for i, v in enumerate(row, 1)} | TOOL
 LINKS = {"l2": 0.8, "l3": 0.6, "phi20": 0.1, "phi30": -0.2}
 
@@ -214,7 +207,7 @@ def in_plane(
     solved: Mapping[str, float] | None = None,
 ) -> Setup:
     """The two links, whose last link holds the tool."""
-    truth = assemble(two_links(), [instrument], LINKS | dict(values))
+    truth = assemble(planar_machine(), [instrument], LINKS | dict(values))
     start = dict(solved or {})
     ranges = {q: (-0.4, 0.4) if start else (-2.5, 2.5) for q in ("phi2", "phi3") if q not in start}
     driven = lc.random_poses(ranges, 60, seed=11)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from loopcal.errors import InputError
@@ -9,7 +10,9 @@ from loopcal.files.mechanism_file import mechanism_from_data
 from loopcal.files.mechanism_writer import mechanism_to_toml
 from loopcal.files.place import Place
 from loopcal.files.toml_reader import toml_data
+from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.simulation.simulate import simulate
 
 ARM = """
 type = "serial"
@@ -161,3 +164,25 @@ def test_instruments_that_do_not_fit_are_refused(text: str, words: str) -> None:
         read(text)
     assert str(refused.value).startswith("arm.toml")
     assert refused.value.remedy
+
+
+def test_the_planar_arm_is_looked_at_by_any_instrument_too() -> None:
+    text = """
+type = "planar-two-link"
+[[instrument]]
+type = "spherical"
+target = []
+[[instrument]]
+type = "draw-wire"
+target = []
+"""
+    arm = read(text)
+    assert arm.parameters["phi20"].fixed
+    assert (
+        not read(text.replace("spherical", "point") + "station = false").parameters["phi20"].fixed
+    )
+    assert list(arm.quantities) == ["phi2", "phi3", "tracker_range", "tracker_azimuth", "wire"]
+    exact = Noise({"*": 0.0})
+    made = simulate(arm, {"phi2": [0.3], "phi3": [0.9]}, noise=exact, seed=0)
+    assert made.dataset["tracker_range"] == pytest.approx(abs(0.8 + 0.6 * np.exp(0.9j)))
+    assert read(mechanism_to_toml(arm)) == arm

@@ -15,14 +15,16 @@ from loopcal.errors import InputError, nearest
 from loopcal.files.chain_entries import exponential, urdf
 from loopcal.files.effect_entries import affected, needed
 from loopcal.files.identifiable import Told, identifiable
+from loopcal.files.instrument_entries import instruments as listed
 from loopcal.files.parallel_entries import MAKERS, parallel
 from loopcal.files.parameter_entries import changed, declared_here
 from loopcal.files.place import Place
 from loopcal.files.serial_entries import motoman, serial
 from loopcal.files.toml_reader import checked_schema, read_toml, shown
+from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameters
-from loopcal.mechanisms.planar import planar_two_link
+from loopcal.mechanisms.planar import planar_machine, planar_two_link
 from loopcal.units import unit
 
 if TYPE_CHECKING:
@@ -123,7 +125,10 @@ def mechanism_from_data(
 
 
 def _planar(model: PlanarTwoLink, units: Mapping[str, str], place: Place) -> Mechanism:
-    return planar_two_link(name=model.name)
+    if model.instrument is None:
+        return planar_two_link(name=model.name)
+    machine = planar_machine(name=model.name)
+    return assemble(machine, listed(model.instrument, machine, units, place.at("instrument")))
 
 
 BUILDERS: dict[str, Callable[[Any, Mapping[str, str], Place], Mechanism]] = {

@@ -66,11 +66,15 @@ NOMINAL_KEYS = ("a", "d", "alpha", "beta", "offset", "x", "y", "z", "phix", "phi
 
 
 class PlanarTwoLink(MechanismModel):
-    """The planar two-link arm: xA, yA, l2, l3, phi20, phi30; reads xP, yP, phi2, phi3."""
+    """The planar two-link arm: xA, yA, l2, l3, phi20, phi30; reads xP, yP, phi2, phi3.
+
+    With instruments of its own it is the links alone, l2, l3, phi20, phi30, and reads phi2, phi3.
+    """
 
     type: Literal["planar-two-link"]
     name: str = "planar two-link arm"
     units: Units = Units()
+    instrument: Instruments | None = None
     parameters: ParameterEntries = Field(default={})
 
 

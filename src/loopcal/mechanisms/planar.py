@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,12 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, nearest
 from loopcal.expressions.trace import Inputs
+from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.gauge import Gauge
+from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.serial import chain_machine
 
 PLANAR_TWO_LINK = {
     "xA": (0.0, "m"),
@@ -92,3 +96,21 @@ def planar_two_link(
         description={"type": "planar-two-link"},
         placement=PlanarPlacement(),
     )
+
+
+def planar_machine(*, name: str = "planar two-link arm") -> Machine:
+    """The same arm without its end point measured, to be looked at by any instrument.
+
+    A is the origin of the base, so the links alone are left: l2, l3, phi30, and phi20, which says
+    how the base lies and is held unless an instrument reads coordinates in it. The body is the
+    second link, its origin P: T_base_body = Rz(phi2 + phi20) Tx(l2) Rz(phi3 + phi30) Tx(l3).
+    """
+    steps = (
+        Step("rz", "phi20", "phi2"),
+        Step("tx", "l2"),
+        Step("rz", "phi30", "phi3"),
+        Step("tx", "l3"),
+    )
+    made = chain_machine(steps, name=name, description={"type": "planar-two-link"})
+    drawn = {n: Parameter(n, *PLANAR_TWO_LINK[n]) for n in made.parameters}
+    return replace(made, parameters=drawn, dimension=2, gauge=Gauge(base=("phi20",)))

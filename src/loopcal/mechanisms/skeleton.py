@@ -27,7 +27,7 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     values = {p.name: p.nominal for p in mechanism.parameters}
     described = mechanism.description or {}
     if described.get("type") == "planar-two-link":
-        return _planar(values, joints)
+        return None if mechanism.families else _planar(values, joints)
     stands = next((f.placement for f in mechanism.families if f.placement), None)
     station = stands.steps if isinstance(stands, Station) else ()
     kind = described.get("type")
