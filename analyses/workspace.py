@@ -1,5 +1,6 @@
-"""What the MA1400's workspace set is made of: what moved, what bends, what is left, and how it is
-judged by random folds, by folds of neighbouring poses, and where poses are unlike those fitted.
+"""What the MA1400's workspace set is made of: what moved, what bends, and how that is judged.
+
+By random folds, by folds of neighbouring poses, and where poses are unlike those that were fitted.
 
     LOOPCAL_DATA=... python analyses/workspace.py [--svg FILE]
 """
@@ -25,7 +26,8 @@ LEVELS = {
     "reflector": ("reflector",),
     "elastic drives": ("reflector", "drives"),
     "elastic arm": ("reflector", "drives", "bearings"),
-    "elastic arm, gears": ("reflector", "drives", "bearings", "gears"),
+    "elastic arm, drift": ("reflector", "drives", "bearings", "drift"),
+    "elastic arm, drift, gears": ("reflector", "drives", "bearings", "drift", "gears"),
 }
 BLOCK = 20
 """Poses that stay together in folds of neighbours."""
@@ -142,25 +144,19 @@ def main() -> None:
         print(f"  poses {first:3} to {min(end, 686) - 1:3}: {part.shape[1]:3}  mean (sd) {told} mm")
     if given.svg:
         given.svg.write_text(drawing(number(data), off), "utf-8")
-    ways: dict[str, tuple[lc.Dataset, list[int] | None]] = {
-        "random poses": (data, None),
-        f"blocks of {BLOCK} neighbours, poses from 14 on": (
-            (after := where(data, lambda n: n >= 14)),
-            [i // BLOCK for i in range(len(after))],
-        ),
-        "random poses, from 170 on": (late, None),
-        f"blocks of {BLOCK} neighbours, poses from 170 on": (
-            late,
-            [i // BLOCK for i in range(len(late))],
-        ),
-        "tenths of the range of S, poses from 170 on": (
-            late,
-            (10 * np.argsort(np.argsort(late["theta_1"])) // len(late)).tolist(),
-        ),
-    }
-    for name, (used, groups) in ways.items():
-        print(f"{name} ({len(used)} poses), rms on poses not used [mm]")
-        print("  " + ", ".join(f"{k} {v:.3f}" for k, v in judged(project, used, groups).items()))
+    for used, whose in ((where(data, lambda n: n >= 14), "from 14 on"), (late, "from 170 on")):
+        many = len(used)
+        ranks = np.argsort(np.argsort(used["theta_1"]))
+        ways = {
+            "random poses": None,
+            f"blocks of {BLOCK} neighbours": [i // BLOCK for i in range(many)],
+            "tenths in the order of poses": [10 * i // many for i in range(many)],
+            "tenths of the range of S": (10 * ranks // many).tolist(),
+        }
+        for name, groups in ways.items():
+            found = judged(project, used, groups)
+            print(f"{name}, {whose} ({many} poses), rms on poses not used [mm]")
+            print("  " + ", ".join(f"{k} {v:.3f}" for k, v in found.items()), flush=True)
 
 
 if __name__ == "__main__":
