@@ -21,6 +21,8 @@ _BLOCK = 4096
 _MOST = 50
 _STEP, _OPEN = 1e-13, 1e-9
 """Relative to 1 or to the largest value: steps this small are rounding; loops this far open are."""
+_TURN = 0.5
+"""No angle [rad] is turned by more in one step: beyond that Newton's method leads anywhere."""
 
 
 def close_loops(
@@ -47,6 +49,7 @@ def close_loops(
             f"{len(tape.loops)} loop equations",
             remedy="drive more quantities: give their values for every pose",
         )
+    turns = [i for i, name in enumerate(unknown) if mechanism.quantities[name] == "rad"]
     closed = np.array(values, dtype=float)
     engine = engine_for(tape, (), min(_BLOCK, max(closed.shape[1], 1)))
     engine.at(parameters)
@@ -58,6 +61,8 @@ def close_loops(
             if not (np.isfinite(loops.f).all() and np.isfinite(loops.by_quantity).all()):
                 raise explain_domain(tape, x, c, parameters, poses[part], mechanism.remedies)
             step = _newton_step(loops.by_quantity[rows], loops.f)
+            largest = np.abs(step[turns]).max(axis=0, initial=0.0)
+            step *= _TURN / np.maximum(largest, _TURN)
             x[rows] -= step
             if np.abs(step).max(initial=0.0) <= _STEP * max(1.0, np.abs(x).max()):
                 break
