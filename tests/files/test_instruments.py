@@ -178,9 +178,8 @@ target = []
 """
     arm = read(text)
     assert arm.parameters["phi20"].fixed
-    assert (
-        not read(text.replace("spherical", "point") + "station = false").parameters["phi20"].fixed
-    )
+    in_base = text.replace('"spherical"', '"point"\nstation = false')
+    assert not read(in_base).parameters["phi20"].fixed
     assert list(arm.quantities) == ["phi2", "phi3", "tracker_range", "tracker_azimuth", "wire"]
     exact = Noise({"*": 0.0})
     made = simulate(arm, {"phi2": [0.3], "phi3": [0.9]}, noise=exact, seed=0)
