@@ -22,7 +22,8 @@ _MOST = 50
 _STEP, _OPEN = 1e-13, 1e-9
 """Relative to 1 or to the largest value: steps this small are rounding; loops this far open are."""
 _TURN = 0.5
-"""No angle [rad] is turned by more in one step: beyond that Newton's method leads anywhere."""
+"""No angle [rad] is turned by more in one step: beyond that Newton's method leads anywhere. (What
+an orientation is off by is no such angle: its loops are linear in it, and it may be large.)"""
 
 
 def close_loops(
@@ -49,7 +50,9 @@ def close_loops(
             f"{len(tape.loops)} loop equations",
             remedy="drive more quantities: give their values for every pose",
         )
-    turns = [i for i, name in enumerate(unknown) if mechanism.quantities[name] == "rad"]
+    angles = {name for name in unknown if mechanism.quantities[name] == "rad"}
+    angles -= {turn for orientation in mechanism.orientations for turn in orientation.turns}
+    turns = [i for i, name in enumerate(unknown) if name in angles]
     closed = np.array(values, dtype=float)
     engine = engine_for(tape, (), min(_BLOCK, max(closed.shape[1], 1)))
     engine.at(parameters)
