@@ -88,7 +88,9 @@ def whiten(values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened
     reflections = Elimination()
     if noise.unmeasured:
         reflections = eliminate(values.by_quantity[list(noise.unmeasured)])
-        f, J, D = reflections.apply(f), reflections.apply(J), without_rounding(reflections, D)
+        turned = reflections.matrix(f.shape)
+        f, J = np.einsum("cjb,cb->jb", turned, f), combined(turned, J, "turned J")
+        D = without_rounding(turned[:, len(noise.unmeasured) :], D)
     skip = len(noise.unmeasured)
     G = loadings(J[:, skip:], noise)
     L, singular = orthonormalise(G)
@@ -99,8 +101,7 @@ def whiten(values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened
     if len(D):
         inverse = inverse_triangle(L)
         for i in range(len(L)):
-            lower, reflected = inverse[i, : i + 1], D[:, skip : skip + i + 1]
-            np.einsum("jb,njb->nb", lower, reflected, out=rows[:-1, i])
+            np.einsum("jb,njb->nb", inverse[i, : i + 1], D[:, : i + 1], out=rows[:-1, i])
     new = unload(G, rows[-1], noise)
     if skip:
         remainder = f[:skip] + np.einsum("kmb,kb->mb", J[:, :skip], new - now)
@@ -110,15 +111,33 @@ def whiten(values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened
     return Whitened(rows, G, new, singular)
 
 
-def without_rounding(reflections: Elimination, D: Array) -> Array:
-    """Reflected derivatives (n, m, b), what only rounding left of a column made zero.
+def without_rounding(turned: Array, D: Array) -> Array:
+    """Derivatives by parameters (n, m, b) in the loops that reflections leave, (n, r, b).
 
-    A parameter that an unmeasured quantity makes up for would else seem determined, if badly.
+    What only rounding left of a derivative is made zero: a parameter that an unmeasured quantity
+    makes up for would else seem determined, if badly.
     """
     length = np.sqrt(np.einsum("nmb,nmb->nb", D, D))[:, None, :]
-    reflected = reflections.apply(D)
-    reflected[np.abs(reflected) < ROUNDED_AWAY * length] = 0.0
-    return reflected
+    left = combined(turned, D, "left")
+    left[np.abs(left) < ROUNDED_AWAY * length] = 0.0
+    return left
+
+
+def combined(turned: Array, rows: Array, name: str) -> Array:
+    """sum_c rows[n, c] turned[c], (n, r, b), from rows (n, m, b) and columns turned (m, r, b).
+
+    A parameter or reading of a machine with many loops is in one of them or few: loops in which
+    a derivative is zero in all poses cost nothing. Overwritten by the next call for `name`.
+    """
+    out = scratch(name, len(rows), *turned.shape[1:])
+    there: NDArray[np.bool_] = np.any(rows, axis=2)
+    for row, occurs, own in zip(rows, there, out, strict=True):
+        loops = np.flatnonzero(occurs)
+        if len(loops) == 1:
+            np.multiply(turned[loops[0]], row[loops[0]], out=own)
+        else:
+            np.einsum("cjb,cb->jb", turned[loops], row[loops], out=own)
+    return out
 
 
 def _measured(rows: Array, noise: BlockNoise) -> Array:
@@ -136,13 +155,14 @@ def unweighted(values: LoopValues, correction: Array, noise: BlockNoise) -> Whit
     if noise.unmeasured:
         unmeasured = list(noise.unmeasured)
         reflections = eliminate(values.by_quantity[unmeasured])
-        f, D = reflections.apply(f), without_rounding(reflections, D)
+        D = without_rounding(reflections.matrix(f.shape)[:, len(unmeasured) :], D)
+        f = reflections.apply(f)
         new = correction.copy()
         new[unmeasured] -= reflections.solve(f[: len(unmeasured)])
     skip = len(noise.unmeasured)
     r, b = f.shape[0] - skip, f.shape[1]
     rows = scratch("rows", len(D) + 1, r, b)
-    rows[:-1] = D[:, skip:]
+    rows[:-1] = D
     np.negative(f[skip:], out=rows[-1])
     return Whitened(rows, np.zeros((r, 0, b)), new, np.zeros(b, dtype=bool))
 
@@ -254,6 +274,13 @@ class Elimination:
             weight = np.einsum("mb,cmb->cb", v, stacked[:, j:]) * scale
             stacked[:, j:] -= v * weight[:, None, :]
         return out
+
+    def matrix(self, shape: tuple[int, ...]) -> Array:
+        """What becomes of each of m loops, (m, m, b), for loop values of the shape (m, b)."""
+        m, b = shape
+        identity = np.zeros((m, m, b))
+        identity[np.arange(m), np.arange(m)] = 1.0
+        return self.apply(identity)
 
     def solve(self, right: Array) -> Array:
         """The unmeasured quantities' steps from their u triangular rows; (u, b).
