@@ -21,8 +21,10 @@ from analyses.instruments import (
 from loopcal.errors import InputError
 from loopcal.estimation.constants import known_constants, with_implied
 from loopcal.mechanisms.instruments.contact import ball_bar, socket
+from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
+from loopcal.mechanisms.parallel.four_bar import four_bar
 
 Array = NDArray[np.float64]
 HELD = (*LAST, "d_1", "offset_1", SIZE)
@@ -69,6 +71,10 @@ def contact(*, fixed: tuple[str, ...] = (), bar: bool = False) -> lc.Mechanism:
     return made.with_parameters(made.parameters.with_fixed(fixed))
 
 
+def uncertain(mechanism: lc.Mechanism) -> lc.Mechanism:
+    return mechanism.with_parameters(mechanism.parameters.with_prior({"bar_length": 1e-3}))
+
+
 READINGS = {q: np.random.default_rng(i).uniform(-1, 1, 40) for i, q in enumerate(JOINTS)}
 
 
@@ -83,9 +89,10 @@ def test_a_machine_of_any_size_is_refused_and_a_length_is_named() -> None:
     [
         (contact(fixed=("a_2",)), READINGS),
         (contact(fixed=("bar_length",), bar=True), READINGS),
+        (uncertain(contact(bar=True)), READINGS),
         (contact(), READINGS | {"socket_gap_x": np.full(40, 0.01)}),
     ],
-    ids=["a link is held", "the length of a bar is known", "gaps are measured"],
+    ids=["a link is held", "a bar is known", "a bar is uncertain", "gaps are measured"],
 )
 def test_a_length_that_is_known_sets_the_size(
     mechanism: lc.Mechanism, readings: dict[str, Array]
@@ -126,3 +133,11 @@ def test_simulated_orientations_are_off_by_their_noise(form: str) -> None:
     assert np.array([again.quantities[f"pose_w{a}"] for a in "xyz"]) == pytest.approx(
         off, abs=1e-12
     )
+
+
+def test_the_size_of_a_linkage_is_held_unless_something_tells_it() -> None:
+    """Angles and gaps of 0 tell no size, nor a bar of unknown length; coordinates do."""
+    for blind in (socket(dimension=2), ball_bar(dimension=2)):
+        assert assemble(four_bar(), [blind]).parameters["a2_x"].fixed
+    seen = assemble(four_bar(), [point(readings=("x", "y"), dimension=2)])
+    assert not seen.parameters["a2_x"].fixed
