@@ -99,6 +99,16 @@ def test_compare_calibrates_with_the_recommended_model(project: Path) -> None:
     run_prediction(folder, readings, out=None)
 
 
+def test_calibrations_with_known_constants_are_compared_at_their_poses(project: Path) -> None:
+    for name in ("one", "two"):
+        run_calibration(project, out=project.with_name(name))
+    one, two = (project.with_name(name) for name in ("one", "two"))
+    header = (one / "residuals.csv").read_text("utf-8").splitlines()[0]
+    assert header.endswith("minutes [s]")
+    done = run("compare", one, two)
+    assert done.returncode == 0, done.stderr
+
+
 def test_the_summary_tells_the_models(project: Path) -> None:
     done = run_calibration(project, compare=True, folds=5, out=project.with_name("other"))
     told = str(done.result)

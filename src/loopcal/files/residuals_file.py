@@ -24,7 +24,8 @@ def residual_columns(result: Result) -> dict[str, Column]:
     every output "NAME computed - measured before [unit]" and "... after [unit]" (computed from
     the uncorrected readings of the rest, with nominal and with calibrated parameters); for every
     quantity "NAME [unit]", the reading, "NAME correction [unit]", estimated true value
-    minus reading, and "NAME correction/sd". Empty: not measured; the last also where exact.
+    minus reading, and "NAME correction/sd"; for every known constant "NAME [unit]". Empty: not
+    measured; the corrections over their sds also where exact.
     """
     columns: dict[str, Column] = {"pose": result.dataset.poses}
     for loop, before in result.residuals_before.items():
@@ -43,6 +44,8 @@ def residual_columns(result: Result) -> dict[str, Column]:
         columns[f"{quantity} [{unit}]"] = reading
         columns[f"{quantity} correction [{unit}]"] = correction
         columns[f"{quantity} correction/sd"] = _over_sd(correction, sd)
+    for name, unit in result.mechanism.known.items():
+        columns[f"{name} [{unit}]"] = result.dataset.readings.get(name, nothing)
     return columns
 
 

@@ -11,12 +11,13 @@ from loopcal.mechanisms.mechanism import Mechanism
 
 
 def read_result_poses(folder: Path, mechanism: Mechanism) -> Dataset | None:
-    """The poses used, SI; None where they are not there, or known constants that go with them.
+    """The poses used, SI, with the known constants of each; None where they are not there.
 
     Raises InputError where residuals.csv cannot be read.
     """
     path = folder / "residuals.csv"
-    if mechanism.known or not path.exists():
+    if not path.exists():
         return None
-    columns = {q: Column(f"{q} [{unit}]") for q, unit in mechanism.quantities.items()}
+    stated = {**mechanism.quantities, **mechanism.known}
+    columns = {name: Column(f"{name} [{unit}]") for name, unit in stated.items()}
     return read_dataset(path, columns, pose="pose")
