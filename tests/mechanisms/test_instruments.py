@@ -267,3 +267,14 @@ def test_a_wire_of_no_length_is_told_what_to_do() -> None:
     with pytest.raises(InputError, match="'wire' at pose '2'") as refused:
         lc.calibrate(mechanism, data, noise=noise, prior=prior)
     assert "wire_x, wire_y, wire_z" in (refused.value.remedy or "")
+
+
+def test_a_tracker_below_its_target_is_told_what_to_do() -> None:
+    overhead = {"a": 0.0, "h": 0.75, "tool_x": 0.0, "tool_y": 0.0, "tool_z": 0.0}
+    mechanism = made([spherical("T")], overhead)
+    angles = {"T_azimuth": [0.1, 0.2, 0.3], "T_elevation": [1.0, 1.1, 0.9]}
+    data = {"q1": [0.1, 0.0, 0.4], "q2": [0.2, 0.0, 0.1], "T_range": [0.5, 0.6, 0.7], **angles}
+    noise, prior = lc.Noise({"*": 1e-4}), lc.Prior({"*": 0.1})
+    with pytest.raises(InputError, match="'T_azimuth' at pose '2'") as refused:
+        lc.calibrate(mechanism, data, noise=noise, prior=prior)
+    assert "straight above it" in (refused.value.remedy or "")

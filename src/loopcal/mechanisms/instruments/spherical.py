@@ -80,6 +80,8 @@ def spherical(
         placement=stands.declared,
         place=stands,
         dimension=dimension,
+        remedy=f"the target is where the station {stands.name!r} stands, or straight above it: "
+        "start by aligning points, or give the station its nominal place",
         description={
             "type": "spherical",
             "name": name,
