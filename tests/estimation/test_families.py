@@ -13,6 +13,7 @@ from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.spherical import spherical
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parallel.four_bar import four_bar
 from loopcal.mechanisms.serial import Joint, serial_machine
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import Simulation, simulate
@@ -148,3 +149,15 @@ def test_native_readings_of_a_tracker_have_an_accuracy_in_metres() -> None:
     assert result.accuracy_after.unit == "m"
     # 1e-5 rad at 3 m twice, 1e-5 m once
     assert result.accuracy_after.rms == pytest.approx(4.4e-5, rel=0.15)
+
+
+def test_range_and_azimuth_in_a_plane_place_the_machine_and_have_an_accuracy_in_metres() -> None:
+    machine = assemble(four_bar(), [spherical("tracker", dimension=2)])
+    noise = Noise({"tracker_*": 1e-5, "theta_1": 1e-5, "platform_rz": np.inf})
+    truth = {"tracker_x": 1.5, "tracker_y": -0.4, "tracker_rz": 2.0}
+    poses = random_poses({"theta_1": (0.2, 2.5)}, 40, seed=1)
+    made = simulate(machine, poses, noise=noise, seed=1, truth=truth)
+    result = calibrate(machine, made.dataset, noise=noise)
+    assert result.accuracy_before is not None
+    assert result.accuracy_before.unit == "m"
+    assert result.accuracy_before.rms < 1e-3  # placed: the station is 1.5 m and two radians off

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from loopcal.mechanisms.mechanism import Family, Mechanism
 
 Array = NDArray[np.float64]
+POLAR = ("spherical", "polar")
+"""Forms of readings that are a distance and one or two angles."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ def distances(mechanism: Mechanism, measured: Array, differences: Array) -> Dist
     for outputs, form in _groups(mechanism):
         index = [mechanism.outputs.index(q) for q in outputs]
         its = {mechanism.quantities[q] for q in outputs}
-        if form == "spherical":
+        if form in POLAR:
             at = measured[index]
             gap = cartesian(at + differences[index]) - cartesian(at)
             its = {"m"}
@@ -58,18 +60,22 @@ def distances(mechanism: Mechanism, measured: Array, differences: Array) -> Dist
     return Distances(np.array([r for r, u in zip(rows, units, strict=True) if u == unit]), unit)
 
 
-def cartesian(spherical: Array) -> Array:
-    """x, y, z (3, N) of range, azimuth and elevation (3, N), the azimuth from x towards y."""
-    distance, azimuth, elevation = spherical
-    level = distance * np.cos(elevation)
-    return np.array(
-        [level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)]
-    )
+def cartesian(readings: Array) -> Array:
+    """x, y, z (3, N) of range, azimuth and elevation (3, N), the azimuth from x towards y.
+
+    In a plane x, y (2, N) of range and azimuth.
+    """
+    distance, azimuth = readings[:2]
+    if len(readings) == 2:
+        return np.array([distance * np.cos(azimuth), distance * np.sin(azimuth)])
+    level = distance * np.cos(readings[2])
+    height = distance * np.sin(readings[2])
+    return np.array([level * np.cos(azimuth), level * np.sin(azimuth), height])
 
 
 def point_outputs(mechanism: Mechanism, family: Family) -> tuple[str, ...]:
     """The outputs of a family that say where a point is; none where they do not."""
-    if family.form not in ("point", "spherical", "pose"):
+    if family.form not in ("point", "pose", *POLAR):
         return ()
     its = [q for q in family.readings if q in mechanism.outputs]
     if family.form == "pose":
@@ -79,7 +85,7 @@ def point_outputs(mechanism: Mechanism, family: Family) -> tuple[str, ...]:
 
 def points(family: Family, readings: Array) -> Array:
     """Cartesian points (d, N) of readings (r, N) of the outputs that say where a point is."""
-    return cartesian(readings) if family.form == "spherical" else readings
+    return cartesian(readings) if family.form in POLAR else readings
 
 
 def _groups(mechanism: Mechanism) -> list[tuple[tuple[str, ...], str]]:
