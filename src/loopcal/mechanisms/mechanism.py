@@ -46,8 +46,9 @@ class Family:
     loops would say nothing, and are left out. form: what the readings are together: "point"
     (x, y, z or x, y), "spherical" (range, azimuth, elevation), "polar" (range, azimuth), "length",
     "angle", "pose" (a point and three small turns), "gap" (between things that touch), "closure"
-    (a machine's own loops in a second pose); placement: how the parameters that place the instrument change when the machine
-    is moved; remedy: what to do where its loops cannot be evaluated.
+    (a machine's own loops in a second pose); placement: how the parameters that place the
+    instrument change when the machine is moved; remedy: what to do where its loops cannot be
+    evaluated.
     """
 
     name: str
