@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -146,3 +147,16 @@ def test_effects_that_do_not_fit_are_refused(text: str, words: str, place: str) 
     assert "arm.toml" in str(refused.value)
     assert place.split("[")[0] in str(refused.value)
     assert refused.value.remedy
+
+
+@pytest.mark.parametrize("kind", ["serial", "motoman-ma1400"])
+def test_the_effect_that_templates_propose_is_one(kind: str) -> None:
+    text = (
+        resources.files("loopcal.files") / "template_files" / kind / "mechanism.toml"
+    ).read_text("utf-8")
+    lines = text.splitlines()
+    start = lines.index("# [[effect]]")
+    lines[start : start + 4] = [line.removeprefix("# ") for line in lines[start : start + 4]]
+    assert read("\n".join(lines)).effects == {
+        "compliance": ("theta_2_sag_wrist", "theta_3_sag_wrist")
+    }
