@@ -24,6 +24,7 @@ from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.motoman import motoman_ma1400
+from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.mechanisms.serial import Joint, serial_machine
 from tests.reference.machines import MA1400_TOOL, dh_arm, mixed_arm
@@ -113,6 +114,24 @@ def test_a_drift_and_shifts_move_parameters_with_their_column() -> None:
         there = {"x6B": nominal + 0.003 + shifted, "phix0": tilt}
         found = loops(changed, x, {"t": 40.0, "pose": pose}, **p)
         assert found == pytest.approx(loops(plain, x, **there))
+
+
+def test_by_default_it_is_the_station_that_drifts() -> None:
+    plain, x = dh_arm(), readings(dh_arm())
+    changed = with_effects(plain, [Drift(over=2.0)])
+    there = {"base_x": plain.parameters["base_x"].nominal + 0.1}
+    found = loops(changed, x, {"t": 1.0}, base_x_drift=0.2)
+    assert found == pytest.approx(loops(plain, x, **there))
+    assert len(changed.effects["drift"]) == 6
+
+
+def test_the_legs_of_a_platform_have_scales_as_joints_have() -> None:
+    platform = assemble(stewart_gough(), [point(station=None)])
+    changed = with_effects(platform, [Scale(("leg_*",))])
+    assert len(changed.effects["scale"]) == 6
+    x = {q: 0.1 * (i + 1) for i, q in enumerate(platform.quantities)}
+    found = loops(changed, x, leg_2_scale=0.01)
+    assert found == pytest.approx(loops(platform, x | {"leg_2": 1.01 * x["leg_2"]}))
 
 
 def potential(

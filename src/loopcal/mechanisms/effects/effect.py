@@ -89,7 +89,9 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
 def joints(mechanism: Mechanism, patterns: Sequence[str], unit: str | None = None) -> list[str]:
     """The joints that names or globs stand for: quantities that no instrument reads.
 
-    unit: only joints in it, of those that a glob finds. Raises InputError where there are none.
+    Globs find only joints in `unit`, if one is given; of a machine with passive joints and platform
+    coordinates they find these too, so name its sensed joints. Raises InputError where there are
+    none.
     """
     read = {q for family in mechanism.families for q in family.readings} | {*mechanism.outputs}
     twins = {q + end for q in mechanism.quantities for end in ENDS if end}
@@ -98,7 +100,7 @@ def joints(mechanism: Mechanism, patterns: Sequence[str], unit: str | None = Non
         name
         for pattern in patterns
         for name in matching(pattern, own, "joint")
-        if unit is None or mechanism.quantities[name] == unit or name == pattern
+        if name == pattern or unit in (None, mechanism.quantities[name])
     )
     for name in found:
         if unit is not None and mechanism.quantities[name] != unit:
@@ -108,7 +110,11 @@ def joints(mechanism: Mechanism, patterns: Sequence[str], unit: str | None = Non
                 remedy="name other joints",
             )
     if not found:
-        raise InputError(f"no joint is in {unit}", remedy="leave this effect out")
+        raise InputError(
+            f"no joint is called {' or '.join(map(repr, patterns))}"
+            + (f" and in {unit}" if unit else ""),
+            remedy="name joints that are read, or leave this effect out",
+        )
     return list(found)
 
 
