@@ -134,6 +134,11 @@ def test_the_legs_of_a_platform_have_scales_as_joints_have() -> None:
     assert found == pytest.approx(loops(platform, x | {"leg_2": 1.01 * x["leg_2"]}))
 
 
+def test_segments_of_large_numbers_keep_their_own_parameters() -> None:
+    changed = with_effects(arm(), [Shift(("x6B",), (1234567.0, 1234568.0), "second", "s")])
+    assert changed.effects["shift"] == ("x6B_from1234567", "x6B_from1234568")
+
+
 def potential(
     chain: tuple[Step, ...], load: Load, down: Array, x: Mapping[str, float], p: Mapping[str, float]
 ) -> float:

@@ -49,7 +49,7 @@ class Harmonics:
             name: Parameter(name, 0.0, "rad", SD)
             for joint in joints(mechanism, self.joints, "rad")
             for k in self.orders
-            for name in (f"{joint}_cos{k:g}", f"{joint}_sin{k:g}")
+            for name in (f"{joint}_cos{k:.12g}", f"{joint}_sin{k:.12g}")
         }
 
     def known(self, mechanism: Mechanism) -> dict[str, str]:
@@ -63,8 +63,8 @@ class Harmonics:
     def _turned(self, joint: str, x: Values, p: Values) -> Any:
         total = theta = x[joint]
         for k in self.orders:
-            total = total + p[f"{joint}_cos{k:g}"] * np.cos(k * theta)
-            total = total + p[f"{joint}_sin{k:g}"] * np.sin(k * theta)
+            total = total + p[f"{joint}_cos{k:.12g}"] * np.cos(k * theta)
+            total = total + p[f"{joint}_sin{k:.12g}"] * np.sin(k * theta)
         return total
 
     @property
