@@ -103,7 +103,7 @@ class Shift:
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """P_fromA of each parameter and segment, in the parameter's unit."""
         return {
-            f"{p.name}_from{a:.12g}": Parameter(f"{p.name}_from{a:.12g}", 0.0, p.unit, SHIFT_SD)
+            (own := _from_name(p.name, a)): Parameter(own, 0.0, p.unit, SHIFT_SD)
             for p in _meant(mechanism, self.changing)
             for a in self.at
         }
@@ -118,7 +118,7 @@ class Shift:
         within = [here - after for here, after in pairwise([*reached, 0.0])]
         return {
             name: p[name]
-            + sum(p[f"{name}_from{a:.12g}"] * share for a, share in zip(self.at, within, strict=True))
+            + sum(p[_from_name(name, a)] * share for a, share in zip(self.at, within, strict=True))
             for name in (parameter.name for parameter in _meant(mechanism, self.changing))
         }
 
@@ -133,6 +133,10 @@ class Shift:
             "unit": self.unit,
             "at": list(self.at),
         }
+
+
+def _from_name(parameter: str, begin: float) -> str:
+    return f"{parameter}_from{begin:.12g}"
 
 
 def _from(begin: float, t: Any) -> Any:
