@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import inspect
 import re
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import loopcal
+from loopcal.files.instrument_entries import MAKERS as INSTRUMENTS
+from loopcal.files.mechanism_file import BUILDERS
 from tests.documentation import blocks
 
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = ROOT / "docs" / "reference" / "api.md"
-NAMES: list[str] = list(getattr(loopcal, "__all__", []))
+NAMESPACES = {"": loopcal, "instruments": loopcal.instruments, "machines": loopcal.machines}
+LISTED = {key: list(getattr(place, "__all__", [])) for key, place in NAMESPACES.items()}
+NAMES = [f"{key}.{name}".lstrip(".") for key, names in LISTED.items() for name in names]
 DOCUMENTED = [name for name in NAMES if not name.startswith("__")]
 
 
 def public(name: str) -> Any:
-    return getattr(loopcal, name)
+    """What is written `loopcal.NAME`; in a namespace NAME has a dot."""
+    return attrgetter(name)(loopcal)
 
 
 def documentation_code() -> str:
@@ -33,25 +39,29 @@ def returns_bare_tuple(function: Any) -> bool:
     return bool(re.match(r"(typing\.)?[Tt]uple\b", annotation)) and "..." not in annotation
 
 
-def test_the_list_is_sorted_and_has_no_name_twice() -> None:
-    assert sorted(set(NAMES)) == NAMES
+@pytest.mark.parametrize("key", NAMESPACES)
+def test_the_list_is_sorted_and_has_no_name_twice(key: str) -> None:
+    assert LISTED[key]
+    assert sorted(set(LISTED[key])) == LISTED[key]
 
 
-def test_nothing_public_is_missing_from_the_list() -> None:
+@pytest.mark.parametrize("key", NAMESPACES)
+def test_nothing_public_is_missing_from_the_list(key: str) -> None:
     # Our own names bound in the package, apart from its submodules, are meant to be used.
     own = {
         name
-        for name, value in vars(loopcal).items()
+        for name, value in vars(NAMESPACES[key]).items()
         if not name.startswith("_")
         and (getattr(value, "__module__", "") or "").startswith("loopcal")
     }
-    assert own <= set(NAMES)
+    assert own <= set(LISTED[key])
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_it_exists_and_is_listed_by_dir(name: str) -> None:
     assert public(name) is not None
-    assert name in dir(loopcal)
+    key, _, own = name.rpartition(".")
+    assert own in dir(NAMESPACES[key])
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
@@ -63,19 +73,19 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 def test_its_docstring_says_something(name: str) -> None:
     text = inspect.getdoc(public(name)) or ""
     # A dataclass without a docstring gets its signature for one.
-    assert not text.startswith(f"{name}("), f"{name} has no docstring of its own"
+    assert not text.startswith(f"{name.rpartition('.')[2]}("), f"{name} has no docstring of its own"
     assert len(text.split()) >= 5
 
 
 @pytest.mark.parametrize("name", DOCUMENTED)
 def test_it_is_in_the_reference(name: str) -> None:
-    assert re.search(rf"\b{name}\b", REFERENCE.read_text("utf-8"))
+    assert re.search(rf"\b{re.escape(name)}\b", REFERENCE.read_text("utf-8"))
 
 
 @pytest.mark.parametrize("name", DOCUMENTED)
 def test_an_example_that_runs_shows_it(name: str) -> None:
     shown = ">>>" in (inspect.getdoc(public(name)) or "")
-    assert shown or re.search(rf"\b{name}\b", documentation_code())
+    assert shown or re.search(rf"\b{re.escape(name)}\b", documentation_code())
 
 
 @pytest.mark.parametrize("name", DOCUMENTED)
@@ -88,3 +98,15 @@ def test_it_returns_no_bare_tuple(name: str) -> None:
             if not key.startswith("_") and inspect.isfunction(inspect.unwrap(member))
         ]
     assert [member.__qualname__ for member in members if returns_bare_tuple(member)] == []
+
+
+def test_the_namespaces_hold_what_mechanism_files_do() -> None:
+    """Machines and instruments by the types that files call them, apart from what shows a point."""
+    instruments = {kind.replace("-", "_") for kind in INSTRUMENTS}
+    machines = {kind.replace("-", "_") for kind in BUILDERS} - {"motoman_ma1400"}
+    found = {
+        name for name in LISTED["instruments"] if inspect.isfunction(public(f"instruments.{name}"))
+    }
+    assert found == instruments
+    found = {name for name in LISTED["machines"] if inspect.isfunction(public(f"machines.{name}"))}
+    assert found == machines

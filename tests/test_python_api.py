@@ -14,6 +14,7 @@ import polars as pl
 import pytest
 
 import loopcal as lc
+from loopcal.files.mechanism_writer import mechanism_to_toml
 
 
 def two_link(x, p):
@@ -100,6 +101,44 @@ def test_every_public_name_is_typed_where_it_lives(tmp_path: Path) -> None:
 def test_importing_the_package_loads_nothing_heavy() -> None:
     code = (
         "import sys, loopcal; loopcal.__all__, dir(loopcal)\n"
-        "assert not {'numpy', 'pydantic', 'typer', 'polars'} & set(sys.modules)"
+        "assert not {'numpy', 'pydantic', 'typer', 'polars'} & set(sys.modules)\n"
+        "assert not {'loopcal.machines', 'loopcal.instruments'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_machines_are_loaded_without_what_reads_files() -> None:
+    code = (
+        "import sys, loopcal; loopcal.assemble(loopcal.machines.five_bar(passive=['phi_1']))\n"
+        "assert not {'pydantic', 'typer', 'polars', 'lxml', 'plotly'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def mechanisms_made_here() -> dict[str, lc.Mechanism]:
+    joints = [lc.Joint("q1"), lc.Joint("q2", form="hayati"), lc.Joint("q3")]
+    axes = [lc.machines.ScrewJoint(f"q{i}", (0, 1, 0), (0, 0, 0.3 * i)) for i in (1, 2)]
+    look = lc.instruments
+    two = [look.spherical("T"), look.draw_wire("w", anchor="pin"), look.sphere(centre="pin")]
+    made = {
+        "serial": lc.assemble(lc.machines.serial(joints), two, {"a_1": 0.4, "pin_x": 1.0}),
+        "exponentials": lc.assemble(lc.machines.exponentials(axes), [look.pose(), look.plane()]),
+        "planar": lc.assemble(lc.machines.planar_two_link(), [look.point(dimension=2)]),
+        "five-bar": lc.assemble(lc.machines.five_bar(passive=["phi_1", "phi_2"])),
+        "four-bar": lc.assemble(lc.machines.four_bar(), [look.point(dimension=2)], {"crank": 0.13}),
+        "hexapod": lc.assemble(lc.machines.stewart_gough(), [look.socket(), look.ball_bar()]),
+        "delta": lc.assemble(lc.machines.rotary_delta(), [look.relative_distance()]),
+    }
+    return made | {"fixed": lc.fix_redundant(made["serial"])}
+
+
+@pytest.mark.parametrize("name", mechanisms_made_here())
+def test_what_is_assembled_here_is_what_a_file_says(name: str, tmp_path: Path) -> None:
+    """Written as a mechanism file and read again, it is the same machine, bit for bit."""
+    mechanism = mechanisms_made_here()[name]
+    (tmp_path / "mechanism.toml").write_text(mechanism_to_toml(mechanism), "utf-8")
+    again = lc.read_mechanism(tmp_path / "mechanism.toml")
+    assert again.tape == mechanism.tape
+    assert again.parameters == mechanism.parameters
+    assert (again.quantities, again.outputs) == (mechanism.quantities, mechanism.outputs)
+    assert (again.implied, again.home) == (mechanism.implied, mechanism.home)

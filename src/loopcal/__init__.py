@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from loopcal import instruments, machines
     from loopcal.errors import InputError, LoopcalError
     from loopcal.estimation.calibrate import calibrate
     from loopcal.estimation.on_request import (
@@ -45,11 +46,13 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.effects.harmonics import Harmonics
     from loopcal.mechanisms.effects.model import Model
     from loopcal.mechanisms.effects.scale import Scale
+    from loopcal.mechanisms.machine import Instrument, Machine, assemble
     from loopcal.mechanisms.mechanism import Mechanism
     from loopcal.mechanisms.motoman import motoman_ma1400
     from loopcal.mechanisms.parameters import Parameter, Parameters
     from loopcal.mechanisms.planar import planar_two_link
     from loopcal.mechanisms.prior import Prior
+    from loopcal.mechanisms.redundancy import fix_redundant
     from loopcal.mechanisms.serial import Joint, serial_arm
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation, simulate
@@ -95,11 +98,13 @@ _HOME = {
     "mechanisms.effects.harmonics": ("Harmonics",),
     "mechanisms.effects.model": ("Model",),
     "mechanisms.effects.scale": ("Scale",),
+    "mechanisms.machine": ("Instrument", "Machine", "assemble"),
     "mechanisms.mechanism": ("Mechanism",),
     "mechanisms.motoman": ("motoman_ma1400",),
     "mechanisms.parameters": ("Parameter", "Parameters"),
     "mechanisms.planar": ("planar_two_link",),
     "mechanisms.prior": ("Prior",),
+    "mechanisms.redundancy": ("fix_redundant",),
     "mechanisms.serial": ("Joint", "serial_arm"),
     "simulation.poses": ("grid_poses", "random_poses"),
     "simulation.simulate": ("Simulation", "simulate"),
@@ -116,6 +121,7 @@ _HOME = {
     "statistics.repeats": ("Repeats", "repeated_readings"),
     "workflow": ("write_result",),
 }
+_NAMESPACES = ("instruments", "machines")
 _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name in names}
 
 __all__ = [
@@ -134,11 +140,13 @@ __all__ = [
     "Harmonics",
     "Identifiability",
     "InputError",
+    "Instrument",
     "Interval",
     "Joint",
     "Load",
     "LoadedData",
     "LoopcalError",
+    "Machine",
     "Mechanism",
     "MethodComparison",
     "Model",
@@ -164,6 +172,7 @@ __all__ = [
     "Validation",
     "WrittenResult",
     "__version__",
+    "assemble",
     "calibrate",
     "check",
     "compare",
@@ -174,9 +183,12 @@ __all__ = [
     "encoder_sd",
     "find_outliers",
     "findings",
+    "fix_redundant",
     "grid_poses",
+    "instruments",
     "intervals",
     "load_dataset",
+    "machines",
     "motoman_ma1400",
     "norm",
     "planar_two_link",
@@ -206,6 +218,8 @@ def __getattr__(name: str) -> Any:
         from loopcal.files.versions import version
 
         return version()
+    if name in _NAMESPACES:
+        return import_module(f"loopcal.{name}")
     if name not in _MODULE:
         raise AttributeError(f"module 'loopcal' has no attribute {name!r}")
     found = getattr(import_module(_MODULE[name]), name)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from loopcal.errors import InputError
-from loopcal.files.urdf import read_urdf
+from loopcal.files.urdf import read_urdf, urdf_machine
 from loopcal.mechanisms.origins import LinkJoint, Mimic, joint_chain
 from tests.reference.robots import CHAINS, urdf_of
 
@@ -193,3 +193,17 @@ def test_an_entity_is_never_expanded_nor_a_file_read(tmp_path):
     head = f'<!DOCTYPE robot [<!ENTITY s SYSTEM "file://{tmp_path}/secret">]>'
     with pytest.raises(InputError, match="document type"):
         read_urdf(written(tmp_path, robot(LINKS + JOINTS.replace("0 0 1", "&s;"), head)), "a", "d")
+
+
+def test_a_machine_of_a_file_is_that_of_its_joints(tmp_path):
+    path = written(tmp_path, robot(LINKS + JOINTS))
+    machine = urdf_machine(path, "a", "d")
+    assert machine.name == path.stem
+    assert dict(machine.parameters) == dict(joint_chain(read_urdf(path, "a", "d")).parameters)
+    tilted = urdf_machine(path, "a", "d", axes=True, name="Rob")
+    assert tilted.name == "Rob"
+    assert {n for n in tilted.parameters if "_axis_" in n} == {*tilted.parameters} - {
+        *machine.parameters
+    }
+    with pytest.raises(InputError, match="no link"):
+        urdf_machine(path, "a", "nowhere")

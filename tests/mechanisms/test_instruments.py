@@ -259,6 +259,21 @@ def test_what_does_not_go_together_is_refused(instruments: list[Instrument], wor
     assert refused.value.remedy
 
 
+def test_the_name_of_a_joint_is_none_of_an_instrument() -> None:
+    """tool_x of a joint called "tool" is no coordinate of a target."""
+    for mine in (point(target="q"), point(station="q")):
+        with pytest.raises(InputError, match="'q_x' is a parameter of a joint and of") as refused:
+            assemble(chain_machine([Step("tx", "q_x"), Step("rz", joint="q")], name="arm"), [mine])
+        assert "differently" in str(refused.value.remedy)
+
+
+def test_what_no_file_can_describe_is_a_function_to_it() -> None:
+    assert assemble(machine(), [point()]).description is None
+    listed = lc.machines.serial([lc.Joint("q")])
+    assert assemble(listed, [point()]).description is not None
+    assert assemble(listed, [replace(point(), description={})]).description is None
+
+
 def test_a_wire_of_no_length_is_told_what_to_do() -> None:
     at = {"a": 0.5, "h": 0.75, "wire_x": 0.5, "wire_z": 0.75, "tool_x": 0.0, "tool_y": 0.0}
     mechanism = made([draw_wire()], at | {"tool_z": 0.0})

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from analyses.instruments import HOME, SCREWS, SIX, SLIDES, Z
+from loopcal.errors import InputError
 from loopcal.expressions.engine import engine_for
 from loopcal.files.urdf import read_urdf
+from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.exponentials import exponentials
 from loopcal.mechanisms.instruments.contact import ball_bar, plane, socket, sphere
 from loopcal.mechanisms.instruments.length import distance, draw_wire, relative_distance
@@ -18,9 +20,12 @@ from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.instruments.spherical import spherical
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.origins import LinkJoint, joint_chain
+from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
 from loopcal.mechanisms.planar import planar_two_link
-from loopcal.mechanisms.redundancy import redundant, without_redundant
+from loopcal.mechanisms.redundancy import fix_redundant, redundant, without_redundant
 from loopcal.mechanisms.serial import Joint, serial_arm
+from loopcal.simulation.poses import random_poses
+from loopcal.simulation.simulate import simulate
 from tests.reference.robots import CHAINS, urdf_of
 
 ARMS = {"six": (SIX, 6, 0), "slides": (SLIDES, 3, 2)}
@@ -189,3 +194,47 @@ def test_what_nobody_reads_is_eliminated():
     assert [r.words for r in redundant(arm, unmeasured=["phi3"])] == [
         "'phi30' is fixed: it changes no reading."
     ]
+
+
+@pytest.mark.parametrize("instrument", INSTRUMENTS)
+def test_in_one_step_with_nothing_said_of_the_instrument(instrument):
+    looking, whole = INSTRUMENTS[instrument]
+    made = fix_redundant(assemble(joint_chain(SIX), [looking]))
+    assert len(made.parameters.free) == whole
+    assert len(made.remarks) == len(made.parameters) - whole
+
+
+def test_what_is_kept_stays_free_by_name_or_glob():
+    made = assemble(joint_chain(SIX), [point()])
+    assert "flange_z" not in fix_redundant(made).parameters.free
+    kept = fix_redundant(made, keep=["flange_[xyz]"]).parameters.free
+    assert {"flange_x", "flange_y", "flange_z"} < {*kept}
+    assert len(kept) == 27
+    every = fix_redundant(made, keep=["q1_*"]).parameters.free
+    assert len([n for n in every if n.startswith("q1_")]) == 6
+    with pytest.raises(InputError, match="flangs_"):
+        fix_redundant(made, keep=["flangs_*"])
+
+
+def test_a_target_that_is_meant_to_stand_on_the_last_axis():
+    """Then the tilts of that axis only move the target, which does as much by itself."""
+    made = assemble(joint_chain(SIX), [point()])
+    somewhere = {*fix_redundant(made).parameters.free}
+    meant = {*fix_redundant(made, stated=["tool_x", "tool_y"]).parameters.free}
+    held = made.with_parameters(made.parameters.with_fixed(["tool_x", "tool_y"]))
+    assert len(somewhere) - len(meant) == 2
+    assert {"tool_x", "tool_y"} < meant
+    assert len(fix_redundant(held).parameters.free) == len(meant)
+
+
+def test_a_platform_with_nothing_held_is_left_as_many_as_are_known():
+    made = assemble(stewart_gough(), [pose(target="probe")])
+    free = made.with_parameters(made.parameters.with_fixed(["*"], False))
+    spans = {"platform_x": (-0.1, 0.1), "platform_y": (-0.1, 0.1), "platform_z": (0.6, 0.8)}
+    spans |= {f"platform_r{axis}": (-0.3, 0.3) for axis in "xyz"}
+    exact = simulate(free, random_poses(spans, 40, seed=1), noise=Noise({"*": 0.0}), seed=1)
+    with pytest.raises(InputError, match="cannot stand anywhere") as refused:
+        fix_redundant(free)
+    assert "readings" in str(refused.value.remedy)
+    found = fix_redundant(free, readings=exact.quantities, unmeasured=["platform_*"])
+    assert len(found.parameters.free) == 42  # Masory, Wang and Zhuang (1993)

@@ -112,20 +112,10 @@ def _seen(
     looking: list[Instrument] = [point()]
     if model.instrument is not None:
         looking = instruments(model.instrument, machine, units, place.at("instrument"))
-    _refuse_shared_names(machine, looking, place)
-    return assemble(machine, looking)
-
-
-def _refuse_shared_names(machine: Machine, looking: Sequence[Instrument], place: Place) -> None:
-    for instrument in looking:
-        shared = set(machine.parameters) & (set(instrument.placement) | set(instrument.parameters))
-        if shared:
-            raise InputError(
-                f"{min(shared)!r} is a parameter of a joint and of the instrument "
-                f"{instrument.name!r}",
-                place=str(place.at("instrument")),
-                remedy="name the station or target of the instrument differently",
-            )
+    try:
+        return assemble(machine, looking)
+    except InputError as error:
+        raise error.at(str(place.at("instrument"))) from None
 
 
 def _three(

@@ -9,7 +9,7 @@ from loopcal.errors import InputError
 from loopcal.files.place import Place
 from loopcal.mechanisms.instruments.contact import ball_bar, plane, socket, sphere
 from loopcal.mechanisms.instruments.length import distance, draw_wire, relative_distance
-from loopcal.mechanisms.instruments.point import AXES, point
+from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.instruments.spherical import spherical
 from loopcal.mechanisms.machine import Instrument, Machine
@@ -35,7 +35,7 @@ def instruments(
         try:
             target = entry.target
             looked_at = target if isinstance(target, str) else Target(tuple(target))
-            made.append(_MAKERS[entry.type](entry, looked_at, machine))
+            made.append(MAKERS[entry.type](entry, looked_at, machine))
         except InputError as error:
             raise error.at(str(place.at(i))) from None
     return made
@@ -44,7 +44,7 @@ def instruments(
 def _point(entry: schema.PointInstrument, target: Any, machine: Machine) -> Instrument:
     return point(
         entry.name,
-        readings=entry.readings or AXES[: machine.dimension],
+        readings=entry.readings,
         station=entry.station or None,
         target=target,
         dimension=machine.dimension,
@@ -75,7 +75,7 @@ def _plainly(maker: Callable[..., Instrument]) -> Callable[..., Instrument]:
     return made
 
 
-_MAKERS: dict[str, Callable[[Any, Any, Machine], Instrument]] = {
+MAKERS: dict[str, Callable[[Any, Any, Machine], Instrument]] = {
     "point": _point,
     "pose": _pose,
     "spherical": _plainly(spherical),
@@ -87,3 +87,4 @@ _MAKERS: dict[str, Callable[[Any, Any, Machine], Instrument]] = {
     "plane": _plainly(plane),
     "socket": _plainly(socket),
 }
+"""By type, what makes the instrument of a table."""

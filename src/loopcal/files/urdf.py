@@ -14,7 +14,8 @@ from typing import Any
 from loopcal.errors import InputError, nearest
 from loopcal.files.safe_xml import at, children, local, read_xml
 from loopcal.files.toml_reader import shown
-from loopcal.mechanisms.origins import KINDS, LinkJoint, Mimic
+from loopcal.mechanisms.machine import Machine
+from loopcal.mechanisms.origins import KINDS, LinkJoint, Mimic, joint_chain
 
 _NO_URDF = "name a URDF file, as xacro or a CAD exporter writes it (of SDF or MJCF make one first)"
 _EXPAND = "expand it first (xacro robot.urdf.xacro > robot.urdf) and name the result"
@@ -29,6 +30,25 @@ def read_urdf(path: str | Path, base: str, tip: str) -> tuple[LinkJoint, ...]:
     robot = _Robot.of(read_xml(path, "robot", _NO_URDF), shown(path))
     chain = robot.chain(base, tip)
     return tuple(robot.joint(element) for element in chain)
+
+
+def urdf_machine(
+    path: str | Path, base: str, tip: str, *, axes: bool = False, name: str | None = None
+) -> Machine:
+    """The machine of the joints between two links of a robot's URDF file; the body is the tip.
+
+    T_parent_child = Tx(x) Ty(y) Tz(z) R_rpy Rz(rz) Ry(ry) Rx(rx) J(q) of each joint: parameters
+    JOINT_x, _y, _z [m], nominally the origin's xyz, and small turns JOINT_rz, _ry, _rx [rad] behind
+    its rpy; quantities the readings of the joints, by their names [rad or m]. base, tip: links,
+    one below the other; axes: whether the joints' axes have two tilts JOINT_axis_r. each, too;
+    name: by default that of the file. Not all of these parameters can be told apart: see
+    `loopcal.fix_redundant`.
+
+    Raises InputError, naming file and line, for what is no URDF, links that are not there or not
+    one below the other, and joints that cannot be calibrated.
+    """
+    joints = read_urdf(path, base, tip)
+    return joint_chain(joints, axes=axes, name=name or Path(path).stem)
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,11 @@ def exponentials(
     """The machine T = exp([S_1] q_1) ... exp([S_n] q_n) M, joints from the base to the tip.
 
     home: the tool's frame M with all joints at zero, xyz [m] and roll, pitch, yaw [rad].
+    Quantities: the joints' readings by their names [rad or m]; parameters, nominally 0: where each
+    axis lies, two shifts [m] (of a prismatic joint none) and two tilts [rad] normal to it, NAME_x,
+    NAME_y, NAME_rx, NAME_ry of one along z.
 
+    Source: Brockett (1984); Lynch and Park (2017), chapter 4.
     Raises InputError for a machine without joints, or with two joints of one name.
     """
     joints = tuple(joints)

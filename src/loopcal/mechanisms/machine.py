@@ -34,7 +34,7 @@ class Machine:
     search for them begins; known: constants that vary by pose; dimension: 2 for a machine that
     moves in the plane z = 0; gauge: parameters that only say where its frames lie; chain: the
     steps from the base to the body, where it is a serial arm; description: what a mechanism file
-    says to build it.
+    says to build it, empty where none can.
     """
 
     name: str
@@ -62,8 +62,10 @@ class Instrument:
     machine is moved; parameters: the others (reflector, anchor, length); known: constants that
     vary by pose; orientation: which of them are a measured orientation; implied: readings that
     are the same in every pose by construction, such as the gap between a ball and its socket;
-    form: what the readings are together, see `Family`; dimension: that of the machines it can
-    look at, 2 or 3; remedy: what to do where its loops cannot be evaluated.
+    form: what the readings are together, "point", "spherical", "polar", "pose", "length", "angle",
+    "gap" (of things that touch) or a word of its own; dimension: that of the machines it can look
+    at, 2 or 3; remedy: what to do where its loops cannot be evaluated; description: what a
+    mechanism file says of it, empty where none can.
     """
 
     name: str
@@ -152,12 +154,21 @@ def assemble(
         orientations=tuple(i.orientation for i in instruments if i.orientation),
         chain=machine.chain,
         placement=instruments[0].place if len(instruments) == 1 else None,
-        description={
-            **machine.description,
-            "instrument": [i.description for i in instruments],
-            "held": sorted(without_effect),
-        },
+        description=_description(machine, instruments, without_effect),
     )
+
+
+def _description(
+    machine: Machine, instruments: Sequence[Instrument], held_now: set[str]
+) -> dict[str, Any] | None:
+    """What a mechanism file says of them; None where one of them is a user's own."""
+    if not machine.description or not all(i.description for i in instruments):
+        return None
+    return {
+        **machine.description,
+        "instrument": [i.description for i in instruments],
+        "held": sorted(held_now),
+    }
 
 
 def _families(machine: Machine, instruments: Sequence[Instrument], ends: int) -> Iterable[Family]:
@@ -200,6 +211,12 @@ def _refuse_misfits(machine: Machine, instruments: Sequence[Instrument]) -> None
                 f"the instrument {i.name!r} looks at machines in {i.dimension} dimensions, and "
                 f"{machine.name!r} moves in {machine.dimension}",
                 remedy=f"make it for {machine.dimension} dimensions",
+            )
+        own = {*i.placement, *i.parameters}
+        if machine.chain and (shared := own & set(machine.parameters)):
+            raise InputError(
+                f"{min(shared)!r} is a parameter of a joint and of the instrument {i.name!r}",
+                remedy="name the station or target of the instrument differently",
             )
     on_bodies = {*machine.parameters, *(n for i in instruments for n in i.parameters)}
     for i in instruments:

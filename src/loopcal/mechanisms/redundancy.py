@@ -15,15 +15,17 @@ Khalil and Gautier (1991) choose base parameters thus, by a QR decomposition; fo
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.errors import InputError
 from loopcal.expressions.engine import engine_for
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.mechanisms.sampling import Sample, samples
+from loopcal.mechanisms.station import Station
 
 Array = NDArray[np.float64]
 ALIKE = 5e-5
@@ -55,6 +57,61 @@ class Redundant:
             return f"{self.parameter!r} is fixed: it does to the readings what {named[0]} does."
         together = f"{', '.join(named[:-1])} and {named[-1]}"
         return f"{self.parameter!r} is fixed: it does to the readings what {together} do together."
+
+
+def fix_redundant(
+    mechanism: Mechanism,
+    *,
+    keep: Sequence[str] = (),
+    stated: Iterable[str] | None = None,
+    readings: Mapping[str, Array] | None = None,
+    unmeasured: Sequence[str] = (),
+) -> Mechanism:
+    """The mechanism with those parameters fixed that no readings could tell from others.
+
+    What stays free is determined by readings in enough poses; `remarks` say why each of the
+    others is fixed. Gone through are first those in `keep` (names or globs), which stay free in any
+    case, then of an arm its instruments' parameters, then the joints' from base to tip; one is
+    fixed where it does to the readings what those before it do together. Parameters with a prior
+    sd are left free. It is decided at the nominal values, at random poses within the joints'
+    limits. A value of 0 of an arm's instruments is taken to mean that nobody knows it, as that of
+    a target, and moved off; stated: names of those that are meant (default: all but what is free
+    and 0; where a station stands never matters).
+
+    Where readings must fit each other, as those of parallel machines, give them, quantity -> (N,)
+    [SI], say those of a `Simulation`; unmeasured: names or globs of quantities that nobody reads.
+
+    Raises InputError for such a machine without readings, and for names that are not there.
+    Source: Khalil and Gautier (1991).
+    """
+    if mechanism.home and readings is None:
+        raise InputError(
+            f"the quantities of {mechanism.name!r} cannot stand anywhere: its loops tie them",
+            remedy="give readings that fit each other, say readings=simulate(...).quantities",
+        )
+    kept = [name for key in keep for name in mechanism.parameters.matching(key)]
+    chain = {step.parameter for step in mechanism.chain}
+    beyond = {n for names in mechanism.effects.values() for n in names}
+    names = mechanism.parameters.names if chain else ()
+    own = [n for n in names if n not in chain and n not in beyond]
+    if stated is None:
+        stated = [p.name for p in mechanism.parameters if p.fixed or p.nominal != 0.0]
+    believed = {*stated, *(n for f in mechanism.families for n in _station(f))}
+    joints = (mechanism.description or {}).get("joints", [])
+    limits = {j.name: getattr(j, "limits", None) for j in joints}
+    found = redundant(
+        mechanism,
+        ranges={name: span for name, span in limits.items() if span is not None},
+        first=[*kept, *own],
+        unsure=[n for n in own if n not in believed],
+        readings=readings,
+        unmeasured=[q for key in unmeasured for q in mechanism.quantity_group(key)],
+    )
+    return without_redundant(mechanism, found, but=kept)
+
+
+def _station(family: Family) -> tuple[str, ...]:
+    return family.placement.parameters if isinstance(family.placement, Station) else ()
 
 
 def redundant(

@@ -158,8 +158,14 @@ def chain_machine(
 
 
 def serial_machine(joints: Sequence[Joint], *, name: str = "serial arm") -> Machine:
-    """A serial arm without any instrument; joints from the base to the tip.
+    """A serial arm without any instrument; joints from the base to the tip, the body is the last.
 
+    T_base_body = T_1 ... T_n, the T_i in the forms of the joints (see `Joint`). Quantities: the
+    joints' readings by their names [rad or m]; parameters, nominally 0, by number from 1: a_i,
+    d_i [m], alpha_i, offset_i [rad] ("hayati": beta_i in place of d_i; transitions, from 0: two of
+    x0, y0, z0 and of phix0, phiy0, phiz0).
+
+    Sources: Denavit and Hartenberg (1955); Craig (1986); Hayati and Mirmirani (1985).
     Raises InputError for an arm without joints, or with two joints of one name.
     """
     joints = tuple(joints)

@@ -16,7 +16,7 @@ AXES = ("x", "y", "z")
 def point(
     name: str = "point",
     *,
-    readings: Sequence[str] = AXES,
+    readings: Sequence[str] | None = None,
     station: str | None = "base",
     target: str | Target = "tool",
     dimension: int = 3,
@@ -24,16 +24,17 @@ def point(
     """Cartesian coordinates of a target in the frame of a station.
 
     Loops: T_station_base T_base_body p_target - (x, y, z) = 0 [m], in a plane x and y alone.
-    readings: names of the coordinates; station: name of the station, whose six parameters
-    (three in a plane) are STATION_x ... STATION_rx, None where coordinates are those of the
-    machine's base; target: the point fixed to the body, by its name (parameters TARGET_x, _y, _z)
-    or as a `Target`.
+    readings: names of the coordinates, by default x, y and z; station: name of the station, whose
+    six parameters (three in a plane) are STATION_x ... STATION_rx, None where coordinates are those
+    of the machine's base; target: the point fixed to the body, by its name (parameters TARGET_x,
+    _y, _z) or as a `Target`.
 
     Raises InputError for a number of coordinates that is not the dimension.
     """
-    if len(readings) != dimension:
+    own = tuple(AXES[:dimension] if readings is None else readings)
+    if len(own) != dimension:
         raise InputError(
-            f"the instrument {name!r} reads {len(readings)} coordinates of a point in a space of "
+            f"the instrument {name!r} reads {len(own)} coordinates of a point in a space of "
             f"{dimension}",
             remedy=f"name {dimension} coordinates",
         )
@@ -42,11 +43,11 @@ def point(
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         seen = stands.seen(frames[0].point(looked_at.point(p)), p)
-        return [seen[i] - x[reading] for i, reading in enumerate(readings)]
+        return [seen[i] - x[reading] for i, reading in enumerate(own)]
 
     return Instrument(
         name,
-        dict.fromkeys(readings, "m"),
+        dict.fromkeys(own, "m"),
         looked_at.declared,
         equations,
         "point",
@@ -56,7 +57,7 @@ def point(
         description={
             "type": "point",
             "name": name,
-            "readings": list(readings),
+            "readings": list(own),
             "station": station or False,
             "target": target if isinstance(target, str) else list(target.parameters),
         },

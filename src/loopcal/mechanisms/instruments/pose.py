@@ -10,7 +10,7 @@ from loopcal.expressions.vectors import cross, dot, vector
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.frame import ChainFrame, Frame, Values
 from loopcal.mechanisms.instruments.orientation import Orientation
-from loopcal.mechanisms.instruments.point import AXES, point
+from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.spherical import turn_between
 from loopcal.mechanisms.machine import Instrument
 from loopcal.mechanisms.parameters import Parameter
@@ -39,16 +39,17 @@ def pose(
     the measured frame, and zero nowhere else (unlike vee(M - M^T) / 2, which is zero at half a
     turn too). R_pred = R_station_base R_base_body R_body_target.
 
-    turns: names of w, by default NAME_wx, NAME_wy, NAME_wz; orientation and columns: how the
-    measured orientation is written and the names of its numbers, see `Orientation`; target: name
-    of the frame, which lies in the body by six parameters TARGET_x, _y, _z and TARGET_rz, _ry,
-    _rx (Rz Ry Rx), or an empty `Target` for the body's own frame. In a plane x, y and one angle
-    NAME_phi, a reading like others, and TARGET_x, _y, _rz.
+    turns: names of w, by default NAME_wx, NAME_wy, NAME_wz; orientation: how the measured one is
+    written, "quaternion" (of any length but zero), "rotation-vector" (axis times angle) or three
+    turns about moving axes, as "rz ry rx" for Rz Ry Rx; columns: names of its numbers, by default
+    qw, qx, qy, qz, or rvx, rvy, rvz, or those of the turns. target: name of the frame, which lies
+    in the body by six parameters TARGET_x, _y, _z and TARGET_rz, _ry, _rx (Rz Ry Rx), or an empty
+    `Target` for the body's own frame. In a plane x, y and one angle NAME_phi, a reading like
+    others, and TARGET_x, _y, _rz.
 
     Raises InputError for numbers of names that do not fit.
     """
-    own = tuple(AXES[:dimension] if readings is None else readings)
-    position = point(name, readings=own, station=station, target=target, dimension=dimension)
+    position = point(name, readings=readings, station=station, target=target, dimension=dimension)
     suffixes = ("phi",) if dimension == 2 else ("wx", "wy", "wz")
     angles = tuple(f"{name}_{s}" for s in suffixes) if turns is None else tuple(turns)
     if len(angles) != len(suffixes):
