@@ -25,7 +25,9 @@ def test_a_measured_orientation_does_not_help_to_predict_where_a_platform_is() -
     machine = assemble(stewart_gough(), [pose()])
     far = {"base_x": 2.4, "base_rz": 1.1, "b2_x": machine.parameters["b2_x"].nominal + 5e-4}
     made = simulate(machine, random_poses(PLACES, 40, seed=1), noise=NOISE, seed=1, truth=far)
-    gauge = machine.with_parameters(machine.parameters.with_fixed(["[ab]?_[xyz]", "leg_*", "tool_*"]))
+    gauge = machine.with_parameters(
+        machine.parameters.with_fixed(["[ab]?_[xyz]", "leg_*", "tool_*"])
+    )
     result = calibrate(gauge, made.dataset, noise=NOISE)
     before = result.accuracy_before
     assert before is not None

@@ -132,15 +132,14 @@ def test_poses_left_out_are_counted() -> None:
     assert "on 38 of 40 poses" in summary(fitted)
 
 
-def test_accuracy_is_of_distances_over_poses_that_have_both_points() -> None:
-    differences = np.array([[3.0, 0.0, np.nan, 0.0], [4.0, 1.0, 1.0, 0.0]])
-    accuracy = Accuracy.of(differences, "m")
+def test_accuracy_is_of_distances_where_both_points_are_there() -> None:
+    accuracy = Accuracy.of(np.array([5.0, 1.0, np.nan, 0.0]), "m")
     assert accuracy is not None
     assert accuracy.poses == 3
     assert (accuracy.mean, accuracy.max) == (2.0, 5.0)
     assert accuracy.rms == pytest.approx((26 / 3) ** 0.5)
     assert accuracy.p95 == pytest.approx(np.percentile([5.0, 1.0, 0.0], 95))
-    assert Accuracy.of(np.full((2, 3), np.nan), "m") is None
+    assert Accuracy.of(np.full(3, np.nan), "m") is None
 
 
 def test_columns_line_up() -> None:
