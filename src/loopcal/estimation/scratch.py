@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import threading
-from contextlib import AbstractContextManager
+from collections.abc import Generator
+from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 
 import numpy as np
@@ -27,12 +28,43 @@ def scratch(name: str, *shape: int) -> NDArray[np.float64]:
     return buffer[:size].reshape(shape)
 
 
+class _Blas:
+    """The limit on the threads of linear algebra, which is one for all threads of a process."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.holders = 0
+        self.limit = ExitStack()
+
+    def hold(self) -> None:
+        with self.lock:
+            if not self.holders:
+                self.limit.enter_context(_controller().limit(limits=1, user_api="blas"))
+            self.holders += 1
+
+    def release(self) -> None:
+        with self.lock:
+            self.holders -= 1
+            if not self.holders:
+                self.limit.close()
+
+
 @lru_cache(maxsize=1)
-def _blas() -> ThreadpoolController:
+def _controller() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def one_blas_thread() -> AbstractContextManager[object]:
-    """Linear algebra on one thread: two double the processor time of small blocks for no gain."""
-    limit: AbstractContextManager[object] = _blas().limit(limits=1, user_api="blas")
-    return limit
+_blas = _Blas()
+
+
+@contextmanager
+def one_blas_thread() -> Generator[None, None, None]:
+    """Linear algebra on one thread: two double the processor time of small blocks for no gain.
+
+    Several threads may hold it at once; the last to leave lifts the limit.
+    """
+    _blas.hold()
+    try:
+        yield
+    finally:
+        _blas.release()
