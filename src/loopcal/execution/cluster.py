@@ -58,7 +58,7 @@ class Cluster(Executor):
             for address, worker in found["workers"].items():
                 packages = dict(worker["packages"])
                 packages["python"] = _minor(packages["python"])
-                _check(packages, f"the worker {address}")
+                _check(packages, versions(), f"the worker {address}")
             threads = sum(client.nthreads().values())
             return (
                 f"{len(found['workers'])} workers with {threads} threads at {self._name}"
@@ -93,9 +93,8 @@ def _minor(python: str) -> str:
     return ".".join(python.split(".")[:2])
 
 
-def _check(there: Mapping[str, str | None], who: str, here: Mapping[str, str] | None = None) -> None:
-    """The same versions give the same numbers, and others may not even understand each other."""
-    here = here or versions()
+def _check(there: Mapping[str, str | None], here: Mapping[str, str], who: str) -> None:
+    """The same versions give the same numbers; others may not even understand each other."""
     missing = [name for name in here if there.get(name) is None]
     if missing:
         raise InputError(f"{who} has no {', '.join(missing)}", remedy=_REMEDY)
@@ -104,7 +103,7 @@ def _check(there: Mapping[str, str | None], who: str, here: Mapping[str, str] | 
         raise InputError(
             f"{who} has "
             + ", ".join(f"{name} {there[name]}" for name in other)
-            + ", and here are "
+            + ", and here is "
             + ", ".join(f"{name} {here[name]}" for name in other),
             remedy=_REMEDY,
         )
@@ -125,7 +124,7 @@ class _Job:
 
     @cached_property
     def opened(self) -> tuple[Any, Any, Sequence[Any]]:
-        _check(versions(), "a worker", self.made_by)
+        _check(versions(), self.made_by, "a worker")
         opened: tuple[Any, Any, Sequence[Any]] = pickle.loads(self.sealed)
         return opened
 
@@ -200,7 +199,7 @@ def _outcomes(client: Any, job: _Job, count: int) -> Generator[Done[Any], None, 
 def _failure(status: str, outcome: Any) -> BaseException:
     """What it means that a piece has no outcome."""
     distributed = _distributed()
-    error = outcome[1] if status == "error" else outcome
+    error: BaseException = outcome[1] if status == "error" else outcome
     if isinstance(error, distributed.KilledWorker):
         return InputError(
             f"a piece of the work ended all of the {error.allowed_failures + 1} workers that "

@@ -47,7 +47,7 @@ class Executor(ABC):
     def run(
         self, work: Callable[[Shared, Piece], Value], shared: Shared, pieces: Sequence[Piece]
     ) -> Generator[Done[Value], None, None]:
-        """What became of work(shared, piece) for every piece, each once, in the order of completion.
+        """What became of work(shared, piece) for every piece, once, in the order of completion.
 
         work: a function at the top of a module, and no clock, disk or random number that is not
         in what it is given; shared goes to every worker once. All of them can be pickled.
@@ -55,7 +55,7 @@ class Executor(ABC):
         """
 
     def ready(self) -> str:
-        """Where pieces will be done, in words; raises what `run` would, before there is any work."""
+        """Where pieces will be done, in words; raises what `run` would, before any work."""
         return "in this process"
 
 

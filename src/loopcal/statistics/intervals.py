@@ -80,11 +80,11 @@ def intervals(
     patterns = [patterns] if isinstance(patterns, str) else list(patterns)
     everything = result.mechanism.parameters.names
     wanted = {n for p in patterns for n in matching(p, everything, "parameter")}
-    plain = {name: covariance_interval(result, name, level) for name in everything if name in wanted}
+    plain = {
+        name: covariance_interval(result, name, level) for name in everything if name in wanted
+    }
     profiled = {name: interval for name, interval in plain.items() if interval is not None}
-    found = gathered(
-        executor, _profiled, _Optimum.of(result, level), [*profiled.items()], progress
-    )
+    found = gathered(executor, _profiled, _Optimum.of(result, level), [*profiled.items()], progress)
     return MappingProxyType({**plain, **dict(zip(profiled, found, strict=True))})
 
 
