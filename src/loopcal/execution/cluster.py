@@ -1,21 +1,22 @@
 """Work on a cluster, by dask.distributed: the user brings the scheduler, we bring the pieces.
 
-What all pieces share is a task of the scheduler's graph, not scattered data: it is sent once, the
-workers pass it on among themselves, and if all of them that held it are lost the scheduler has it
-still. The graph is made of functions of the standard library and of bytes, so that a scheduler
-need not have loopcal; workers must, in our versions.
+What all pieces share is a task of the graph, not scattered data: it is sent once, the workers pass
+it on among themselves, and if all that held it are lost the scheduler has it still. The graph is
+made of functions of the standard library and of bytes, which no worker unpacks before its own
+piece: what has no loopcal, or another one, can pass it on, and says so when its turn comes.
 """
 
 from __future__ import annotations
 
+import logging
 import operator
 import pickle
 import warnings
-from asyncio import CancelledError
 from collections.abc import Callable, Generator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from importlib.metadata import version
 from platform import python_version
 from types import ModuleType
@@ -47,9 +48,9 @@ class Cluster(Executor):
         Raises UsageError without the extra `cluster`, InputError where no scheduler answers, it is
         lost, a worker has not our versions, or one piece ended several workers.
         """
-        job = _Job(versions(), pickle.dumps((work, shared, pieces)))
+        sealed = pickle.dumps((work, shared, pieces))
         with self._client() as client:
-            yield from _outcomes(client, job, len(pieces))
+            yield from _outcomes(client, sealed, len(pieces))
 
     def ready(self) -> str:
         """How many workers there are, all of them having our versions."""
@@ -72,11 +73,15 @@ class Cluster(Executor):
 
     @contextmanager
     def _client(self) -> Generator[Any, None, None]:
+        log = logging.getLogger("distributed.client")
+        level = log.level
         client = _connected(self.address, self._name)
+        log.setLevel(logging.CRITICAL)  # that the scheduler was lost is for us to say
         try:
             yield client
         finally:
             client.close()
+            log.setLevel(level)
 
 
 def versions() -> dict[str, str]:
@@ -113,27 +118,18 @@ _REMEDY = "give workers and this process the same environment (versions of " + "
 _REMEDY += " and Python)"
 
 
-class _Job:
-    """Work and its pieces on the way to a worker, which opens them if it has the same versions."""
+@dataclass(frozen=True)
+class _Opening:
+    """Opens a sealed job at a worker of the same versions, and does a piece of it."""
 
-    def __init__(self, made_by: Mapping[str, str], sealed: bytes) -> None:
-        self.made_by, self.sealed = made_by, sealed
+    made_by: Mapping[str, str]
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.made_by, self.sealed)
-
-    @cached_property
-    def opened(self) -> tuple[Any, Any, Sequence[Any]]:
-        _check(versions(), self.made_by, "a worker")
-        opened: tuple[Any, Any, Sequence[Any]] = pickle.loads(self.sealed)
-        return opened
-
-    def __call__(self, number: int) -> Done[Any]:
-        """Do the piece of this number."""
+    def __call__(self, sealed: bytes, number: int) -> Done[Any]:
         try:
-            work, shared, pieces = self.opened
+            _check(versions(), self.made_by, "a worker")
         except InputError as error:
             return Done(number, error)
+        work, shared, pieces = pickle.loads(sealed)
         return done(work, shared, pieces[number], number)
 
 
@@ -176,30 +172,30 @@ def _connected(address: Any, name: str) -> Any:
         ) from None
 
 
-def _outcomes(client: Any, job: _Job, count: int) -> Generator[Done[Any], None, None]:
+def _outcomes(client: Any, sealed: bytes, count: int) -> Generator[Done[Any], None, None]:
     distributed = _distributed()
     name = f"loopcal-{uuid4().hex}"
+    job = f"{name}-job"
+    opening = (pickle.loads, pickle.dumps(_Opening(versions())))
+    # keys of one group are spread over all workers, not kept where the job is
+    graph: dict[Any, Any] = {(name, n): (operator.call, opening, job, n) for n in range(count)}
+    graph[job] = (bytes, bytearray(sealed))  # Dask takes long over bytes
     with warnings.catch_warnings():
-        # it is sent once, and it must be kept where no worker can lose it
+        # it is sent once, and kept where no lost worker can take it along
         warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
-        shared = client.submit(pickle.loads, pickle.dumps(job), key=name)
-    keys = [f"{name}-{number}" for number in range(count)]
-    futures = client.map(operator.call, [shared] * count, range(count), key=keys)
-    del shared
-    finished = distributed.as_completed(
-        futures, loop=client.loop, with_results=True, raise_errors=False
-    )
-    for future, outcome in finished:
-        if not isinstance(outcome, Done):
-            raise _failure(future.status, outcome)
+        futures = client.get(graph, [*graph][:count], sync=False)
+    for future in distributed.as_completed(futures, loop=client.loop):
+        try:
+            outcome: Done[Any] = future.result()
+        except Exception as error:
+            raise _failure(error) from None
         future.release()
         yield outcome
 
 
-def _failure(status: str, outcome: Any) -> BaseException:
+def _failure(error: BaseException) -> BaseException:
     """What it means that a piece has no outcome."""
     distributed = _distributed()
-    error: BaseException = outcome[1] if status == "error" else outcome
     if isinstance(error, distributed.KilledWorker):
         return InputError(
             f"a piece of the work ended all of the {error.allowed_failures + 1} workers that "
@@ -209,7 +205,7 @@ def _failure(status: str, outcome: Any) -> BaseException:
         )
     if isinstance(error, ModuleNotFoundError) and str(error.name).startswith("loopcal"):
         return InputError("a worker has no loopcal of this version", remedy=_REMEDY)
-    if isinstance(error, CancelledError):
+    if isinstance(error, CancelledError | OSError):
         return InputError(
             "the connection to the scheduler was lost",
             remedy="see whether it still runs, and begin again; a study goes on where it was",

@@ -1,0 +1,123 @@
+"""Executors give the same outcomes, each once, whoever does the work and in whatever order."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info
+
+import loopcal as lc
+from loopcal.errors import InputError, UsageError
+from loopcal.estimation.scratch import one_blas_thread
+from loopcal.execution.executor import Done, Executor, InProcess, done, gathered
+from loopcal.execution.local import Processes, Threads
+from tests.execution import pieces
+from tests.reference.simulated import planar_arm
+
+LOCAL = [InProcess(), Threads(1), Threads(2), Processes(1), Processes(2)]
+
+
+@dataclass(frozen=True)
+class Backwards(Executor):
+    """Does the last piece first."""
+
+    def run(
+        self, work: Callable[[Any, Any], Any], shared: Any, pieces: Sequence[Any]
+    ) -> Generator[Done[Any], None, None]:
+        for number in reversed(range(len(pieces))):
+            yield done(work, shared, pieces[number], number)
+
+
+@pytest.mark.parametrize("executor", [None, *LOCAL, Backwards()], ids=str)
+def test_values_come_in_the_order_of_the_pieces_and_each_is_counted(
+    executor: Executor | None,
+) -> None:
+    told: list[tuple[int, int]] = []
+    found = gathered(executor, pieces.scaled, 0.1, list(range(20)), lambda *seen: told.append(seen))
+    assert found == [0.1 * piece for piece in range(20)]
+    assert told == [(i + 1, 20) for i in range(20)]
+
+
+@pytest.mark.parametrize("executor", [*LOCAL, Backwards()], ids=str)
+def test_there_may_be_no_pieces(executor: Executor) -> None:
+    assert gathered(executor, pieces.scaled, 1.0, []) == []
+
+
+@pytest.mark.parametrize("executor", [*LOCAL, Backwards()], ids=str)
+def test_the_first_error_is_told_whichever_happened_first(executor: Executor) -> None:
+    with pytest.raises(InputError, match=r"^here: 3 is odd"):
+        gathered(executor, pieces.odd_refused, "here", [0, 2, 3, 4, 5, 7])
+
+
+@pytest.mark.parametrize("executor", LOCAL, ids=str)
+def test_a_fault_of_ours_stays_one(executor: Executor) -> None:
+    with pytest.raises(ZeroDivisionError):
+        gathered(executor, pieces.faulty, None, [1, 2])
+
+
+@pytest.mark.parametrize("executor", LOCAL, ids=str)
+def test_work_may_be_left_before_its_end(executor: Executor) -> None:
+    before = threading.active_count()
+    with closing(executor.run(pieces.scaled, 1.0, range(50))) as finished:
+        first = next(finished)
+    assert first.value == first.number
+    assert threading.active_count() == before
+
+
+def test_a_process_that_dies_is_a_message() -> None:
+    with pytest.raises(InputError, match="a worker ended"):
+        gathered(Processes(2), pieces.killing, None, [1, 2])
+
+
+@pytest.mark.parametrize("kind", [Processes, Threads])
+def test_workers_are_counted_from_1(kind: type[Processes] | type[Threads]) -> None:
+    with pytest.raises(UsageError, match="0 workers"):
+        kind(0)
+
+
+def test_threads_share_the_limit_on_linear_algebra() -> None:
+    def limits() -> list[int]:
+        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+    before = limits()
+    assert gathered(Threads(2), pieces.blas_threads, None, list(range(8))) == [1] * 8
+    assert limits() == before
+    with one_blas_thread():
+        with one_blas_thread():
+            pass
+        assert max(limits()) == 1  # the inner one does not lift what the outer one holds
+    assert limits() == before
+
+
+ARM = planar_arm(30)
+SDS = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3}
+DATA = ARM.read(SDS, seed=3)
+
+
+@pytest.mark.parametrize("executor", [Threads(2), Processes(2), Backwards()], ids=str)
+def test_validation_is_the_same_to_the_bit(executor: Executor) -> None:
+    how: dict[str, Any] = {"noise": lc.Noise(SDS), "folds": 5}
+    here = lc.validate(ARM.truth, DATA, **how)
+    found = lc.validate(ARM.truth, DATA, executor=executor, **how)
+    assert found.accuracy == here.accuracy
+    assert found.log_likelihood == here.log_likelihood
+    np.testing.assert_array_equal(found.distances, here.distances)
+    np.testing.assert_array_equal(found.by_pose, here.by_pose)
+
+
+@pytest.mark.parametrize("method", ["implicit-loop", "least-squares"])
+def test_profiles_are_the_same_to_the_bit(method: str) -> None:
+    noise = None if method == "least-squares" else lc.Noise(SDS)
+    result = lc.calibrate(ARM.truth, DATA, noise=noise, method=method)
+    here = lc.intervals(result)
+    assert None not in here.values()
+    for executor in (Threads(2), Backwards()):
+        assert lc.intervals(result, executor=executor) == here
+    some = lc.intervals(result, ["l?"], executor=Processes(2))
+    assert some == {name: here[name] for name in ("l2", "l3")}
