@@ -1,0 +1,142 @@
+"""When it pays to share work out: here, by threads, by processes, on a local Dask cluster.
+
+Two workers each, for validations of ten folds over the number of poses (six-axis arm), and for a
+study over the number of draws. Whoever does the work, the values must be equal to the bit, and are
+compared before a time is told.
+
+    python benchmarks/sharing.py [--poses N ...] [--draws N ...] [--rounds N] [--document]
+
+`--document` writes the tables into docs/how-to/clusters.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+from machine import this_machine
+from report import write_into
+from six_axis import six_axis
+
+from loopcal import Cluster, Processes, Threads, calibrate, validate
+from loopcal.execution.executor import Executor, InProcess
+from loopcal.studies.run import run_study
+
+WORKERS = 2
+DOCUMENT = Path(__file__).parent.parent / "docs" / "how-to" / "clusters.md"
+STUDY = Path(__file__).parent.parent / "examples" / "seed" / "study.toml"
+
+
+def main() -> None:
+    """Measure, print, and write where asked."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--poses", type=int, nargs="+", default=[100, 1_000, 10_000])
+    parser.add_argument("--draws", type=int, nargs="+", default=[10, 100])
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--document", action="store_true")
+    asked = parser.parse_args()
+    texts = [f"Measured {this_machine()}."]
+    with local_cluster() as address:
+        who = {
+            "in process": InProcess(),
+            f"{WORKERS} threads": Threads(WORKERS),
+            f"{WORKERS} processes": Processes(WORKERS),
+            f"cluster of {WORKERS}": Cluster(address),
+        }
+        rows = [
+            [f"validation, 10 folds of {poses:,} poses", *measured(who, folds(poses), asked.rounds)]
+            for poses in asked.poses
+        ]
+        rows += [
+            [f"study, {draws:,} draws", *measured(who, study(draws), asked.rounds)]
+            for draws in asked.draws
+        ]
+    lines = [["work [s]", *who], ["---", *["---:"] * len(who)], *rows]
+    texts.append("\n".join(f"| {' | '.join(line)} |" for line in lines))
+    print("\n\n".join(texts))
+    if asked.document:
+        write_into(DOCUMENT, "\n\n".join(texts))
+
+
+def measured(who: dict[str, Executor], work: Callable[[Executor], Any], rounds: int) -> list[str]:
+    """Median seconds of each executor, in turns."""
+    times: dict[str, list[float]] = {name: [] for name in who}
+    values: list[Any] = []
+    for _ in range(rounds):
+        for name, executor in who.items():
+            begun = time.perf_counter()
+            values.append(work(executor))
+            times[name].append(time.perf_counter() - begun)
+    assert all(np.array_equal(value, values[0]) for value in values), "the values differ"
+    return [f"{median(spent):.2f}" for spent in times.values()]
+
+
+def folds(poses: int) -> Callable[[Executor], Any]:
+    """A validation of so many poses; the fit of all is not part of it."""
+    problem = six_axis(poses)
+    data, noise = problem.dataset, problem.noise
+    full = calibrate(problem.mechanism, data, noise=noise)
+
+    def work(executor: Executor) -> Any:
+        found = validate(problem.mechanism, data, noise=noise, full=full, executor=executor)
+        return found.distances
+
+    return work
+
+
+def study(draws: int) -> Callable[[Executor], Any]:
+    """The seed's scenarios, so many draws of each."""
+
+    def work(executor: Executor) -> Any:
+        with tempfile.TemporaryDirectory() as folder:
+            done = run_study(STUDY, draws=draws, executor=executor, out=Path(folder) / "out")
+        return done.text
+
+    return work
+
+
+@contextmanager
+def local_cluster() -> Iterator[str]:
+    """The address of a scheduler with so many workers of one thread, processes of their own."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scheduler.json"
+        plain = ["--no-dashboard", "--scheduler-file", str(file)]
+        alone = ["--no-nanny", "--nthreads", "1", "--local-directory", folder]
+        started = [
+            _dask("dask_scheduler", "--host", "127.0.0.1", "--port", "0", *plain),
+            *(_dask("dask_worker", *alone, *plain) for _ in range(WORKERS)),
+        ]
+        try:
+            import distributed
+
+            while not file.exists():
+                time.sleep(0.05)
+            with distributed.Client(scheduler_file=str(file), set_as_default=False) as client:
+                client.wait_for_workers(WORKERS)
+                address: str = client.scheduler.address
+            yield address
+        finally:
+            for process in started:
+                process.kill()
+                process.wait()
+
+
+def _dask(program: str, *arguments: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-m", f"distributed.cli.{program}", *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+if __name__ == "__main__":
+    main()
