@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import pickle
 import threading
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,9 @@ from loopcal.errors import InputError, UsageError
 from loopcal.estimation.scratch import one_blas_thread
 from loopcal.execution.executor import Done, Executor, InProcess, done, gathered
 from loopcal.execution.local import Processes, Threads
+from loopcal.files.new_project import write_new_project
+from loopcal.files.templates import TEMPLATES
+from loopcal.workflow import run_calibration
 from tests.execution import pieces
 from tests.reference.simulated import planar_arm
 
@@ -121,3 +126,49 @@ def test_profiles_are_the_same_to_the_bit(method: str) -> None:
         assert lc.intervals(result, executor=executor) == here
     some = lc.intervals(result, ["l?"], executor=Processes(2))
     assert some == {name: here[name] for name in ("l2", "l3")}
+
+
+def test_a_calibration_is_the_same_whoever_does_its_pieces(tmp_path: Path) -> None:
+    project = Path(__file__).resolve().parents[2] / "examples" / "planar" / "project.toml"
+    told: list[tuple[str, int, int]] = []
+
+    def calibrated(name: str, executor: Executor | None) -> Mapping[str, Any]:
+        done = run_calibration(
+            project,
+            out=tmp_path / name,
+            folds=5,
+            profile=["l?"],
+            executor=executor,
+            pieces=lambda *seen: told.append(seen),
+        )
+        return done.written.document
+
+    assert calibrated("there", Backwards()) == calibrated("here", None)
+    once = [("folds", i + 1, 5) for i in range(5)] + [("intervals", i + 1, 2) for i in range(2)]
+    assert told == once + once
+    with pytest.raises(UsageError, match="nothing else is asked for"):
+        run_calibration(project, out=tmp_path / "alone", executor=Threads(2))
+
+
+def test_compared_models_are_the_same_whoever_fits_them() -> None:
+    arm = lc.planar_two_link().with_nominal({"l2": 0.8})
+    models = {"loose": lc.Model()}
+    how: dict[str, Any] = {"noise": lc.Noise(SDS), "folds": 3}
+    found = [
+        lc.compare_models(arm, DATA, models, executor=executor, **how)
+        for executor in (InProcess(), Backwards())
+    ]
+    first, second = ([m.validation for m in one.models] for one in found)
+    for a, b in zip(first, second, strict=True):
+        assert a is not None
+        assert b is not None
+        assert a.log_likelihood == b.log_likelihood
+
+
+@pytest.mark.parametrize("kind", [kind for kind in TEMPLATES if kind != "function"])
+def test_every_machine_can_travel(kind: str, tmp_path: Path) -> None:
+    write_new_project(tmp_path / kind, kind)
+    mechanism = lc.read_project(tmp_path / kind / "project.toml").mechanism
+    arrived = pickle.loads(pickle.dumps(mechanism))
+    assert str(arrived.tape) == str(mechanism.tape)
+    assert arrived.parameters == mechanism.parameters
