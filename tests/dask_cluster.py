@@ -65,16 +65,13 @@ class DaskCluster:
 def dask_cluster(folder: Path, **variables: str) -> Iterator[DaskCluster]:
     """A scheduler without workers; skips where dask.distributed is absent."""
     pytest.importorskip("distributed", reason="distributed is absent; `make partners` installs it")
-    import dask
-
-    # Dask calls a worker that has died for so long before it believes it, by default 30 s.
+    # A scheduler calls a worker that has died for so long before it believes it, by default 30 s.
     patience = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "3s"}
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (patience | variables).items():
             patch.setenv(name, value)
-        with dask.config.set({"distributed.comm.timeouts.connect": "3s"}):
-            started = DaskCluster(folder)
-            try:
-                yield started
-            finally:
-                started.end()
+        started = DaskCluster(folder)
+        try:
+            yield started
+        finally:
+            started.end()
