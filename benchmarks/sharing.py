@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from resource import RUSAGE_CHILDREN, RUSAGE_SELF, getrusage
 from statistics import median
 from typing import Any
 
@@ -45,39 +46,47 @@ def main() -> None:
     parser.add_argument("--document", action="store_true")
     asked = parser.parse_args()
     texts = [f"Measured {this_machine()}."]
-    with local_cluster() as address:
+    with local_cluster() as cluster:
         who = {
             "in process": InProcess(),
             f"{WORKERS} threads": Threads(WORKERS),
             f"{WORKERS} processes": Processes(WORKERS),
-            f"cluster of {WORKERS}": Cluster(address),
+            f"cluster of {WORKERS}": Cluster(cluster.address),
         }
+
+        def measured(work: Callable[[Executor], Any]) -> list[str]:
+            return in_turns(who, work, asked.rounds, cluster)
+
         rows = [
-            [f"validation, 10 folds of {poses:,} poses", *measured(who, folds(poses), asked.rounds)]
+            [f"validation, 10 folds of {poses:,} poses", *measured(folds(poses))]
             for poses in asked.poses
         ]
         rows += [
-            [f"study, {draws:,} draws", *measured(who, study(draws), asked.rounds)]
+            [f"study, {draws:,} draws of each scenario", *measured(study(draws))]
             for draws in asked.draws
         ]
-    lines = [["work [s]", *who], ["---", *["---:"] * len(who)], *rows]
+    lines = [["work", *who], ["---", *["---:"] * len(who)], *rows]
     texts.append("\n".join(f"| {' | '.join(line)} |" for line in lines))
     print("\n\n".join(texts))
     if asked.document:
         write_into(DOCUMENT, "\n\n".join(texts))
 
 
-def measured(who: dict[str, Executor], work: Callable[[Executor], Any], rounds: int) -> list[str]:
-    """Median seconds of each executor, in turns."""
+def in_turns(
+    who: dict[str, Executor], work: Callable[[Executor], Any], rounds: int, cluster: LocalCluster
+) -> list[str]:
+    """Of each executor the median seconds, and in brackets those of all its processors together."""
     times: dict[str, list[float]] = {name: [] for name in who}
+    processors: dict[str, list[float]] = {name: [] for name in who}
     values: list[Any] = []
     for _ in range(rounds):
         for name, executor in who.items():
-            begun = time.perf_counter()
+            begun, used = time.perf_counter(), cluster.processor_time()
             values.append(work(executor))
             times[name].append(time.perf_counter() - begun)
+            processors[name].append(cluster.processor_time() - used)
     assert all(np.array_equal(value, values[0]) for value in values), "the values differ"
-    return [f"{median(spent):.2f}" for spent in times.values()]
+    return [f"{median(times[name]):.2f} ({median(processors[name]):.2f})" for name in who]
 
 
 def folds(poses: int) -> Callable[[Executor], Any]:
@@ -104,28 +113,44 @@ def study(draws: int) -> Callable[[Executor], Any]:
     return work
 
 
-@contextmanager
-def local_cluster() -> Iterator[str]:
-    """The address of a scheduler with so many workers of one thread, processes of their own."""
-    with tempfile.TemporaryDirectory() as folder:
+class LocalCluster:
+    """A scheduler and so many workers of one thread, processes of their own."""
+
+    def __init__(self, folder: str) -> None:
+        from distributed import Client
+
         file = Path(folder) / "scheduler.json"
         plain = ["--no-dashboard", "--scheduler-file", str(file)]
         alone = ["--no-nanny", "--nthreads", "1", "--local-directory", folder]
-        started = [
-            _dask("dask_scheduler", "--host", "127.0.0.1", "--port", "0", *plain),
-            *(_dask("dask_worker", *alone, *plain) for _ in range(WORKERS)),
-        ]
-        try:
-            import distributed
+        self.processes = [_dask("dask_scheduler", "--host", "127.0.0.1", "--port", "0", *plain)]
+        self.processes += [_dask("dask_worker", *alone, *plain) for _ in range(WORKERS)]
+        while not file.exists():
+            time.sleep(0.05)
+        with Client(scheduler_file=str(file), set_as_default=False) as client:
+            client.wait_for_workers(WORKERS)
+            self.address: str = client.scheduler.address
 
-            while not file.exists():
-                time.sleep(0.05)
-            with distributed.Client(scheduler_file=str(file), set_as_default=False) as client:
-                client.wait_for_workers(WORKERS)
-                address: str = client.scheduler.address
-            yield address
+    def processor_time(self) -> float:
+        """Seconds used so far by this process, those it started and waited for, and the cluster."""
+        from psutil import Process
+
+        ours, ended = (getrusage(who) for who in (RUSAGE_SELF, RUSAGE_CHILDREN))
+        theirs = [Process(process.pid).cpu_times() for process in self.processes]
+        return float(
+            sum(used.ru_utime + used.ru_stime for used in (ours, ended))
+            + sum(used.user + used.system for used in theirs)
+        )
+
+
+@contextmanager
+def local_cluster() -> Iterator[LocalCluster]:
+    """A local cluster, ended at the end."""
+    with tempfile.TemporaryDirectory() as folder:
+        started = LocalCluster(folder)
+        try:
+            yield started
         finally:
-            for process in started:
+            for process in started.processes:
                 process.kill()
                 process.wait()
 

@@ -20,7 +20,7 @@ from loopcal.cli.working import executor_of
 from loopcal.errors import InputError, LoopcalError, UsageError
 from loopcal.execution.cluster import Cluster, _Opening, versions
 from loopcal.execution.executor import InProcess, gathered
-from loopcal.execution.local import Processes
+from loopcal.execution.local import Threads
 from loopcal.files import study_parts
 from loopcal.studies.run import run_study
 from tests.command_line import environment, run
@@ -214,7 +214,7 @@ def test_a_worker_that_came_later_is_looked_at_too() -> None:
 def test_where_no_scheduler_can_be(address: str, kind: type[LoopcalError], message: str) -> None:
     pytest.importorskip("distributed", reason="make partners")
     with pytest.raises(kind, match=message) as told:
-        executor_of(None, address)
+        executor_of(None, address, Threads)
     assert told.value.remedy
 
 
@@ -231,9 +231,9 @@ def test_where_no_scheduler_is(study: Path) -> None:
 
 def test_options_that_do_not_go_together() -> None:
     with pytest.raises(UsageError, match="give one of the two"):
-        executor_of(2, "tcp://127.0.0.1:1")
-    assert executor_of(None, None) is None
-    assert executor_of(2, None) == Processes(2)
+        executor_of(2, "tcp://127.0.0.1:1", Threads)
+    assert executor_of(None, None, Threads) is None
+    assert executor_of(2, None, Threads) == Threads(2)
 
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

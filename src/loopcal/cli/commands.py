@@ -40,7 +40,9 @@ FunctionOption = Annotated[
 ]
 WorkersOption = Annotated[
     int | None,
-    typer.Option(metavar="N", min=1, help="Processes that share the work out among them."),
+    typer.Option(
+        metavar="N", min=1, help="Threads that share folds, models and profiles out among them."
+    ),
 ]
 ClusterOption = Annotated[
     str | None,
@@ -59,12 +61,13 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
-def _executor(workers: int | None, cluster: str | None) -> Executor | None:
+def _executor(workers: int | None, cluster: str | None, *, threads: bool) -> Executor | None:
     if workers is None and cluster is None:
         return None
     from loopcal.cli.working import executor_of
+    from loopcal.execution.local import Processes, Threads
 
-    return executor_of(workers, cluster)
+    return executor_of(workers, cluster, Threads if threads else Processes)
 
 
 @app.callback()
@@ -142,7 +145,7 @@ def calibrate(
     from loopcal.cli.progress import Progress
     from loopcal.workflow import run_calibration
 
-    executor = _executor(workers, cluster)
+    executor = _executor(workers, cluster, threads=True)
     with Progress() as progress:
         done = run_calibration(
             project,
@@ -357,7 +360,7 @@ def study(
     from loopcal.report.study_page import PAGE, write_study_page
     from loopcal.studies.run import run_study
 
-    executor = _executor(workers, cluster)
+    executor = _executor(workers, cluster, threads=False)
     with Counted() as progress:
         done = run_study(
             study, draws=draws, executor=executor, out=out, function=mechanism, progress=progress
