@@ -165,7 +165,7 @@ def test_an_interrupted_study_keeps_what_was_done(
     assert last == "loopcal: interrupted"
     assert b"Traceback" not in error
     kept = {part: part.stat().st_mtime_ns for part in out.glob("parts/*.parquet")}
-    assert 2 <= len(kept) < 80
+    assert 1 <= len(kept) < 80  # another may have been a part of a file
     found = run_study(study, draws=150, executor=Cluster(cluster.address), out=out)
     here = run_study(study, draws=150, executor=InProcess(), out=tmp_path / "here")
     assert found.document == here.document

@@ -6,6 +6,7 @@ Fresh arrays cost more in page faults than a block costs in arithmetic.
 from __future__ import annotations
 
 import math
+import sys
 import threading
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
@@ -39,7 +40,8 @@ class _Blas:
     def hold(self) -> None:
         with self.lock:
             if not self.holders:
-                self.limit.enter_context(_controller().limit(limits=1, user_api="blas"))
+                blas = _controller("scipy.special" in sys.modules or "scipy.linalg" in sys.modules)
+                self.limit.enter_context(blas.limit(limits=1, user_api="blas"))
             self.holders += 1
 
     def release(self) -> None:
@@ -49,8 +51,9 @@ class _Blas:
                 self.limit.close()
 
 
-@lru_cache(maxsize=1)
-def _controller() -> ThreadpoolController:
+@lru_cache
+def _controller(scipy: bool) -> ThreadpoolController:
+    """It knows the libraries loaded when it is made; SciPy brings a BLAS of its own."""
     return ThreadpoolController()
 
 
