@@ -5,7 +5,7 @@ VENV     ?= .venv
 JOBS     ?= 2
 VERSIONS ?= 3.11 3.12 3.13
 # Independent programs that some tests compare with; those tests skip where they are absent.
-PARTNERS ?= casadi example-robot-data-loaders pin playwright pytransform3d rtb-data
+PARTNERS ?= casadi distributed example-robot-data-loaders pin playwright pytransform3d rtb-data
 
 # Lazily the first interpreter that is new enough; `make PYTHON=/path/to/python3 ...` overrides.
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \

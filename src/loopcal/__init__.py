@@ -28,6 +28,8 @@ if TYPE_CHECKING:
         Undetermined,
     )
     from loopcal.estimation.status import Status
+    from loopcal.execution.cluster import Cluster
+    from loopcal.execution.local import Processes, Threads
     from loopcal.expressions.trace import TraceError
     from loopcal.expressions.vectors import cross, dot, norm, rot_x, rot_y, rot_z, rotate, vector
     from loopcal.files.dataset_readers import read_dataset
@@ -78,6 +80,8 @@ _HOME = {
         "Undetermined",
     ),
     "estimation.status": ("Status",),
+    "execution.cluster": ("Cluster",),
+    "execution.local": ("Processes", "Threads"),
     "expressions.trace": ("TraceError",),
     "expressions.vectors": (
         *("cross", "dot", "norm", "rot_x", "rot_y", "rot_z", "rotate", "vector"),
@@ -130,6 +134,7 @@ __all__ = [
     "Check",
     "ChiSquared",
     "Closure",
+    "Cluster",
     "ColumnFault",
     "Compared",
     "ComparedModel",
@@ -159,6 +164,7 @@ __all__ = [
     "Parameters",
     "Prediction",
     "Prior",
+    "Processes",
     "Project",
     "Repeats",
     "Result",
@@ -166,6 +172,7 @@ __all__ = [
     "Shift",
     "Simulation",
     "Status",
+    "Threads",
     "TraceError",
     "Tracker",
     "Undetermined",

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from loopcal.execution.executor import InProcess
 from loopcal.report.study_page import PAGE, study_html, words, write_study_page
 from loopcal.studies.run import StudyDone, run_study
 from tests.browser import chromium, opened
@@ -51,7 +52,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> StudyDone:
     folder = tmp_path_factory.mktemp("study")
     file = folder / "joints.toml"
     file.write_text(STUDY, "utf-8")
-    made = run_study(file, workers=1, out=folder / "out")
+    made = run_study(file, executor=InProcess(), out=folder / "out")
     write_study_page(made)
     return made
 
@@ -76,7 +77,7 @@ def test_the_page_holds_the_numbers_of_the_tables_and_shows_markup_as_text(done:
 
 
 def test_a_page_is_the_same_from_the_draws_on_disk(done: StudyDone) -> None:
-    again = run_study(done.study.path or "", workers=1, out=done.folder)
+    again = run_study(done.study.path or "", executor=InProcess(), out=done.folder)
     assert study_html(again) == (done.folder / PAGE).read_text("utf-8")
 
 

@@ -15,6 +15,8 @@ import pytest
 
 import loopcal as lc
 from loopcal.errors import InputError
+from loopcal.execution.executor import InProcess
+from loopcal.execution.local import Processes
 from loopcal.files.study_file import read_study
 from loopcal.simulation.simulate import simulate
 from loopcal.studies.draws import run_draws, seed_of
@@ -60,18 +62,18 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_workers_and_interruptions_change_no_value(path: Path, tmp_path: Path) -> None:
-    one = run_study(path, workers=1, out=tmp_path / "one")
-    two = run_study(path, workers=2, out=tmp_path / "two")
+    one = run_study(path, executor=InProcess(), out=tmp_path / "one")
+    two = run_study(path, executor=Processes(2), out=tmp_path / "two")
     assert two.text == one.text
     assert two.document == one.document
 
-    fewer = run_study(path, draws=30, workers=1, out=tmp_path / "three")
+    fewer = run_study(path, draws=30, executor=InProcess(), out=tmp_path / "three")
     assert fewer.document != one.document
     left = sorted((tmp_path / "one" / "parts").iterdir())
     (tmp_path / "one" / "draws.parquet").unlink()
     left[1].unlink()  # as if it had been stopped before this part
-    again = run_study(path, workers=1, out=tmp_path / "one")
-    more = run_study(path, workers=1, out=tmp_path / "three")
+    again = run_study(path, executor=InProcess(), out=tmp_path / "one")
+    more = run_study(path, executor=InProcess(), out=tmp_path / "three")
     assert again.document == more.document == one.document
     rows = [pl.read_parquet(tmp_path / d / "draws.parquet") for d in ("one", "two", "three")]
     assert rows[0].equals(rows[1])
@@ -96,27 +98,27 @@ def test_a_killed_study_goes_on(path: Path, tmp_path: Path) -> None:
     assert killed.returncode == -signal.SIGKILL
     done = {part: part.stat().st_mtime_ns for part in out.glob("parts/*.parquet")}
     resumed = run("study", path, "--out", out, "--workers", "1", "--json")
-    whole = run_study(path, workers=1, out=tmp_path / "whole")
+    whole = run_study(path, executor=InProcess(), out=tmp_path / "whole")
     assert json.loads(resumed.stdout) == json.loads(json.dumps(whole.document))
     assert {part: part.stat().st_mtime_ns for part in done} == done  # nothing was done twice
     assert len(list(out.glob("parts/*.parquet"))) == 2 * 3
 
 
 def test_a_changed_study_is_refused(path: Path, tmp_path: Path) -> None:
-    run_study(path, draws=2, workers=1, out=tmp_path / "out")
+    run_study(path, draws=2, executor=InProcess(), out=tmp_path / "out")
     path.write_text(STUDY.replace("phi3 = 1e-2", "phi3 = 2e-2"), "utf-8")
     with pytest.raises(InputError, match="another study"):
-        run_study(path, draws=2, workers=1, out=tmp_path / "out")
+        run_study(path, draws=2, executor=InProcess(), out=tmp_path / "out")
     path.write_text(STUDY.replace("Poor", "Bad"), "utf-8")  # a title changes no number
-    assert "Bad" in run_study(path, draws=2, workers=1, out=tmp_path / "out").text
+    assert "Bad" in run_study(path, draws=2, executor=InProcess(), out=tmp_path / "out").text
 
 
 def test_a_part_that_cannot_be_read_is_named(path: Path, tmp_path: Path) -> None:
-    run_study(path, draws=2, workers=1, out=tmp_path)
+    run_study(path, draws=2, executor=InProcess(), out=tmp_path)
     part = next((tmp_path / "parts").iterdir())
     part.write_bytes(b"PAR1")
     with pytest.raises(InputError, match=r"\.parquet"):
-        run_study(path, draws=2, workers=1, out=tmp_path)
+        run_study(path, draws=2, executor=InProcess(), out=tmp_path)
 
 
 def test_a_draw_is_what_calibrate_makes_of_it(path: Path) -> None:
@@ -139,7 +141,9 @@ def test_a_draw_is_what_calibrate_makes_of_it(path: Path) -> None:
 def test_a_method_may_hold_a_parameter_fixed(path: Path, tmp_path: Path) -> None:
     fixing = '[[methods]]\nname = "fixing"\nmethod = "implicit-loop"\nprior = { l2 = 0 }\n'
     path.write_text(STUDY + fixing, "utf-8")
-    scenario = run_study(path, draws=3, workers=1, out=tmp_path / "out").tables.scenarios[0]
+    scenario = run_study(
+        path, draws=3, executor=InProcess(), out=tmp_path / "out"
+    ).tables.scenarios[0]
     by_name = {spread.name: spread for spread in scenario.methods[2].spreads}
     assert (by_name["l2"].rms, by_name["l2"].held) == (0.0, 1.0)  # the nominal value is true
     assert by_name["l3"].rms > 0.0
@@ -160,7 +164,7 @@ def test_the_implicit_loop_holds_its_intervals_and_least_squares_is_further_off(
 ) -> None:
     before, _, rest = STUDY.partition('[[scenarios]]\nname = "base"\n')
     path.write_text(before + rest, "utf-8")
-    done = run_study(path, draws=400, workers=1, out=tmp_path / "out")
+    done = run_study(path, draws=400, executor=InProcess(), out=tmp_path / "out")
     (scenario,) = done.tables.scenarios
     held = [spread.held for spread in scenario.methods[0].spreads]
     # 400 draws: the share of a 95 % interval has the sd 0.011
@@ -170,20 +174,19 @@ def test_the_implicit_loop_holds_its_intervals_and_least_squares_is_further_off(
     assert "implicit-loop against least-squares, 400 draws" in done.text
 
 
-DYING = """
+LEVER = """
 import multiprocessing
-import os
+
+assert multiprocessing.parent_process() is None  # the tape travels, the file need not
 
 
 def loops(x, p):
-    if multiprocessing.parent_process() is not None:
-        os._exit(1)
     return (p.a * x.u - x.v,)
 """
 
 
-def test_workers_that_die_are_a_message_and_one_process_does_without(tmp_path: Path) -> None:
-    (tmp_path / "dying.py").write_text(DYING, "utf-8")
+def test_workers_need_neither_the_study_nor_the_loops(tmp_path: Path) -> None:
+    (tmp_path / "lever.py").write_text(LEVER, "utf-8")
     study = tmp_path / "study.toml"
     study.write_text(
         "schema = 1\ndraws = 60\n[mechanism]\ntype = 'function'\noutputs = ['v']\n"
@@ -193,10 +196,8 @@ def test_workers_that_die_are_a_message_and_one_process_does_without(tmp_path: P
         "[[scenarios]]\nname = 's'\n[[methods]]\nmethod = 'implicit-loop'\n",
         "utf-8",
     )
-    named, out = f"{tmp_path / 'dying.py'}:loops", tmp_path / "out"
-    with pytest.raises(InputError, match="a worker ended"):
-        run_study(study, workers=2, out=out, function=named)
-    done = run_study(study, workers=1, out=out, function=named)
+    named = f"{tmp_path / 'lever.py'}:loops"
+    done = run_study(study, executor=Processes(2), out=tmp_path / "out", function=named)
     assert [spread.name for spread in done.tables.scenarios[0].methods[0].spreads] == [
         "a",
         "end point",

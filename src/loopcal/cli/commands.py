@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from loopcal.cli.output import log, print_json, print_out
 from loopcal.errors import NoTrustworthyResult
 from loopcal.files.templates import TEMPLATES
+
+if TYPE_CHECKING:
+    from loopcal.execution.executor import Executor
 
 app = typer.Typer(
     name="loopcal",
@@ -35,6 +38,19 @@ FunctionOption = Annotated[
         help="The loops f(x, p) of a project of the type 'function', or a Mechanism.",
     ),
 ]
+WorkersOption = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N", min=1, help="Threads that share folds, models and profiles out among them."
+    ),
+]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Share the work out on a Dask cluster: tcp://HOST:PORT, or the scheduler's file.",
+    ),
+]
 
 
 def _version(asked: bool) -> None:
@@ -43,6 +59,15 @@ def _version(asked: bool) -> None:
 
         print_out(f"loopcal {version()}")
         raise typer.Exit
+
+
+def _executor(workers: int | None, cluster: str | None, *, threads: bool) -> Executor | None:
+    if workers is None and cluster is None:
+        return None
+    from loopcal.cli.working import executor_of
+    from loopcal.execution.local import Processes, Threads
+
+    return executor_of(workers, cluster, Threads if threads else Processes)
 
 
 @app.callback()
@@ -113,11 +138,14 @@ def calibrate(
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Write no report.html; an earlier one goes.")
     ] = False,
+    workers: WorkersOption = None,
+    cluster: ClusterOption = None,
 ) -> None:
     """Fit; write result.json, residuals.csv, mechanism.toml and report.html; print a summary."""
     from loopcal.cli.progress import Progress
     from loopcal.workflow import run_calibration
 
+    executor = _executor(workers, cluster, threads=True)
     with Progress() as progress:
         done = run_calibration(
             project,
@@ -130,7 +158,9 @@ def calibrate(
             profile=profile or (),
             compare=compare,
             report=not no_report,
+            executor=executor,
             progress=progress,
+            pieces=progress.pieces,
         )
     for warning in done.warnings:
         log(f"warning: {warning}")
@@ -313,6 +343,7 @@ def study(
     workers: Annotated[
         int | None, typer.Option(metavar="N", min=1, help="Processes [default: one for each core].")
     ] = None,
+    cluster: ClusterOption = None,
     out: Annotated[
         str | None,
         typer.Option(
@@ -329,9 +360,10 @@ def study(
     from loopcal.report.study_page import PAGE, write_study_page
     from loopcal.studies.run import run_study
 
+    executor = _executor(workers, cluster, threads=False)
     with Counted() as progress:
         done = run_study(
-            study, draws=draws, workers=workers, out=out, function=mechanism, progress=progress
+            study, draws=draws, executor=executor, out=out, function=mechanism, progress=progress
         )
     write_study_page(done)
     where = f"written to {done.folder}: draws.parquet, summary.json, summary.txt, {PAGE}"

@@ -61,6 +61,10 @@ class Progress(_Line):
             )
         )
 
+    def pieces(self, what: str, done: int, total: int) -> None:
+        """Show how many of the folds, or of other pieces, are done, if it is time to."""
+        self.show(lambda _: f"{done} of {total} {what}")
+
 
 class Counted(_Line):
     """Called when another piece of work is done."""

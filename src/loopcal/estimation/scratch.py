@@ -6,8 +6,10 @@ Fresh arrays cost more in page faults than a block costs in arithmetic.
 from __future__ import annotations
 
 import math
+import sys
 import threading
-from contextlib import AbstractContextManager
+from collections.abc import Generator
+from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 
 import numpy as np
@@ -27,12 +29,45 @@ def scratch(name: str, *shape: int) -> NDArray[np.float64]:
     return buffer[:size].reshape(shape)
 
 
-@lru_cache(maxsize=1)
-def _blas() -> ThreadpoolController:
+class _Blas:
+    """The limit on the threads of linear algebra, which is one for all threads of a process."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.holders = 0
+        self.limit = ExitStack()
+
+    def hold(self) -> None:
+        with self.lock:
+            if not self.holders:
+                blas = _controller("scipy.special" in sys.modules or "scipy.linalg" in sys.modules)
+                self.limit.enter_context(blas.limit(limits=1, user_api="blas"))
+            self.holders += 1
+
+    def release(self) -> None:
+        with self.lock:
+            self.holders -= 1
+            if not self.holders:
+                self.limit.close()
+
+
+@lru_cache
+def _controller(scipy: bool) -> ThreadpoolController:
+    """It knows the libraries loaded when it is made; SciPy brings a BLAS of its own."""
     return ThreadpoolController()
 
 
-def one_blas_thread() -> AbstractContextManager[object]:
-    """Linear algebra on one thread: two double the processor time of small blocks for no gain."""
-    limit: AbstractContextManager[object] = _blas().limit(limits=1, user_api="blas")
-    return limit
+_blas = _Blas()
+
+
+@contextmanager
+def one_blas_thread() -> Generator[None, None, None]:
+    """Linear algebra on one thread: two double the processor time of small blocks for no gain.
+
+    Several threads may hold it at once; the last to leave lifts the limit.
+    """
+    _blas.hold()
+    try:
+        yield
+    finally:
+        _blas.release()

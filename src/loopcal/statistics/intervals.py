@@ -29,6 +29,7 @@ from loopcal.estimation.scratch import one_blas_thread
 from loopcal.estimation.solver import solve
 from loopcal.estimation.starting import start_corrections
 from loopcal.estimation.sweep import NEGLIGIBLE, Sweeper
+from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.mechanisms.parameters import matching
 
 Array = NDArray[np.float64]
@@ -57,11 +58,18 @@ def covariance_interval(result: Result, name: str, level: float = 0.95) -> Inter
 
 
 def intervals(
-    result: Result, patterns: str | Iterable[str] = "*", *, level: float = 0.95
+    result: Result,
+    patterns: str | Iterable[str] = "*",
+    *,
+    level: float = 0.95,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
 ) -> Mapping[str, Interval | None]:
     """Confidence intervals of the parameters that match, both ways, by name.
 
-    None for a parameter that is fixed or not identifiable: nothing bounds it.
+    None for a parameter that is fixed or not identifiable: nothing bounds it. executor: who
+    follows the profiles, this process one by one if it is None; it changes no value. progress:
+    called with how many profiles are done.
 
     Raises InputError for a name that stands for none, a level that is none, a method without
     likelihood (reweighted), and where a calibration did not converge.
@@ -72,12 +80,12 @@ def intervals(
     patterns = [patterns] if isinstance(patterns, str) else list(patterns)
     everything = result.mechanism.parameters.names
     wanted = {n for p in patterns for n in matching(p, everything, "parameter")}
-    found: dict[str, Interval | None] = {}
-    with one_blas_thread():
-        for name in everything:
-            if name in wanted:
-                found[name] = _both(result, name, level)
-    return MappingProxyType(found)
+    plain = {
+        name: covariance_interval(result, name, level) for name in everything if name in wanted
+    }
+    profiled = {name: interval for name, interval in plain.items() if interval is not None}
+    found = gathered(executor, _profiled, _Optimum.of(result, level), [*profiled.items()], progress)
+    return MappingProxyType({**plain, **dict(zip(profiled, found, strict=True))})
 
 
 def _check(result: Result) -> None:
@@ -90,11 +98,6 @@ def _check(result: Result) -> None:
         raise InputError(
             f"under the loss {result.loss!r} there is no likelihood that could be profiled",
             remedy='leave out the outliers it finds and calibrate with loss = "gaussian"',
-        )
-    if result.loss != "gaussian":
-        raise InputError(
-            f"under the loss {result.loss!r} chi-squared is no likelihood that could be profiled",
-            remedy='calibrate with loss = "gaussian", leaving out the outliers it named',
         )
     if not result.status.converged:
         raise InputError(
@@ -112,13 +115,39 @@ def _quantile(result: Result, level: float) -> float:
     return float(ndtri(0.5 + 0.5 * level))
 
 
-def _both(result: Result, name: str, level: float) -> Interval | None:
-    plain = covariance_interval(result, name, level)
-    if plain is None:
-        return None
-    quantile = _quantile(result, level)
-    profile = _Profile.of(result, name)
-    low, high = (_root(profile, side * quantile) for side in (-1.0, 1.0))
+@dataclass(frozen=True)
+class _Optimum:
+    """Where the profiles begin: the parameters [SI], and chi-squared there.
+
+    exact: whether by least squares; variance: what the rise of chi-squared counts in; quantile:
+    the rise at which intervals end, its square root.
+    """
+
+    problem: Problem
+    exact: bool
+    parameters: Array
+    covariance: Array
+    least: float
+    variance: float
+    quantile: float
+
+    @classmethod
+    def of(cls, result: Result, level: float) -> _Optimum:
+        whole, exact = result.problem, result.method == "least-squares"
+        best = np.array([result.value[n] for n in whole.mechanism.parameters.names])
+        least = _merit(result, whole, best, exact)
+        freedom = whole.equations - result.spectrum.rank
+        variance = least / freedom if exact and freedom > 0 else 1.0
+        quantile = _quantile(result, level)
+        return cls(whole, exact, best, result.covariance, least, variance, quantile)
+
+
+def _profiled(at: _Optimum, parameter: tuple[str, Interval]) -> Interval:
+    """The interval of a parameter, to which its profile is added."""
+    name, plain = parameter
+    with one_blas_thread():
+        profile = _Profile.of(at, at.problem.names.index(name))
+        low, high = (_root(profile, side * at.quantile) for side in (-1.0, 1.0))
     half = 0.5 * (plain.high - plain.low)
     off = [
         end is None or abs(end - straight) > DIFFERS * half
@@ -136,20 +165,12 @@ class _Profile:
     root: Callable[[float], float | None]
 
     @classmethod
-    def of(cls, result: Result, name: str) -> _Profile:
-        whole, exact = result.problem, result.method == "least-squares"
-        j = whole.names.index(name)
-        held = _held(whole, j)
-        position = int(whole.free[j])
-        best = np.array([result.value[n] for n in whole.mechanism.parameters.names])
-        covariance = result.covariance
-        slope = np.delete(covariance[:, j], j) / covariance[j, j]
-        variance, sd = 1.0, result.sd[name]
-        assert sd is not None
-        least = _merit(result, whole, best, exact)
-        if exact:
-            variance = least / (whole.equations - result.spectrum.rank)
-        nominal, prior_sd = float(whole.nominal[j]), float(whole.prior_sd[j])
+    def of(cls, at: _Optimum, j: int) -> _Profile:
+        held, best = _held(at.problem, j), at.parameters
+        position = int(at.problem.free[j])
+        sd = math.sqrt(at.covariance[j, j])
+        slope = np.delete(at.covariance[:, j], j) / at.covariance[j, j]
+        nominal, prior_sd = float(at.problem.nominal[j]), float(at.problem.prior_sd[j])
         last = [(0.0, best[held.free])]
 
         def root(z: float) -> float | None:
@@ -161,14 +182,15 @@ class _Profile:
                     start = best.copy()
                     start[position] += z * sd
                     start[held.free] = others + share * slope * (z - near) * sd
-                    found = _found(replace(held, start=start), exact)
+                    found = _found(replace(held, start=start), at.exact)
                     if found is None:
                         continue
                     last.append((z, found.others))
                     merit = found.merit
-                    if not exact:
+                    if not at.exact:
                         merit += ((start[position] - nominal) / prior_sd) ** 2
-                    return math.copysign(math.sqrt(max(merit - least, 0.0) / variance), z)
+                    rise = max(merit - at.least, 0.0)
+                    return math.copysign(math.sqrt(rise / at.variance), z)
             return None
 
         return cls(float(best[position]), sd, root)

@@ -57,7 +57,8 @@ def compare_models(
     """Models of one machine validated on the same poses, and the one to take.
 
     models: by name; "geometric", without effects, is added where it is not among them.
-    validation: folds, hold_out, other, seed, groups as in `validate`, the rest as in `calibrate`.
+    validation: folds, hold_out, other, seed, groups, executor, progress as in `validate`, the rest
+    as in `calibrate`.
 
     Raises InputError as `validate` does and for models that cannot be, and NoTrustworthyResult
     where no model has a predictive log-likelihood.

@@ -24,6 +24,8 @@ from loopcal.estimation.distances import distances
 from loopcal.estimation.on_request import Validation
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Accuracy, Result
+from loopcal.estimation.scratch import one_blas_thread
+from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -52,6 +54,8 @@ def validate(
     seed: int = 0,
     groups: Sequence[object] | None = None,
     full: Result | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
 ) -> Validation:
     """How well this calibration predicts poses that it has not seen.
 
@@ -59,7 +63,8 @@ def validate(
     this share once; other: instead calibrate on all and predict these readings (other_noise:
     their noise where it is not the same). seed: of the choice. groups: one per pose, never split;
     by default poses with the same driven readings. full: the calibration of all poses, if it is
-    at hand. The rest is as in `calibrate`.
+    at hand. executor: who does the refits, this process one by one if it is None; it changes no
+    value. progress: called with how many refits are done. The rest is as in `calibrate`.
 
     Raises InputError as `calibrate` does and for a choice that cannot be made, and
     NoTrustworthyResult where a refit does not converge.
@@ -71,8 +76,8 @@ def validate(
     if other is not None:
         known = noise if other_noise is None else other_noise
         scheme: dict[str, Any] = {"file": other.source.name or "other readings"}
-        part = _Part(whole, other, known, np.arange(len(other)))
-        return _pooled(given, [part], scheme, f"{len(other)} poses of {scheme['file']}", other)
+        part = _predicted(whole, other, known, np.arange(len(other)))
+        return _pooled(whole, [part], scheme, f"{len(other)} poses of {scheme['file']}", other)
     chosen = grouped(mechanism, data, groups)
     if hold_out is not None:
         parts: tuple[Index, ...] = (held_out(chosen, hold_out, seed),)
@@ -86,18 +91,23 @@ def validate(
     if different < len(data):
         scheme["groups"] = different
         words += f", {different} of them different"
-    made = [given.part(index, whole) for index in parts]
-    return _pooled(given, made, scheme, words, data)
+    begun = _Begun(given, whole.mechanism, dict(whole.value))
+    made = gathered(executor, _left_out, begun, parts, progress)
+    return _pooled(whole, made, scheme, words, data)
 
 
 @dataclass(frozen=True)
-class _Part:
-    """A fit, and the poses it has not seen: their readings, noise and positions."""
+class _Predicted:
+    """Poses that a fit has not seen, n of them, at these positions.
 
-    fit: Result
-    data: Dataset
-    noise: Noise | None
+    measured, differences (o, n) [SI]: their outputs, and computed minus measured ones; terms
+    (n,): their log densities, None where there are none.
+    """
+
     index: Index
+    measured: Array
+    differences: Array
+    terms: Array | None
 
 
 @dataclass(frozen=True)
@@ -127,47 +137,65 @@ class _Given:
             max_iterations=self.max_iterations,
         )
 
-    def part(self, left_out: Index, whole: Result) -> _Part:
-        """The fit without some poses, beginning at the fit of the whole."""
-        rest = np.setdiff1d(np.arange(len(self.data)), left_out)
+
+@dataclass(frozen=True)
+class _Begun:
+    """What the fits of all parts share: the calibration, and where that of all poses ended."""
+
+    given: _Given
+    mechanism: Mechanism
+    value: Mapping[str, float]
+
+
+def _left_out(begun: _Begun, index: Index) -> _Predicted:
+    """The poses at these positions, predicted by a fit of the others."""
+    given = begun.given
+    rest = np.setdiff1d(np.arange(len(given.data)), index)
+    with one_blas_thread():
         found = calibrate(
-            whole.mechanism,
-            self.data.take(rest),
-            noise=taken(self.noise, rest),
-            method=self.method,
-            loss=self.loss,
-            start=whole.value,
-            max_iterations=self.max_iterations,
+            begun.mechanism,
+            given.data.take(rest),
+            noise=taken(given.noise, rest),
+            method=given.method,
+            loss=given.loss,
+            start=begun.value,
+            max_iterations=given.max_iterations,
         )
         if found.spectrum.rank < len(found.estimated) or not found.status.converged:
-            found = self.fit(rest)
+            found = given.fit(rest)
         if not found.status.converged:
             raise NoTrustworthyResult(
-                f"the fit without {len(left_out)} of {len(self.data)} poses did not converge "
+                f"the fit without {len(index)} of {len(given.data)} poses did not converge "
                 f"({found.status.reason}), so they cannot be predicted",
                 remedy="use fewer parts, or look at what the summary says of the fit of all poses",
             )
-        return _Part(found, self.data.take(left_out), taken(self.noise, left_out), left_out)
+        return _predicted(found, given.data.take(index), taken(given.noise, index), index)
+
+
+def _predicted(fit: Result, data: Dataset, noise: Noise | None, index: Index) -> _Predicted:
+    held = held_problem(fit, data, noise)
+    rows = [fit.mechanism.tape.quantities.index(q) for q in fit.mechanism.outputs]
+    differences = output_differences(held.problem, held.problem.start, held.corrections)
+    return _Predicted(index, held.problem.readings[rows], differences, log_densities(fit, held))
 
 
 def _pooled(
-    given: _Given, parts: Sequence[_Part], scheme: Mapping[str, Any], words: str, data: Dataset
+    whole: Result,
+    parts: Sequence[_Predicted],
+    scheme: Mapping[str, Any],
+    words: str,
+    data: Dataset,
 ) -> Validation:
-    mechanism = parts[0].fit.mechanism
-    rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
-    measured, differences = np.full((2, len(rows), len(data)), np.nan)
+    mechanism = whole.mechanism
+    measured, differences = np.full((2, len(mechanism.outputs), len(data)), np.nan)
     terms: Array | None = np.full(len(data), np.nan)
     for part in parts:
-        held = held_problem(part.fit, part.data, part.noise)
-        measured[:, part.index] = held.problem.readings[rows]
-        differences[:, part.index] = output_differences(
-            held.problem, held.problem.start, held.corrections
-        )
-        densities = log_densities(part.fit, held)
-        if densities is None or terms is None:
+        measured[:, part.index] = part.measured
+        differences[:, part.index] = part.differences
+        if part.terms is None or terms is None:
             terms = None
         else:
-            terms[part.index] = densities
+            terms[part.index] = part.terms
     apart = distances(mechanism, measured, differences)
     predicted = np.unique(np.concatenate([part.index for part in parts]))
     return Validation(
@@ -203,7 +231,7 @@ def compare_methods(
 
     methods: a name for each, with what `validate` shall take for it, such as
     {"basic": {"method": "least-squares"}, "new": {"noise": noise}}; validation: folds, hold_out,
-    other, seed, groups, the same for all.
+    other, seed, groups, executor, the same for all.
 
     Raises InputError as `validate` does, and without any method.
     """

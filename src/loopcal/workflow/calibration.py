@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -12,6 +13,7 @@ from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.calibrate import METHODS, calibrate
 from loopcal.estimation.result import Result
 from loopcal.estimation.solver import Progress
+from loopcal.execution.executor import Executor
 from loopcal.files import result_file
 from loopcal.files.parquet_stream import project_stream
 from loopcal.files.project_data import LoadedData, load_dataset
@@ -27,6 +29,9 @@ from loopcal.statistics.models import compare_models
 from loopcal.statistics.validation import validate
 from loopcal.workflow.projects import named_project
 from loopcal.workflow.streams import run_stream
+
+Pieces = Callable[[str, int, int], None]
+"""Called with what is done in pieces, how many of them are done, and how many there are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +62,9 @@ def run_calibration(
     profile: Sequence[str] = (),
     compare: bool = False,
     report: bool = False,
+    executor: Executor | None = None,
     progress: Progress | None = None,
+    pieces: Pieces | None = None,
 ) -> Calibration:
     """Calibrate as a project file says, and write result.json, residuals.csv, mechanism.toml.
 
@@ -67,10 +74,13 @@ def run_calibration(
     require_identifiable: whether every parameter must be determined, as the project may ask;
     folds: of a validation, instead of the project's; profile: parameters that get a profile
     interval, beside those of the project; compare: whether the project's models are compared,
-    and the result is that of the one recommended; report: whether report.html is written as well.
+    and the result is that of the one recommended; report: whether report.html is written as well;
+    executor: who does the fits of the folds and the profiles, by default this process; progress:
+    called at every iteration, pieces: when a fold or a profile is done.
 
     The files are written, all or none, also where the fit did not converge: `objection` tells.
-    Raises InputError for what cannot be used and UsageError for a method that is none.
+    Raises InputError for what cannot be used and UsageError for a method that is none, or for an
+    executor without work.
     """
     if method is not None and method not in METHODS:
         raise UsageError(f"there is no method {method!r}", remedy=nearest(method, METHODS))
@@ -78,6 +88,13 @@ def run_calibration(
     folder = default_folder(read) if out is None else Path(out)
     true = None if truth is None else read_truth(truth, read.mechanism)
     asked = require_identifiable or read.fit.require_identifiable
+    asked_for = read.fit.validation if folds is None else ValidationSpec(folds=folds)
+    patterns = (*read.fit.profile, *profile)
+    if executor and not (patterns or compare or (asked_for and asked_for.folds)):
+        raise UsageError(
+            "one fit is not shared out, and nothing else is asked for",
+            remedy="add --folds N or --profile GLOB, or leave out --workers and --cluster",
+        )
     stream = project_stream(read)
     if stream is not None:
         run = run_stream(
@@ -86,8 +103,8 @@ def run_calibration(
             folder,
             method=method or read.fit.method,
             asked={
-                "a validation": folds is not None or read.fit.validation is not None,
-                "a profile interval": profile or read.fit.profile,
+                "a validation": asked_for is not None,
+                "a profile interval": patterns,
                 "a comparison of models": compare,
             },
             progress=progress,
@@ -109,20 +126,24 @@ def run_calibration(
         "start": read.fit.start,
         "max_iterations": read.fit.max_iterations,
     }
-    asked_for = read.fit.validation if folds is None else ValidationSpec(folds=folds)
     try:
+        folded = how | _shared("folds", executor, pieces)
         if compare:
-            result = _compared(read, loaded, how, asked_for or ValidationSpec(folds=10))
+            result = _compared(read, loaded, folded, asked_for or ValidationSpec(folds=10))
         else:
             result = calibrate(read.mechanism, loaded.dataset, **how, progress=progress)
             if asked_for is not None and result.status.converged:
-                result = _validated(result, read, loaded, how, asked_for)
-        patterns = (*read.fit.profile, *profile)
+                result = _validated(result, read, loaded, folded, asked_for)
         if patterns and result.status.converged:
-            result = replace(result, intervals=intervals(result, patterns))
+            shared = _shared("intervals", executor, pieces)
+            result = replace(result, intervals=intervals(result, patterns, **shared))
     except InputError as error:
         raise error.at(read.name) from None
     return _written(result, read, folder, loaded.warnings, true, asked=asked, report=report)
+
+
+def _shared(what: str, executor: Executor | None, pieces: Pieces | None) -> dict[str, Any]:
+    return {"executor": executor, "progress": pieces and partial(pieces, what)}
 
 
 def _written(

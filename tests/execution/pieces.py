@@ -1,0 +1,53 @@
+"""Work for executors to do, in a module that workers can import."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_info
+
+from loopcal.errors import InputError
+from loopcal.estimation.scratch import one_blas_thread
+
+
+def scaled(shared: float, piece: float) -> float:
+    return shared * piece
+
+
+def total(shared: np.ndarray[Any, Any], piece: int) -> float:
+    return float(shared.sum()) + piece
+
+
+def odd_refused(shared: str, piece: int) -> int:
+    """Later pieces fail sooner."""
+    if piece % 2:
+        raise InputError(f"{piece} is odd", place=shared)
+    return piece
+
+
+def faulty(shared: None, piece: int) -> int:
+    raise ZeroDivisionError(str(piece))
+
+
+def killing(shared: None, piece: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return piece
+
+
+def killing_once(folder: str, piece: int) -> int:
+    """Begun pieces leave a mark; the third kills its worker the first time."""
+    mark = Path(folder) / f"{piece} begun"
+    if piece == 3 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    mark.touch()
+    return 10 * piece
+
+
+def blas_threads(shared: None, piece: int) -> int:
+    with one_blas_thread():
+        return max(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")

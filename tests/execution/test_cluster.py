@@ -1,0 +1,242 @@
+"""Work on a real Dask cluster: the same to the bit, also where a worker is killed in the middle."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+import loopcal as lc
+from loopcal.cli.working import executor_of
+from loopcal.errors import InputError, LoopcalError, UsageError
+from loopcal.execution.cluster import Cluster, _Opening, versions
+from loopcal.execution.executor import InProcess, gathered
+from loopcal.execution.local import Threads
+from loopcal.files import study_parts
+from loopcal.studies.run import run_study
+from tests.command_line import environment, run
+from tests.dask_cluster import DaskCluster, dask_cluster
+from tests.execution import pieces
+from tests.reference.simulated import planar_arm
+
+SDS = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3}
+STUDY = """schema = 1
+draws = 80
+seed = 5
+[mechanism]
+type = "planar-two-link"
+[noise]
+xPyP = 1e-4
+"phi*" = 1e-3
+[simulation.ranges]
+phi2 = { from = 0, to = 90, step = 30, unit = "deg" }
+phi3 = { from = 0, to = 90, step = 30, unit = "deg" }
+[[scenarios]]
+name = "base"
+[[methods]]
+method = "implicit-loop"
+"""
+
+
+@pytest.fixture
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskCluster]:
+    with dask_cluster(tmp_path_factory.mktemp("dask")) as started:
+        yield started
+
+
+@pytest.fixture
+def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(study_parts, "CHUNK", 10)
+    path = tmp_path / "s.toml"
+    path.write_text(STUDY, "utf-8")
+    return path
+
+
+def was_killed(worker: subprocess.Popen[bytes]) -> bool:
+    return worker.wait(30) == -signal.SIGKILL
+
+
+def test_a_killed_worker_costs_nothing_but_its_piece(cluster: DaskCluster, tmp_path: Path) -> None:
+    cluster.start_workers("", "")
+    executor = Cluster(cluster.address)
+    assert executor.ready() == f"2 workers with 2 threads at {cluster.address}"
+    told: list[int] = []
+    values = gathered(
+        executor, pieces.killing_once, str(tmp_path), range(12), lambda n, of: told.append(n)
+    )
+    assert values == [10 * piece for piece in range(12)]
+    assert told == [*range(1, 13)]  # each piece once
+    ended = [worker for worker in cluster.workers if worker.poll() is not None]
+    assert [was_killed(worker) for worker in ended] == [True]
+
+    # What all pieces share was with the worker that is gone, and is not lost.
+    large = np.arange(2e6)
+    assert gathered(executor, pieces.total, large, [0, 1]) == [large.sum(), large.sum() + 1]
+    with pytest.raises(InputError, match=r"^here: 3 is odd"):
+        gathered(executor, pieces.odd_refused, "here", [0, 2, 3, 4, 5])
+    with pytest.raises(ZeroDivisionError):
+        gathered(executor, pieces.faulty, None, [1])
+
+
+def test_a_study_is_the_same_though_a_worker_is_killed(
+    cluster: DaskCluster, study: Path, tmp_path: Path
+) -> None:
+    cluster.start_workers("", "dying")
+    here = run_study(study, executor=InProcess(), out=tmp_path / "here")
+    told: list[int] = []
+    found = run_study(
+        study,
+        executor=Cluster(cluster.address),
+        out=tmp_path / "there",
+        progress=lambda done, of: told.append(done),
+    )
+    assert was_killed(cluster.workers[1])
+    assert found.document == here.document
+    assert told == [10 * (i + 1) for i in range(8)]
+    assert len(list((tmp_path / "there" / "parts").iterdir())) == 8
+    rows = [pl.read_parquet(tmp_path / name / "draws.parquet") for name in ("here", "there")]
+    assert rows[0].equals(rows[1])
+    assert set(Counter(rows[1]["draw"]).values()) == {1}
+
+
+def test_validation_and_profiles_are_the_same_though_a_worker_is_killed(
+    cluster: DaskCluster,
+) -> None:
+    arm = planar_arm(30)
+    data, noise = arm.read(SDS, seed=3), lc.Noise(SDS)
+    cluster.start_workers("", "dying")
+    executor = Cluster(cluster.address)
+    told: list[int] = []
+    how: dict[str, Any] = {"noise": noise, "folds": 10}
+    here = lc.validate(arm.truth, data, **how)
+    found = lc.validate(
+        arm.truth, data, **how, executor=executor, progress=lambda done, of: told.append(done)
+    )
+    assert was_killed(cluster.workers[1])
+    assert told == [*range(1, 11)]
+    assert (found.accuracy, found.log_likelihood) == (here.accuracy, here.log_likelihood)
+    np.testing.assert_array_equal(found.distances, here.distances)
+    np.testing.assert_array_equal(found.by_pose, here.by_pose)
+    assert found.poses == here.poses == data.poses
+
+    cluster.start_workers("dying")
+    result = lc.calibrate(arm.truth, data, noise=noise)
+    assert lc.intervals(result, executor=executor) == lc.intervals(result)
+    assert was_killed(cluster.workers[2])
+
+
+def test_a_piece_that_ends_every_worker_is_a_message(tmp_path: Path) -> None:
+    with dask_cluster(tmp_path, DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES="0") as cluster:
+        cluster.start_workers("", "")
+        with pytest.raises(InputError, match="ended all of the 1 workers"):
+            gathered(Cluster(cluster.address), pieces.killing, None, [1])
+
+
+def test_an_interrupted_study_keeps_what_was_done(
+    cluster: DaskCluster, study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cluster.start_workers("")
+    out = tmp_path / "out"
+    study.write_text(STUDY.replace("80", "4000"), "utf-8")
+    monkeypatch.undo()  # the command cuts its own parts
+    command = [sys.executable, "-m", "loopcal", "study", str(study), "--out", str(out)]
+    with subprocess.Popen(
+        [*command, "--cluster", str(cluster.file)],
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as interrupted:
+        while interrupted.poll() is None and len(list(out.glob("parts/*.parquet"))) < 2:
+            time.sleep(0.01)
+        interrupted.send_signal(signal.SIGINT)
+        _, error = interrupted.communicate()
+    assert interrupted.returncode == 130
+    first, *_, last = error.decode().splitlines()
+    assert first == f"loopcal: 1 workers with 1 threads at {cluster.address}"
+    assert last == "loopcal: interrupted"
+    assert b"Traceback" not in error
+    kept = {part: part.stat().st_mtime_ns for part in out.glob("parts/*.parquet")}
+    assert 1 <= len(kept) < 80  # another may have been a part of a file
+    found = run_study(study, draws=150, executor=Cluster(cluster.address), out=out)
+    here = run_study(study, draws=150, executor=InProcess(), out=tmp_path / "here")
+    assert found.document == here.document
+    assert {part: part.stat().st_mtime_ns for part in kept} == kept  # nothing was done twice
+
+
+def test_a_lost_scheduler_is_a_message(cluster: DaskCluster, study: Path, tmp_path: Path) -> None:
+    cluster.start_workers("")
+
+    def lose(done: int, of: int) -> None:
+        cluster.scheduler.kill()
+
+    with pytest.raises(InputError, match="connection to the scheduler was lost"):
+        run_study(study, executor=Cluster(cluster.address), out=tmp_path / "out", progress=lose)
+
+
+def test_workers_must_be_as_we_are(cluster: DaskCluster) -> None:
+    executor = Cluster(cluster.address)
+    assert executor.ready().startswith("no worker yet")
+    cluster.start_workers("without_loopcal")
+    with pytest.raises(InputError, match=r"the worker tcp://\S+ has no loopcal"):
+        executor.ready()
+    with pytest.raises(InputError, match="a worker has no loopcal"):
+        gathered(executor, pieces.scaled, 1.0, [1.0, 2.0])
+    cluster.workers[0].kill()
+    cluster.start_workers("other_numpy")
+    with pytest.raises(InputError, match=rf"has numpy 1\.0\.0, and here is numpy {np.__version__}"):
+        executor.ready()
+
+
+def test_a_worker_that_came_later_is_looked_at_too() -> None:
+    opening = _Opening({**versions(), "scipy": "0.1"})
+    with pytest.raises(InputError, match=r"a worker has scipy \S+, and here is scipy 0\.1"):
+        _ = opening(b"no pickle", 0).value
+
+
+@pytest.mark.parametrize(
+    ("address", "kind", "message"),
+    [
+        ("foo://host:1", UsageError, "unknown address scheme"),
+        ("somewhere", UsageError, "missing port number"),
+        ("tls://127.0.0.1:1", UsageError, "no certificate"),
+        ("nowhere.json", InputError, "no file of a scheduler .No such file or directory"),
+    ],
+)
+def test_where_no_scheduler_can_be(address: str, kind: type[LoopcalError], message: str) -> None:
+    pytest.importorskip("distributed", reason="make partners")
+    with pytest.raises(kind, match=message) as told:
+        executor_of(None, address, Threads)
+    assert told.value.remedy
+
+
+def test_where_no_scheduler_is(study: Path) -> None:
+    pytest.importorskip("distributed", reason="make partners")
+    impatient = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "500ms"}
+    done = run("study", study, "--cluster", "127.0.0.1:1", env=impatient)
+    assert done.returncode == 3
+    first, remedy = done.stderr.splitlines()
+    assert first.startswith("loopcal: 127.0.0.1:1: no scheduler answers")
+    assert remedy.startswith("  What to do: start one")
+    assert not (study.parent / "s-study").exists()
+
+
+def test_options_that_do_not_go_together() -> None:
+    with pytest.raises(UsageError, match="give one of the two"):
+        executor_of(2, "tcp://127.0.0.1:1", Threads)
+    assert executor_of(None, None, Threads) is None
+    assert executor_of(2, None, Threads) == Threads(2)
+
+
+def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(UsageError, match=r"pip install 'loopcal\[cluster\]'"):
+        Cluster("tcp://127.0.0.1:1").ready()

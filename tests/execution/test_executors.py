@@ -1,0 +1,174 @@
+"""Executors give the same outcomes, each once, whoever does the work and in whatever order."""
+
+from __future__ import annotations
+
+import pickle
+import threading
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info
+
+import loopcal as lc
+from loopcal.errors import InputError, UsageError
+from loopcal.estimation.scratch import one_blas_thread
+from loopcal.execution.executor import Done, Executor, InProcess, done, gathered
+from loopcal.execution.local import Processes, Threads
+from loopcal.files.new_project import write_new_project
+from loopcal.files.templates import TEMPLATES
+from loopcal.workflow import run_calibration
+from tests.execution import pieces
+from tests.reference.simulated import planar_arm
+
+LOCAL = [InProcess(), Threads(1), Threads(2), Processes(1), Processes(2)]
+
+
+@dataclass(frozen=True)
+class Backwards(Executor):
+    """Does the last piece first."""
+
+    def run(
+        self, work: Callable[[Any, Any], Any], shared: Any, pieces: Sequence[Any]
+    ) -> Generator[Done[Any], None, None]:
+        for number in reversed(range(len(pieces))):
+            yield done(work, shared, pieces[number], number)
+
+
+@pytest.mark.parametrize("executor", [None, *LOCAL, Backwards()], ids=str)
+def test_values_come_in_the_order_of_the_pieces_and_each_is_counted(
+    executor: Executor | None,
+) -> None:
+    told: list[tuple[int, int]] = []
+    found = gathered(executor, pieces.scaled, 0.1, list(range(20)), lambda *seen: told.append(seen))
+    assert found == [0.1 * piece for piece in range(20)]
+    assert told == [(i + 1, 20) for i in range(20)]
+
+
+@pytest.mark.parametrize("executor", [*LOCAL, Backwards()], ids=str)
+def test_there_may_be_no_pieces(executor: Executor) -> None:
+    assert gathered(executor, pieces.scaled, 1.0, []) == []
+
+
+@pytest.mark.parametrize("executor", [*LOCAL, Backwards()], ids=str)
+def test_the_first_error_is_told_whichever_happened_first(executor: Executor) -> None:
+    with pytest.raises(InputError, match=r"^here: 3 is odd"):
+        gathered(executor, pieces.odd_refused, "here", [0, 2, 3, 4, 5, 7])
+
+
+@pytest.mark.parametrize("executor", LOCAL, ids=str)
+def test_a_fault_of_ours_stays_one(executor: Executor) -> None:
+    with pytest.raises(ZeroDivisionError):
+        gathered(executor, pieces.faulty, None, [1, 2])
+
+
+@pytest.mark.parametrize("executor", LOCAL, ids=str)
+def test_work_may_be_left_before_its_end(executor: Executor) -> None:
+    before = threading.active_count()
+    with closing(executor.run(pieces.scaled, 1.0, range(50))) as finished:
+        first = next(finished)
+    assert first.value == first.number
+    assert threading.active_count() == before
+
+
+def test_a_process_that_dies_is_a_message() -> None:
+    with pytest.raises(InputError, match="a worker ended"):
+        gathered(Processes(2), pieces.killing, None, [1, 2])
+
+
+@pytest.mark.parametrize("kind", [Processes, Threads])
+def test_workers_are_counted_from_1(kind: type[Processes] | type[Threads]) -> None:
+    with pytest.raises(UsageError, match="0 workers"):
+        kind(0)
+
+
+def test_threads_share_the_limit_on_linear_algebra() -> None:
+    def limits() -> list[int]:
+        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+    before = limits()
+    assert gathered(Threads(2), pieces.blas_threads, None, list(range(8))) == [1] * 8
+    assert limits() == before
+    with one_blas_thread():
+        with one_blas_thread():
+            pass
+        assert max(limits()) == 1  # the inner one does not lift what the outer one holds
+    assert limits() == before
+
+
+ARM = planar_arm(30)
+SDS = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3}
+DATA = ARM.read(SDS, seed=3)
+
+
+@pytest.mark.parametrize("executor", [Threads(2), Processes(2), Backwards()], ids=str)
+def test_validation_is_the_same_to_the_bit(executor: Executor) -> None:
+    how: dict[str, Any] = {"noise": lc.Noise(SDS), "folds": 5}
+    here = lc.validate(ARM.truth, DATA, **how)
+    found = lc.validate(ARM.truth, DATA, executor=executor, **how)
+    assert found.accuracy == here.accuracy
+    assert found.log_likelihood == here.log_likelihood
+    np.testing.assert_array_equal(found.distances, here.distances)
+    np.testing.assert_array_equal(found.by_pose, here.by_pose)
+
+
+@pytest.mark.parametrize("method", ["implicit-loop", "least-squares"])
+def test_profiles_are_the_same_to_the_bit(method: str) -> None:
+    noise = None if method == "least-squares" else lc.Noise(SDS)
+    result = lc.calibrate(ARM.truth, DATA, noise=noise, method=method)
+    here = lc.intervals(result)
+    assert None not in here.values()
+    for executor in (Threads(2), Backwards()):
+        assert lc.intervals(result, executor=executor) == here
+    some = lc.intervals(result, ["l?"], executor=Processes(2))
+    assert some == {name: here[name] for name in ("l2", "l3")}
+
+
+def test_a_calibration_is_the_same_whoever_does_its_pieces(tmp_path: Path) -> None:
+    project = Path(__file__).resolve().parents[2] / "examples" / "planar" / "project.toml"
+    told: list[tuple[str, int, int]] = []
+
+    def calibrated(name: str, executor: Executor | None) -> Mapping[str, Any]:
+        done = run_calibration(
+            project,
+            out=tmp_path / name,
+            folds=5,
+            profile=["l?"],
+            executor=executor,
+            pieces=lambda *seen: told.append(seen),
+        )
+        return done.written.document
+
+    assert calibrated("there", Backwards()) == calibrated("here", None)
+    once = [("folds", i + 1, 5) for i in range(5)] + [("intervals", i + 1, 2) for i in range(2)]
+    assert told == once + once
+    with pytest.raises(UsageError, match="nothing else is asked for"):
+        run_calibration(project, out=tmp_path / "alone", executor=Threads(2))
+
+
+def test_compared_models_are_the_same_whoever_fits_them() -> None:
+    arm = lc.planar_two_link().with_nominal({"l2": 0.8})
+    models = {"loose": lc.Model()}
+    how: dict[str, Any] = {"noise": lc.Noise(SDS), "folds": 3}
+    found = [
+        lc.compare_models(arm, DATA, models, executor=executor, **how)
+        for executor in (InProcess(), Backwards())
+    ]
+    first, second = ([m.validation for m in one.models] for one in found)
+    for a, b in zip(first, second, strict=True):
+        assert a is not None
+        assert b is not None
+        assert a.log_likelihood == b.log_likelihood
+
+
+@pytest.mark.parametrize("kind", [kind for kind in TEMPLATES if kind != "function"])
+def test_every_machine_can_travel(kind: str, tmp_path: Path) -> None:
+    write_new_project(tmp_path / kind, kind)
+    mechanism = lc.read_project(tmp_path / kind / "project.toml").mechanism
+    arrived = pickle.loads(pickle.dumps(mechanism))
+    assert str(arrived.tape) == str(mechanism.tape)
+    assert arrived.parameters == mechanism.parameters
