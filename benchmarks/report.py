@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import command
+import platform_poses
 import scale
 from measuring import Times
 from whole_solve import DEMANDED, SOLVE, Comparison
 
-BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
+ALL = "measured"
+"""The block of the document that holds every part but the platform's, which has its own."""
 
 
 def whole_solve(comparison: Comparison) -> str:
@@ -73,12 +75,34 @@ def cold_start(times: dict[str, Times]) -> str:
     return f"{_table(head, rows)}\n\n{words}"
 
 
-def write_into(document: Path, text: str) -> None:
+def platform(found: Sequence[platform_poses.Platform]) -> str:
+    """Whole calibrations of a platform that nobody reads."""
+    rows = [
+        [
+            entry.seen,
+            str(entry.parameters),
+            f"{entry.wall:.1f}",
+            f"{entry.processor:.1f}",
+            "met" if entry.wall <= platform_poses.DEMANDED else "missed",
+        ]
+        for entry in found
+    ]
+    head = ["the platform is seen by", "parameters", "wall [s]", "processor [s]"]
+    head.append(f"{platform_poses.DEMANDED:g} s")
+    title = (
+        f"Stewart-Gough platform, its pose read by nobody, {platform_poses.POSES:,} poses, "
+        "calibrate() as a whole, the best of three:"
+    )
+    return f"{title}\n\n{_table(head, rows)}"
+
+
+def write_into(document: Path, block: str, text: str) -> None:
     """Replace what a former run measured, between two markers, by what this one did."""
+    begin, end = (f"<!-- {block}: {edge} -->" for edge in ("begin", "end"))
     content = document.read_text(encoding="utf-8")
-    ahead, rest = content.split(BEGIN)
-    _, behind = rest.split(END)
-    document.write_text(f"{ahead}{BEGIN}\n{text}\n{END}{behind}", encoding="utf-8")
+    ahead, rest = content.split(begin)
+    _, behind = rest.split(end)
+    document.write_text(f"{ahead}{begin}\n{text}\n{end}{behind}", encoding="utf-8")
 
 
 def _demand(ratio: float, demanded: float) -> str:

@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import command
+import platform_poses
 import report
 import scale
 from machine import this_machine
 from threadpoolctl import threadpool_limits
 from whole_solve import DisagreementError, compare
 
-PARTS = ("six-axis", "scale", "command")
+PARTS = ("six-axis", "scale", "command", "platform")
 DOCUMENT = Path(__file__).parent.parent / "docs" / "explanation" / "performance.md"
 
 
@@ -53,10 +54,17 @@ def main() -> int:
         times = command.measure(wanted.rounds * 3)
         data["command"] = {name: asdict(t) for name, t in times.items()}
         tell(report.cold_start(times))
+    seen = []
+    if "platform" in wanted.only:
+        seen = platform_poses.in_its_own_process()
+        data["platform"] = [asdict(entry) for entry in seen]
+        print(f"\n{report.platform(seen)}", flush=True)
     if wanted.json:
         Path(wanted.json).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-    if wanted.document:
-        report.write_into(DOCUMENT, "\n\n".join(texts))
+    if wanted.document and len(texts) > 1:
+        report.write_into(DOCUMENT, report.ALL, "\n\n".join(texts))
+    if wanted.document and seen:
+        report.write_into(DOCUMENT, "platform", f"{texts[0]}\n\n{report.platform(seen)}")
     return 0
 
 
