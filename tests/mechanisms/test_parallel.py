@@ -171,3 +171,17 @@ def test_a_length_reading_ties_the_size_and_a_frame_that_is_read_ties_itself() -
     own = CASES["Stewart-Gough, own pose"].made().parameters
     assert own.free == own.names
     assert OWN.parameters == ()
+
+
+@pytest.mark.parametrize("name", [n for n in CASES if "own" not in n and "four-bar" not in n])
+def test_joints_may_be_driven_as_well_as_the_platform(name: str) -> None:
+    """Where the platform puts the joints, the joints put the platform."""
+    case = CASES[name]
+    mechanism, exact = case.made(), lc.Noise({"*": 0.0})
+    poses = lc.random_poses(case.driven, 20, seed=3)
+    first = lc.simulate(mechanism, poses, noise=exact, seed=1)
+    joints = ("leg_", "theta_", "slide_")
+    driven = {q: v for q, v in first.quantities.items() if q.startswith(joints)}
+    again = lc.simulate(mechanism, driven, noise=exact, seed=1)
+    for q in case.driven:
+        np.testing.assert_allclose(again.quantities[q], first.quantities[q], atol=1e-9)
