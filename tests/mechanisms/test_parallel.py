@@ -185,3 +185,21 @@ def test_joints_may_be_driven_as_well_as_the_platform(name: str) -> None:
     again = lc.simulate(mechanism, driven, noise=exact, seed=1)
     for q in case.driven:
         np.testing.assert_allclose(again.quantities[q], first.quantities[q], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["five-bar, point", "3-RRR, elbows read", "Stewart-Gough, pose"])
+def test_least_squares_finds_exact_machines_and_needs_no_word_of_what_nobody_reads(
+    name: str,
+) -> None:
+    case = CASES[name]
+    mechanism = case.made()
+    draw = np.random.default_rng(3)
+    free = mechanism.parameters.free
+    truth = {n: mechanism.parameters[n].nominal + 1e-3 * draw.standard_normal() for n in free}
+    exact = lc.Noise({"*": 0.0} | dict.fromkeys(case.unread(mechanism), np.inf))
+    poses = lc.random_poses(case.driven, 60, seed=4)
+    made = lc.simulate(mechanism, poses, noise=exact, seed=5, truth=truth)
+    found = lc.calibrate(mechanism, made.dataset, method="least-squares")
+    assert found.status.converged
+    for parameter in free:
+        assert found.value[parameter] == pytest.approx(truth[parameter], abs=1e-8)

@@ -134,9 +134,8 @@ def build_problem(
     dataset = with_implied(mechanism, dataset)
     _check_units(mechanism, dataset)
     stated = dataset if noise is not None else replace(dataset, sds={})
-    uncertainty = resolve_noise(
-        noise or Noise(dict.fromkeys(quantities, 0.0)), stated, quantities, mechanism.quantity_group
-    )
+    noise = noise or _exact(mechanism, dataset)
+    uncertainty = resolve_noise(noise, stated, quantities, mechanism.quantity_group)
     missing = np.full(len(dataset), np.nan)
     raw = np.array([dataset.readings.get(q, missing) for q in quantities])
     known = known_constants(mechanism, dataset)
@@ -191,6 +190,15 @@ def left_unmeasured(problem: Problem, without: NDArray[np.bool_]) -> Problem:
     return replace(
         problem, uncertainty=uncertainty, patterns=_patterns(problem.mechanism, np.isinf(sd))
     )
+
+
+def _exact(mechanism: Mechanism, dataset: Dataset) -> Noise:
+    """Every reading exact; what has a home and no reading at all is read by nobody."""
+    sds = dict.fromkeys(mechanism.tape.quantities, 0.0)
+    for name in mechanism.home:
+        if not np.isfinite(dataset.readings.get(name, np.nan)).any():
+            sds[name] = math.inf
+    return Noise(sds)
 
 
 def _check_units(mechanism: Mechanism, dataset: Dataset) -> None:
