@@ -31,7 +31,7 @@ help: ## list the targets
 
 install: $(STAMP) ## create the environment and install loopcal into it, editable
 
-$(STAMP): pyproject.toml
+$(STAMP): pyproject.toml CMakeLists.txt $(wildcard engine/*)
 	@mkdir -p $(TMPDIR)
 	@if [ ! -x $(BIN)/python ]; then \
 		if [ -z "$(PYTHON)" ]; then \

@@ -55,9 +55,10 @@ ClusterOption = Annotated[
 
 def _version(asked: bool) -> None:
     if asked:
+        from loopcal.expressions.choice import in_words
         from loopcal.files.versions import version
 
-        print_out(f"loopcal {version()}")
+        print_out(f"loopcal {version()} (engine: {in_words()})")
         raise typer.Exit
 
 
@@ -74,7 +75,9 @@ def _executor(workers: int | None, cluster: str | None, *, threads: bool) -> Exe
 def _common(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+        typer.Option(
+            "--version", callback=_version, is_eager=True, help="Print the version and the engine."
+        ),
     ] = False,
 ) -> None:
     """Options before any command."""

@@ -21,7 +21,7 @@ from loopcal.estimation.loss import Loss
 from loopcal.estimation.problem import Pattern, Poses, Problem
 from loopcal.estimation.reduction import Accumulator
 from loopcal.estimation.scratch import scratch
-from loopcal.expressions.engine import LoopValues, NumpyEngine, Stage, engine_for
+from loopcal.expressions.engine import Engine, LoopValues, Stage, engine_for
 from loopcal.measurements.noise import CovarianceBlock
 
 Array = NDArray[np.float64]
@@ -186,7 +186,7 @@ class Sweeper:
         for engine in self._engines.values():
             engine.at(parameters)
 
-    def engine(self, pattern: Pattern) -> NumpyEngine:
+    def engine(self, pattern: Pattern) -> Engine:
         """What evaluates the loops that hold in the poses of a pattern."""
         return self._engines[pattern.loops]
 
