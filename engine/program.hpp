@@ -10,7 +10,7 @@
 namespace loopcal {
 
 // Poses run side by side in the registers of a tape.
-constexpr int TILE = 16;
+constexpr int TILE = 32;
 // Sums over poses run in this many lanes whatever the processor's, so that all give the same bits.
 constexpr int SUMS = 8;
 // Poses whose whitened rows are added up together: sums of products want long rows.

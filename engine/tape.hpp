@@ -1,12 +1,23 @@
 // Running a tape over one tile of poses.
 
-// Rows of poses into rows of the workspace; places beyond the last pose repeat it.
-static void fill(double* to, const Rows& from, int rows, int pose, int count) {
-    for (int i = 0; i < rows; i++, to += TILE) {
-        const double* row = from.at + i * from.row + pose;
-        memcpy(to, row, sizeof(double) * count);
-        for (int p = count; p < TILE; p++) to[p] = row[count - 1];
+// One row of poses in and out of the workspace; places beyond the last pose repeat it.
+INLINE void fill_row(double* to, const double* from, int count) {
+    if (count == TILE) {
+        memcpy(to, from, sizeof(double) * TILE);  // a few vectors, no call
+        return;
     }
+    for (int p = 0; p < TILE; p++) to[p] = from[p < count ? p : count - 1];
+}
+
+INLINE void take_row(double* to, const double* from, int count) {
+    if (count == TILE)
+        memcpy(to, from, sizeof(double) * TILE);
+    else
+        for (int p = 0; p < count; p++) to[p] = from[p];
+}
+
+static void fill(double* to, const Rows& from, int rows, int pose, int count) {
+    for (int i = 0; i < rows; i++) fill_row(to + i * TILE, from.at + i * from.row + pose, count);
 }
 
 static void write_numbers(const Program& program, double* workspace) {

@@ -270,16 +270,21 @@ static Linear linear(const Reduction& job, const double* workspace, Room& room) 
     return found;
 }
 
-// The sds of a tile: rows (k) and what divides a step into sds (k).
-static void fill_sds(const Noise& noise, int k, int pose, int count, double* sds, double* inverse) {
+// The uncertainty of a tile: sds (k), what turns a step into sds (k), and the factors of covariances.
+struct Uncertainty {
+    double *sds, *inverse;
+    double** factors;
+};
+
+static void fill_sds(const Noise& noise, int k, int pose, int count, const Uncertainty& to) {
     for (int q = 0; q < k; q++)
         for (int p = 0; p < TILE; p++) {
             const double sd = noise.sd[q * noise.row + (pose + (p < count ? p : count - 1)) * noise.by_pose];
-            sds[q * TILE + p] = sd;
-            inverse[q * TILE + p] = sd > 0.0 ? 1.0 / sd : 1.0;
+            to.sds[q * TILE + p] = sd;
+            to.inverse[q * TILE + p] = sd > 0.0 ? 1.0 / sd : 1.0;
         }
     for (int i = 0; i < noise.unmeasured_count; i++)
-        for (int p = 0; p < TILE; p++) inverse[noise.unmeasured[i] * TILE + p] = 1.0 / UNMEASURED_SCALE;
+        for (int p = 0; p < TILE; p++) to.inverse[noise.unmeasured[i] * TILE + p] = 1.0 / UNMEASURED_SCALE;
 }
 
 static void fill_factor(const Covariance& block, int pose, int count, double* to) {
@@ -288,16 +293,35 @@ static void fill_factor(const Covariance& block, int pose, int count, double* to
             to[i * TILE + p] = block.factor[(pose + (p < count ? p : count - 1)) * block.by_pose + i];
 }
 
+// Room for it, filled as far as it is the same for all poses.
+static Uncertainty prepared(const Reduction& job, Room& room) {
+    const Noise& noise = *job.noise;
+    const int k = job.program->inputs;
+    Uncertainty found = {room.rows(k), room.rows(k), (double**)room.rows(noise.block_count)};
+    if (!noise.by_pose) fill_sds(noise, k, 0, 1, found);
+    for (int b = 0; b < noise.block_count; b++) {
+        found.factors[b] = room.rows(noise.blocks[b].size * noise.blocks[b].size);
+        if (!noise.blocks[b].by_pose) fill_factor(noise.blocks[b], 0, 1, found.factors[b]);
+    }
+    return found;
+}
+
+static void fill_by_pose(const Reduction& job, int pose, int count, const Uncertainty& to) {
+    const Noise& noise = *job.noise;
+    if (noise.by_pose) fill_sds(noise, job.program->inputs, pose, count, to);
+    for (int b = 0; b < noise.block_count; b++)
+        if (noise.blocks[b].by_pose) fill_factor(noise.blocks[b], pose, count, to.factors[b]);
+}
+
 // G = J S, (r, K)
-static void load_rows(const Reduction& job, const View* J, const double* sds, double* const* factors,
-                      double* G) {
+static void load_rows(const Reduction& job, const View* J, const Uncertainty& uncertainty, double* G) {
     const Noise& noise = *job.noise;
     const int m = job.program->loops, skip = noise.unmeasured_count, r = m - skip;
     const int K = noise.measured_count;
     for (int i = 0; i < r; i++)
         for (int k = 0; k < K; k++) {
             const View slope = J[noise.measured[k] * m + skip + i];
-            const double* const sd = sds + noise.measured[k] * TILE;
+            const double* const sd = uncertainty.sds + noise.measured[k] * TILE;
             EACH store(G + ((ptrdiff_t)i * K + k) * TILE + v * LANES, slope[v] * load(sd + v * LANES));
         }
     for (int b = 0; b < noise.block_count; b++) {
@@ -308,15 +332,15 @@ static void load_rows(const Reduction& job, const View* J, const double* sds, do
                     vec total = {};
                     for (int c = 0; c < block.size; c++)
                         total += J[noise.measured[block.places[c]] * m + skip + i][v] *
-                                 load(factors[b] + (c * block.size + d) * TILE + v * LANES);
+                                 load(uncertainty.factors[b] + (c * block.size + d) * TILE + v * LANES);
                     store(G + ((ptrdiff_t)i * K + block.places[d]) * TILE + v * LANES, total);
                 }
     }
 }
 
 // correction = S Q E of the measured quantities, into rows of all quantities
-static void unload(const Reduction& job, const double* G, const double* E, const double* sds,
-                   double* const* factors, double* normalised, double* correction) {
+static void unload(const Reduction& job, const double* G, const double* E, const Uncertainty& uncertainty,
+                   double* normalised, double* correction) {
     const Noise& noise = *job.noise;
     const int K = noise.measured_count, r = job.program->loops - noise.unmeasured_count;
     for (int k = 0; k < K; k++) {
@@ -327,7 +351,7 @@ static void unload(const Reduction& job, const double* G, const double* E, const
         const int q = noise.measured[k];
         EACH {
             store(normalised + k * TILE + v * LANES, total[v]);
-            store(correction + q * TILE + v * LANES, total[v] * load(sds + q * TILE + v * LANES));
+            store(correction + q * TILE + v * LANES, total[v] * load(uncertainty.sds + q * TILE + v * LANES));
         }
     }
     for (int b = 0; b < noise.block_count; b++) {
@@ -336,7 +360,7 @@ static void unload(const Reduction& job, const double* G, const double* E, const
             EACH {
                 vec total = {};
                 for (int d = 0; d < block.size; d++)
-                    total += load(factors[b] + (c * block.size + d) * TILE + v * LANES) *
+                    total += load(uncertainty.factors[b] + (c * block.size + d) * TILE + v * LANES) *
                              load(normalised + block.places[d] * TILE + v * LANES);
                 store(correction + noise.measured[block.places[c]] * TILE + v * LANES, total);
             }
@@ -344,8 +368,8 @@ static void unload(const Reduction& job, const double* G, const double* E, const
 }
 
 // The whitened equations E and the corrections they lead to; E at `out`, D ahead of it.
-static void whiten_uncertain(const Reduction& job, const Linear& part, const double* now, const double* sds,
-                             double* const* factors, Room room, double* out, double* correction,
+static void whiten_uncertain(const Reduction& job, const Linear& part, const double* now,
+                             const Uncertainty& uncertainty, Room room, double* out, double* correction,
                              ivec* singular) {
     const Noise& noise = *job.noise;
     const int m = job.program->loops, skip = noise.unmeasured_count, r = m - skip;
@@ -353,7 +377,7 @@ static void whiten_uncertain(const Reduction& job, const Linear& part, const dou
     double* const G = room.rows(r * K);
     double* const L = room.rows(r * r);
     double* const E = out + (ptrdiff_t)n * r * PIECE;
-    load_rows(job, part.J, sds, factors, G);
+    load_rows(job, part.J, uncertainty, G);
     orthonormalise(G, r, K, L, room, singular);
     for (int i = 0; i < r; i++) {
         vec rest[TV] = {};
@@ -376,7 +400,7 @@ static void whiten_uncertain(const Reduction& job, const Linear& part, const dou
          : r == 3 ? whiten_columns<3>
                   : whiten_columns<0>)(part.D, n, m, r, skip, inverse, out);
     }
-    unload(job, G, E, sds, factors, room.rows(K), correction);
+    unload(job, G, E, uncertainty, room.rows(K), correction);
     if (!skip) return;
     double* const remainder = room.rows(skip);
     for (int i = 0; i < skip; i++)
@@ -433,12 +457,12 @@ static void longest(const double* now, const double* correction, const double* i
 }
 
 // Rows of D and E of the poses from `pose` on, `count` of them, to out (n + 1, r, PIECE).
-static void whiten(const Reduction& job, int pose, int count, double* workspace, double* out, double* scratch) {
+static void whiten(const Reduction& job, int pose, int count, double* workspace, double* out,
+                   const Uncertainty& uncertainty, Room room) {
     const Program& program = *job.program;
     const Noise& noise = *job.noise;
     const int k = program.inputs, r = program.loops - noise.unmeasured_count;
     const int width = job.by_parameter ? program.parameters + 1 : 1;
-    Room room = {scratch};
     double* const now = room.rows(k);
     double* const x = workspace + program.first;
     fill(x, job.readings, k, pose, count);
@@ -447,26 +471,19 @@ static void whiten(const Reduction& job, int pose, int count, double* workspace,
     for (int i = 0; i < k * TILE; i += LANES) store(x + i, load(x + i) + load(now + i));
     run(program, workspace, job.by_parameter ? 2 : 1);
 
-    double* const sds = room.rows(k);
-    double* const inverse = room.rows(k);
     double* const correction = room.rows(k);
-    double** const factors = (double**)room.rows(noise.block_count);  // TILE pointers fit in a row
-    fill_sds(noise, k, pose, count, sds, inverse);
-    for (int b = 0; b < noise.block_count; b++) {
-        factors[b] = room.rows(noise.blocks[b].size * noise.blocks[b].size);
-        fill_factor(noise.blocks[b], pose, count, factors[b]);
-    }
+    fill_by_pose(job, pose, count, uncertainty);
     const Linear part = linear(job, workspace, room);
     ivec singular[TV] = {};
     if (job.exact)
         leave_unweighted(job, part, now, room, out, correction);
     else
-        whiten_uncertain(job, part, now, sds, factors, room, out, correction, singular);
+        whiten_uncertain(job, part, now, uncertainty, room, out, correction, singular);
 
     vec most[TV];
-    longest(now, correction, inverse, k, most);
+    longest(now, correction, uncertainty.inverse, k, most);
     for (int q = 0; q < k; q++)
-        memcpy(job.correction + q * job.correction_row + pose, correction + q * TILE, sizeof(double) * count);
+        take_row(job.correction + q * job.correction_row + pose, correction + q * TILE, count);
     for (int p = 0; p < count; p++) {
         job.step[pose + p] = most[p / LANES][p % LANES];
         job.singular[pose + p] = singular[p / LANES][p % LANES] != 0;

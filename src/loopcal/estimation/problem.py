@@ -101,12 +101,15 @@ class Problem:
     @property
     def block(self) -> int:
         """Poses in a block: at most BLOCK, and so many that all blocks are about as long."""
-        poses = len(self.poses)
-        return math.ceil(poses / math.ceil(poses / BLOCK))
+        return self._block(BLOCK)
 
-    def blocks(self) -> Iterator[tuple[Pattern, Poses]]:
+    def _block(self, most: int) -> int:
+        poses = len(self.poses)
+        return math.ceil(poses / math.ceil(poses / most))
+
+    def blocks(self, most: int = BLOCK) -> Iterator[tuple[Pattern, Poses]]:
         """The poses in blocks, each with its pattern; a pose without any loop is in none."""
-        size = self.block
+        size = self._block(most)
         for pattern in self.patterns:
             if isinstance(pattern.poses, slice):
                 for begin in range(0, len(self.poses), size):

@@ -9,18 +9,18 @@ linearisation did not hold), so that chi-squared is the true profile
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.closing import UNMEASURED_SCALE, Closed, close_by_newton
-from loopcal.estimation.kernel import BlockNoise, Whitened, unweighted, whiten
+from loopcal.estimation.block_kernel import BlockKernel, Reduce, Reduced, kernel_for
+from loopcal.estimation.closing import Closed, close_by_newton
+from loopcal.estimation.kernel import BlockNoise, unweighted, whiten
 from loopcal.estimation.loss import Loss
-from loopcal.estimation.problem import Pattern, Poses, Problem
+from loopcal.estimation.problem import BLOCK, Pattern, Poses, Problem
 from loopcal.estimation.reduction import Accumulator
-from loopcal.estimation.scratch import scratch
 from loopcal.expressions.engine import Engine, LoopValues, Stage, engine_for
 from loopcal.measurements.noise import CovarianceBlock
 
@@ -33,8 +33,6 @@ NEAR = 0.1
 """On the way, loops count as closed when the next correction will be at most so many sds."""
 _SAMPLE = 64
 """Poses from which the rounding of loop values is estimated."""
-
-Reduce = Callable[[LoopValues, Array, BlockNoise], Whitened]
 
 
 @dataclass(frozen=True)
@@ -82,6 +80,9 @@ class Sweeper:
             pattern.loops: engine_for(problem.tape(pattern), problem.names, problem.block)
             for pattern in problem.patterns
         }
+        self._exact = exact
+        self._kernels = {loops: self._kernel(engine) for loops, engine in self._engines.items()}
+        self._block = min((kernel.block for kernel in self._kernels.values()), default=BLOCK)
         self.prior_sd = np.full(len(problem.free), np.inf) if exact else problem.prior_sd
         # The basic method corrects nothing; only unmeasured quantities have to be found.
         self.corrects = not exact or any(p.unmeasured for p in problem.patterns)
@@ -114,28 +115,36 @@ class Sweeper:
         singular: list[NDArray[np.intp]] = []
         late: list[NDArray[np.intp]] = []
         surplus = 0.0
-        for pattern, poses in problem.blocks():
+        summed = not triangular and self.loss is None
+        for pattern, poses in problem.blocks(self._block):
             noise = self.noise(pattern, poses)
             readings, known = problem.readings[:, poses], problem.known[:, poses]
+            if self.rounding is None:
+                self.rounding = self._rounding(
+                    pattern, readings, corrections[:, poses], known, noise
+                )
             start = Closed(corrections[:, poses], np.zeros(readings.shape[1], dtype=bool))
             if closing is not None:
                 start = self._close(
                     pattern, readings, known, start.corrections, noise, closing, contraction
                 )
                 used[:, poses] = start.corrections
-            values = self._values(pattern, readings, start.corrections, known, Stage.BY_PARAMETER)
-            if self.rounding is None:
-                self.rounding = self._rounding(values, readings, noise)
-            whitened = self.reduce(values, start.corrections, noise)
+            self.evaluations += readings.shape[1]
+            found = self._kernels[pattern.loops].equations(
+                readings, start.corrections, known, noise, summed=summed
+            )
             if self.loss is not None:
-                surplus += _weigh(whitened, self.loss, len(values.f) - len(pattern.unmeasured))
-            data.add(whitened)
-            singular.append(_numbers(poses, whitened.singular))
+                held = len(pattern.loops) - len(pattern.unmeasured)
+                surplus += _weigh(found, self.loss, held)
+            if found.total is not None:
+                data.add_total(found.total)
+            elif found.rows is not None:
+                data.add(found.rows)
+            singular.append(_numbers(poses, found.singular))
             late.append(_numbers(poses, start.open))
             if self.corrects:
-                proposal[:, poses] = whitened.correction
-                move = whitened.correction - start.corrections
-                steps.append(float(_step_in_sds(move, noise).max()))
+                proposal[:, poses] = found.correction
+                steps.append(float(found.step.max()))
                 last = steps[-1] / start.step if start.step > 0.0 else 0.0
                 ratios.append(min(max(last, start.contraction), 1.0))
         return Sweep(
@@ -161,7 +170,7 @@ class Sweeper:
         problem = self.problem
         self.at(parameters)
         done, late = np.zeros_like(corrections), np.zeros(corrections.shape[1], dtype=bool)
-        for pattern, poses in problem.blocks():
+        for pattern, poses in problem.blocks(self._block):
             noise = self.noise(pattern, poses)
             readings, known = problem.readings[:, poses], problem.known[:, poses]
             start = corrections[:, poses]
@@ -175,8 +184,8 @@ class Sweeper:
         At the parameters as they were set; infinite where it is no number.
         """
         readings, known = self.problem.readings[:, poses], self.problem.known[:, poses]
-        values = self._values(pattern, readings, corrections, known, Stage.BY_QUANTITY)
-        E = self.reduce(values, corrections, self.noise(pattern, poses)).E
+        noise = self.noise(pattern, poses)
+        E = self._corrected(pattern, readings, corrections, known, noise).E
         cost = np.square(E).sum(axis=0)
         return np.where(np.isfinite(cost), cost, np.inf)
 
@@ -190,20 +199,35 @@ class Sweeper:
         """What evaluates the loops that hold in the poses of a pattern."""
         return self._engines[pattern.loops]
 
-    def _values(
-        self, pattern: Pattern, readings: Array, corrections: Array, known: Array, stage: Stage
-    ) -> LoopValues:
-        self.evaluations += readings.shape[1]
-        x = np.add(readings, corrections, out=scratch("x", *readings.shape))
-        return self.engine(pattern).evaluate(x, known, stage)
+    def _kernel(self, engine: Engine) -> BlockKernel:
+        return kernel_for(engine, self.reduce, exact=self._exact)
 
-    def _rounding(self, values: LoopValues, readings: Array, noise: BlockNoise) -> float:
+    def _corrected(
+        self,
+        pattern: Pattern,
+        readings: Array,
+        corrections: Array,
+        known: Array,
+        noise: BlockNoise,
+    ) -> Reduced:
+        self.evaluations += readings.shape[1]
+        return self._kernels[pattern.loops].corrected(readings, corrections, known, noise)
+
+    def _rounding(
+        self,
+        pattern: Pattern,
+        readings: Array,
+        corrections: Array,
+        known: Array,
+        noise: BlockNoise,
+    ) -> float:
         """Root mean square of |L^-1 eps a|, a the size of the terms in a loop value."""
         some = slice(0, _SAMPLE)
-        slopes = values.by_quantity[:, :, some]
+        x = readings[:, some] + corrections[:, some]
+        slopes = self.engine(pattern).evaluate(x, known[:, some], Stage.BY_QUANTITY).by_quantity
         sizes = np.einsum("kmb,kb->mb", np.abs(slopes), 1.0 + np.abs(readings[:, some]))
         part = LoopValues(np.finfo(float).eps * sizes, slopes, np.empty((0, *slopes.shape[1:])))
-        whitened = self.reduce(part, np.zeros_like(readings[:, some]), _select(noise, some))
+        whitened = self.reduce(part, np.zeros_like(x), _select(noise, some))
         return float(np.sqrt(np.square(whitened.E).sum(axis=0).mean()))
 
     def _close(
@@ -228,16 +252,14 @@ class Sweeper:
         last = ratio = 0.0
         for _ in range(MOST_CLOSINGS):
             part = noise if active is None else _select(noise, active)
-            values = self._values(
+            found = self._corrected(
                 pattern,
                 readings if active is None else readings[:, active],
                 at,
                 known if active is None else known[:, active],
-                Stage.BY_QUANTITY,
+                part,
             )
-            correction = self.reduce(values, at, part).correction
-            move = correction - at
-            size = _step_in_sds(move, part)
+            correction, size = found.correction, found.step
             if active is None and (longest := float(size.max())) * contraction <= tolerance:
                 return Closed(correction, late, longest)
             # A step larger than the one before, or one that is no number, overshot: halve it.
@@ -258,7 +280,7 @@ class Sweeper:
             if not rest.any():
                 return Closed(done, late, last, ratio)
             base = np.where(overshot, base, at)[:, rest]
-            step = np.where(overshot, step, move)[:, rest]
+            step = np.where(overshot, step, correction - at)[:, rest]
             length = np.where(overshot, 0.5 * length, 1.0)[rest]
             expected = np.where(overshot, expected, size)[rest]
             active = active[rest]
@@ -296,12 +318,13 @@ class Sweeper:
         return BlockNoise(sd, blocks, unmeasured, measured)
 
 
-def _weigh(block: Whitened, loss: Loss, equations: int) -> float:
+def _weigh(block: Reduced, loss: Loss, equations: int) -> float:
     """Scale the rows of each pose by the root of its weight; what the loss is above them."""
     s = np.einsum("rb,rb->b", block.E, block.E)
     weight = loss.weight(s, equations)
     surplus = float((loss.rho(s, equations) - weight * s).sum())
     rows = block.rows
+    assert rows is not None
     rows *= np.sqrt(weight)
     return surplus
 
@@ -332,14 +355,3 @@ def _select(noise: BlockNoise, chosen: NDArray[np.intp] | slice) -> BlockNoise:
         for b in noise.blocks
     )
     return BlockNoise(sd, blocks, noise.unmeasured, noise.measured)
-
-
-def _step_in_sds(step: Array, noise: BlockNoise) -> Array:
-    """Largest step of each pose in sds, (b,); exact quantities do not move."""
-    sd = np.where(noise.sd > 0.0, noise.sd, 1.0)
-    if noise.unmeasured:
-        sd[list(noise.unmeasured)] = UNMEASURED_SCALE
-    size = np.abs(step, out=scratch("step", *step.shape))
-    size /= sd
-    result: Array = size.max(axis=0)
-    return result

@@ -8,6 +8,7 @@ machine to machine.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -33,6 +34,7 @@ class CompiledEngine:
 
     def __init__(self, linearisation: Linearisation, size: int) -> None:
         self.size = size
+        self.loops, self.parameters = linearisation.loops, len(linearisation.parameters)
         self.native = _native(linearisation)
         self._linearisation = linearisation
         self._outputs = np.empty((len(linearisation.tape.outputs), size))
@@ -57,6 +59,24 @@ def side_by_side(rows: Array) -> Array:
     if rows.strides[-1] == rows.itemsize and rows.dtype == np.float64:
         return rows
     return np.ascontiguousarray(rows, dtype=np.float64)
+
+
+def native_noise(
+    sd: Array,
+    unmeasured: Sequence[int],
+    measured: Sequence[int],
+    blocks: Iterable[tuple[Sequence[int], Array]],
+) -> _compiled.Noise:
+    """The uncertainty of a block as the engine takes it.
+
+    sd: (k, 1) or (k, b); unmeasured, measured: all quantities; blocks: places among the measured
+    ones, and the factor (c, c) or (b, c, c) of their covariance.
+    """
+    places, factors = [], []
+    for which, factor in blocks:
+        places.append(which)
+        factors.append(np.ascontiguousarray(factor))
+    return _compiled.Noise(sd, unmeasured, measured, places, factors)
 
 
 def _native(linearisation: Linearisation) -> _compiled.Engine:
