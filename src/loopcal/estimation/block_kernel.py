@@ -67,8 +67,12 @@ class BlockKernel(Protocol):
         noise: BlockNoise,
         *,
         summed: bool,
+        into: Array | None = None,
     ) -> Reduced:
-        """The equations in the parameters too: their total where summed, else their rows."""
+        """The equations in the parameters too: their total where summed, else their rows.
+
+        into: (k, b) where the new corrections are to stand, if not in an array of their own.
+        """
 
 
 @dataclass(frozen=True)
@@ -92,8 +96,11 @@ class NumpyKernel:
         noise: BlockNoise,
         *,
         summed: bool,
+        into: Array | None = None,
     ) -> Reduced:
         found = self._reduced(readings, corrections, known, noise, Stage.BY_PARAMETER)
+        if into is not None:
+            into[:] = found.correction
         if not summed:
             return found
         assert found.rows is not None
@@ -132,13 +139,15 @@ class CompiledKernel:
         noise: BlockNoise,
         *,
         summed: bool,
+        into: Array | None = None,
     ) -> Reduced:
         n = self.engine.parameters + 1
         if summed:
-            return self._reduced(readings, corrections, known, noise, total=np.empty((n, n)))
+            total = np.empty((n, n))
+            return self._reduced(readings, corrections, known, noise, total=total, into=into)
         r = self.engine.loops - len(noise.unmeasured)
         rows = scratch("rows", n, r, readings.shape[1])
-        return self._reduced(readings, corrections, known, noise, rows=rows)
+        return self._reduced(readings, corrections, known, noise, rows=rows, into=into)
 
     def _reduced(
         self,
@@ -150,9 +159,11 @@ class CompiledKernel:
         by_parameter: bool = True,
         rows: Array | None = None,
         total: Array | None = None,
+        into: Array | None = None,
     ) -> Reduced:
         b = readings.shape[1]
-        correction, step = np.empty(readings.shape), np.empty(b)
+        correction = np.empty(readings.shape) if into is None else into
+        step = np.empty(b)
         singular = np.empty(b, dtype=np.uint8)
         self.engine.native.reduce(
             side_by_side(readings),

@@ -264,6 +264,8 @@ def _filled(raw: Array, home: Sequence[float]) -> Array:
 
     home: a start for each quantity without any reading.
     """
+    if not np.isnan(raw).any():
+        return raw
     filled = raw.copy()
     order = np.arange(raw.shape[1])
     for row, usual in zip(filled, home, strict=True):

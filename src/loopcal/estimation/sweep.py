@@ -81,6 +81,7 @@ class Sweeper:
             for pattern in problem.patterns
         }
         self._exact = exact
+        self._units = problem.units
         self._kernels = {loops: self._kernel(engine) for loops, engine in self._engines.items()}
         self._block = min((kernel.block for kernel in self._kernels.values()), default=BLOCK)
         self.prior_sd = np.full(len(problem.free), np.inf) if exact else problem.prior_sd
@@ -108,9 +109,9 @@ class Sweeper:
         problem = self.problem
         closing = closing if self.corrects else None
         self.at(parameters)
-        data = Accumulator(len(problem.free), triangular, problem.units)
-        used = corrections if closing is None else np.zeros_like(corrections)
-        proposal = np.zeros_like(corrections) if self.corrects else corrections
+        data = Accumulator(len(problem.free), triangular, self._units)
+        used = corrections if closing is None else np.zeros(corrections.shape)
+        proposal = np.zeros(corrections.shape) if self.corrects else corrections
         steps, ratios = [0.0], [0.0]
         singular: list[NDArray[np.intp]] = []
         late: list[NDArray[np.intp]] = []
@@ -130,8 +131,9 @@ class Sweeper:
                 )
                 used[:, poses] = start.corrections
             self.evaluations += readings.shape[1]
+            into = proposal[:, poses] if self.corrects and isinstance(poses, slice) else None
             found = self._kernels[pattern.loops].equations(
-                readings, start.corrections, known, noise, summed=summed
+                readings, start.corrections, known, noise, summed=summed, into=into
             )
             if self.loss is not None:
                 held = len(pattern.loops) - len(pattern.unmeasured)
@@ -143,7 +145,8 @@ class Sweeper:
             singular.append(_numbers(poses, found.singular))
             late.append(_numbers(poses, start.open))
             if self.corrects:
-                proposal[:, poses] = found.correction
+                if into is None:
+                    proposal[:, poses] = found.correction
                 steps.append(float(found.step.max()))
                 last = steps[-1] / start.step if start.step > 0.0 else 0.0
                 ratios.append(min(max(last, start.contraction), 1.0))
@@ -169,7 +172,7 @@ class Sweeper:
             return Closed(corrections, np.zeros(corrections.shape[1], dtype=bool))
         problem = self.problem
         self.at(parameters)
-        done, late = np.zeros_like(corrections), np.zeros(corrections.shape[1], dtype=bool)
+        done, late = np.zeros(corrections.shape), np.zeros(corrections.shape[1], dtype=bool)
         for pattern, poses in problem.blocks(self._block):
             noise = self.noise(pattern, poses)
             readings, known = problem.readings[:, poses], problem.known[:, poses]
