@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +77,7 @@ class Problem:
         everything = self.mechanism.parameters.items
         return tuple(everything[i].unit for i in self.free)
 
-    @property
+    @cached_property
     def equations(self) -> int:
         """Loop equations over all poses, less the unmeasured quantities they determine."""
         return sum(

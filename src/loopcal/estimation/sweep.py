@@ -113,8 +113,8 @@ class Sweeper:
         used = corrections if closing is None else np.zeros(corrections.shape)
         proposal = np.zeros(corrections.shape) if self.corrects else corrections
         steps, ratios = [0.0], [0.0]
-        singular: list[NDArray[np.intp]] = []
-        late: list[NDArray[np.intp]] = []
+        nowhere = np.empty(0, dtype=np.intp)
+        singular, late = [nowhere], [nowhere]
         surplus = 0.0
         summed = not triangular and self.loss is None
         for pattern, poses in problem.blocks(self._block):
@@ -142,8 +142,10 @@ class Sweeper:
                 data.add_total(found.total)
             elif found.rows is not None:
                 data.add(found.rows)
-            singular.append(_numbers(poses, found.singular))
-            late.append(_numbers(poses, start.open))
+            if found.singular.any():
+                singular.append(_numbers(poses, found.singular))
+            if start.open.any():
+                late.append(_numbers(poses, start.open))
             if self.corrects:
                 if into is None:
                     proposal[:, poses] = found.correction
