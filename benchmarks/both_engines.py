@@ -1,4 +1,4 @@
-"""The compiled engine beside NumPy's where a solve is small, and where quantities are unmeasured."""
+"""Both engines where a solve is small, and where quantities are unmeasured."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ import command
 import platform_poses
 import scale
 from both_engines import Engines
+from floor import LANES, Share
 from measuring import Times
 from whole_solve import DEMANDED, SOLVE, Comparison
 
@@ -90,6 +91,25 @@ def engines(found: Sequence[Engines]) -> str:
     ]
     head = ["solve", "compiled [ms]", "NumPy [ms]", "ratio", "demanded"]
     return f"Both engines, parameters checked to agree:\n\n{_table(head, rows)}"
+
+
+def shares(found: Sequence[Share], hertz: float) -> str:
+    """The time of a pose beside its arithmetic."""
+    rows = [
+        [
+            share.name,
+            f"{share.seconds * 1e9:.0f}",
+            f"{share.operations:,}",
+            f"{share.floor(hertz) * 1e9:.0f}" if hertz else "",
+            f"{share.seconds / share.floor(hertz):.1f}" if hertz else "",
+        ]
+        for share in found
+    ]
+    head = ["one pose, one thread", "time [ns]", "operations", "floor [ns]", "times the floor"]
+    words = (
+        f"The floor is two vectors of {LANES} operations in every cycle at {hertz / 1e9:.2f} GHz"
+    )
+    return f"{words}:\n\n{_table(head, rows)}"
 
 
 def cold_start(times: dict[str, Times]) -> str:

@@ -15,6 +15,7 @@ from typing import Any
 
 import both_engines
 import command
+import floor
 import platform_poses
 import report
 import scale
@@ -51,6 +52,9 @@ def main() -> int:
             pairs = [both_engines.monte_carlo(), both_engines.elimination()]
             data["engines"] = [asdict(pair) for pair in pairs]
             tell(report.engines(pairs))
+            shares = floor.measure()
+            data["floor"] = [asdict(share) for share in shares]
+            tell(report.shares(shares, floor.clock()))
     except DisagreementError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

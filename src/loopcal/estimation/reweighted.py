@@ -138,7 +138,7 @@ class _Reweighted(Sweeper):
         self.corrects = False
         self.poses: Poses = slice(0, 0)
 
-    def _kernel(self, engine: Engine) -> BlockKernel:
+    def _made(self, engine: Engine) -> BlockKernel:
         return NumpyKernel(engine, self._weighted)
 
     def noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:

@@ -82,7 +82,7 @@ class Sweeper:
         }
         self._exact = exact
         self._units = problem.units
-        self._kernels = {loops: self._kernel(engine) for loops, engine in self._engines.items()}
+        self._kernels = {loops: self._made(engine) for loops, engine in self._engines.items()}
         self._block = min((kernel.block for kernel in self._kernels.values()), default=BLOCK)
         self.prior_sd = np.full(len(problem.free), np.inf) if exact else problem.prior_sd
         # The basic method corrects nothing; only unmeasured quantities have to be found.
@@ -132,7 +132,7 @@ class Sweeper:
                 used[:, poses] = start.corrections
             self.evaluations += readings.shape[1]
             into = proposal[:, poses] if self.corrects and isinstance(poses, slice) else None
-            found = self._kernels[pattern.loops].equations(
+            found = self.kernel(pattern).equations(
                 readings, start.corrections, known, noise, summed=summed, into=into
             )
             if self.loss is not None:
@@ -204,7 +204,11 @@ class Sweeper:
         """What evaluates the loops that hold in the poses of a pattern."""
         return self._engines[pattern.loops]
 
-    def _kernel(self, engine: Engine) -> BlockKernel:
+    def kernel(self, pattern: Pattern) -> BlockKernel:
+        """What reduces the poses of a pattern."""
+        return self._kernels[pattern.loops]
+
+    def _made(self, engine: Engine) -> BlockKernel:
         return kernel_for(engine, self.reduce, exact=self._exact)
 
     def _corrected(
@@ -216,7 +220,7 @@ class Sweeper:
         noise: BlockNoise,
     ) -> Reduced:
         self.evaluations += readings.shape[1]
-        return self._kernels[pattern.loops].corrected(readings, corrections, known, noise)
+        return self.kernel(pattern).corrected(readings, corrections, known, noise)
 
     def _rounding(
         self,

@@ -142,6 +142,11 @@ class _Once:
                 self.rows[i] = codes[name], places[0], places[-1]
 
 
+def program_for(linearisation: Linearisation) -> Program:
+    """The instructions that the engine runs."""
+    return _prepared(linearisation)[2]
+
+
 @lru_cache(maxsize=64)
 def _prepared(linearisation: Linearisation) -> tuple[Tape, tuple[bool, ...], Program]:
     ends = stage_ends(linearisation)
