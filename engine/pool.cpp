@@ -130,7 +130,7 @@ Pool& the_pool() {
 
 void run_jobs(Job job, void* context, int count, int threads, std::size_t room) {
     Task task{job, context, count};
-    threads = threads < count ? threads : count;
+    threads = threads < count / 2 ? threads : count / 2;  // to wake another pays from two jobs on
     if (threads > 1) {
         Pool& shared = the_pool();
         std::unique_lock lock(shared.running, std::try_to_lock);

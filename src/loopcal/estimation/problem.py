@@ -65,7 +65,7 @@ class Problem:
     poses: tuple[str, ...]
     patterns: tuple[Pattern, ...] = field(default=())
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the estimated parameters."""
         everything = self.mechanism.parameters.names

@@ -133,9 +133,11 @@ def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
         scale = _scale(np.sqrt(np.square(R[:, :n]).sum(axis=0)), data.units)
         U, s, Vt = np.linalg.svd(R[:n, :n] * scale)
         return Spectrum(scale, Vt.T, s, U.T @ R[:n, n])
-    H = data.total[:n, :n] + np.diag(np.square(precision))
+    H = data.total[:n, :n].copy()
+    diagonal = H.reshape(-1)[:: n + 1]  # a view
+    diagonal += np.square(precision)
     g = data.total[:n, n] + known * precision
-    scale = _scale(np.sqrt(np.diag(H)), data.units)
+    scale = _scale(np.sqrt(diagonal), data.units)
     values, vectors = np.linalg.eigh(H * scale * scale[:, None])
     s = np.sqrt(np.maximum(values, 0.0))
     b = vectors.T @ (scale * g)

@@ -81,6 +81,9 @@ class Sweeper:
             for pattern in problem.patterns
         }
         self._exact = exact
+        stated = problem.uncertainty
+        self._by_pose = stated.sd.shape[1] > 1 or any(b.factor.ndim > 2 for b in stated.blocks)
+        self._noises: dict[tuple[tuple[int, ...], tuple[int, ...]], BlockNoise] = {}
         self._units = problem.units
         self._kernels = {loops: self._made(engine) for loops, engine in self._engines.items()}
         self._block = min((kernel.block for kernel in self._kernels.values()), default=BLOCK)
@@ -309,6 +312,14 @@ class Sweeper:
 
     def noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:
         """The uncertainty of one block of poses; what is in none of its loops counts as exact."""
+        if self._by_pose:
+            return self._noise(pattern, poses)
+        key = pattern.loops, pattern.unmeasured
+        if key not in self._noises:
+            self._noises[key] = self._noise(pattern, poses)
+        return self._noises[key]
+
+    def _noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:
         uncertainty, unmeasured = self.problem.uncertainty, pattern.unmeasured
         everything = range(len(self.problem.readings))
         measured = tuple(i for i in everything if i not in unmeasured)
