@@ -334,7 +334,9 @@ class _Solver:
             near = end.sweep.step <= 1.0  # a longer step may lead anywhere
             corrections = end.sweep.proposal if near else end.sweep.corrections
         prior = max(prior, 0.0)
-        return Solution(end.parameters, corrections, end.sweep, end.spectrum, prior, status)
+        # arrays by pose are large: of those on the way nothing is kept
+        sweep = replace(end.sweep, corrections=corrections, proposal=corrections)
+        return Solution(end.parameters, corrections, sweep, end.spectrum, prior, status)
 
 
 def _weakness(names: tuple[str, ...]) -> str:
