@@ -171,7 +171,7 @@ public:
     }
 
     void reduce(Matrix readings, Matrix corrections, std::optional<Matrix> known, const NoiseOfBlock& noise, bool exact,
-                bool by_parameter, Out correction, Out1 step, Marks singular, std::optional<Out3> rows,
+                bool by_parameter, bool rounding, Out correction, Out1 step, Marks singular, std::optional<Out3> rows,
                 std::optional<Out> total) const {
         const size_t poses = readings.shape(1), k = program_.inputs;
         require(program_.quantities == program_.inputs, "derivatives by all quantities are needed");
@@ -184,7 +184,7 @@ public:
         require(!rows || (static_cast<int>(rows->shape(0)) == n + 1 && static_cast<int>(rows->shape(1)) == r && rows->shape(2) == poses), "rows have a wrong shape");
         require(!total || (total->shape(0) == total->shape(1) && static_cast<int>(total->shape(0)) == n + 1 && total->stride(1) == 1), "the total has a wrong shape");
         const Reduction job{&program_, &plain, rows_of(readings, k, poses, "readings have a wrong shape"),
-                            rows_of(corrections, k, poses, "corrections have a wrong shape"), known_rows(known, poses), exact, by_parameter,
+                            rows_of(corrections, k, poses, "corrections have a wrong shape"), known_rows(known, poses), exact, by_parameter, rounding,
                             correction.data(), static_cast<ptrdiff_t>(correction.stride(0)), step.data(), singular.data(),
                             rows ? rows->data() : nullptr, static_cast<ptrdiff_t>(poses), room(plain, n)};
         const int each = poses_of_job(poses), count = jobs(poses, each);
@@ -223,7 +223,7 @@ private:
         const size_t m = program_.loops, k = program_.inputs, u = noise.unmeasured_count, r = m - u;
         const size_t K = noise.measured_count, width = n + 1, padded = (width + 3) / 4 * 4;
         const size_t outputs = m * (1 + k + n);
-        size_t rows = 4 * k + (outputs * 2 * sizeof(double) + TILE * sizeof(double) - 1) / (TILE * sizeof(double)) + 1;
+        size_t rows = 5 * k + m + (outputs * 2 * sizeof(double) + TILE * sizeof(double) - 1) / (TILE * sizeof(double)) + 1;
         for (int i = 0; i < noise.block_count; i++) rows += 1 + static_cast<size_t>(noise.blocks[i].size) * noise.blocks[i].size;
         if (u) rows += outputs + 2 * u * m + u;
         rows += r * K + 2 * r * r + K + r + K + u;
@@ -294,5 +294,5 @@ NB_MODULE(_compiled, m) {
         .def("at", &Engine::at, nb::arg("parameters"))
         .def("evaluate", &Engine::evaluate, nb::arg("x"), nb::arg("known").none(), nb::arg("stage"), nb::arg("out"))
         .def("reduce", &Engine::reduce, nb::arg("readings"), nb::arg("corrections"), nb::arg("known").none(), nb::arg("noise"), nb::arg("exact"),
-             nb::arg("by_parameter"), nb::arg("correction"), nb::arg("step"), nb::arg("singular"), nb::arg("rows").none(), nb::arg("total").none());
+             nb::arg("by_parameter"), nb::arg("rounding"), nb::arg("correction"), nb::arg("step"), nb::arg("singular"), nb::arg("rows").none(), nb::arg("total").none());
 }

@@ -91,6 +91,7 @@ struct Reduction {
     const Noise* noise;
     Rows readings, corrections, known;
     bool exact, by_parameter;
+    bool rounding;  // E of the rounding of loop values in place of the loop values, without corrections
     double* correction;  // (k, poses)
     ptrdiff_t correction_row;
     double* step;       // (poses)

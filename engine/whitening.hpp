@@ -1,7 +1,7 @@
 // The block kernel for one tile of poses: what loopcal/estimation/kernel.py says, in its order.
 
 constexpr double SINGULAR = 1e-13, REORTHOGONAL = 0.03, ROUNDED_AWAY = 1e-13, FLAT = 1e-12;
-constexpr double UNMEASURED_SCALE = 1e-3;
+constexpr double UNMEASURED_SCALE = 1e-3, EPSILON = 0x1p-52;
 
 // Rows of TILE poses, one after the other.
 struct Room {
@@ -244,15 +244,32 @@ static double* copied(Room& room, View* some, int m) {
     return part;
 }
 
-static Linear linear(const Reduction& job, const double* workspace, Room& room) {
+// What rounding does to a loop value: eps times the size of its terms, sum |df/dx| (1 + |reading|).
+static void round_off(const Reduction& job, const Linear& part, int pose, int count, Room& room) {
+    const int m = job.program->loops, k = job.program->inputs;
+    double* const readings = room.rows(k);
+    double* const sizes = room.rows(m);
+    fill(readings, job.readings, k, pose, count);
+    for (int i = 0; i < m; i++) {
+        vec total[TV] = {};
+        for (int q = 0; q < k; q++)
+            EACH total[v] += magnitude(part.J[q * m + i][v]) *
+                             (all(1.0) + magnitude(load(readings + q * TILE + v * LANES)));
+        EACH store(sizes + i * TILE + v * LANES, all(EPSILON) * total[v]);
+        part.f[i] = view(sizes + i * TILE);
+    }
+}
+
+static Linear linear(const Reduction& job, const double* workspace, int pose, int count, Room& room) {
     const Program& program = *job.program;
     const Noise& noise = *job.noise;
     const int m = program.loops, k = program.quantities, u = noise.unmeasured_count;
     const int n = job.by_parameter ? program.parameters : 0;
-    const int count = m * (1 + k + n);
-    View* const all_views = views(room, count);
-    for (int i = 0; i < count; i++) all_views[i] = view(workspace, program.outputs[i]);
+    const int outputs = m * (1 + k + n);
+    View* const all_views = views(room, outputs);
+    for (int i = 0; i < outputs; i++) all_views[i] = view(workspace, program.outputs[i]);
     Linear found = {all_views, all_views + m, all_views + m * (1 + k), {u, m, nullptr, nullptr, nullptr}};
+    if (job.rounding) round_off(job, found, pose, count, room);
     if (!u) return found;
     Reflections& reflections = found.reflections;
     reflections.vectors = room.rows(u * m);
@@ -473,7 +490,8 @@ static void whiten(const Reduction& job, int pose, int count, double* workspace,
 
     double* const correction = room.rows(k);
     fill_by_pose(job, pose, count, uncertainty);
-    const Linear part = linear(job, workspace, room);
+    const Linear part = linear(job, workspace, pose, count, room);
+    if (job.rounding) memset(now, 0, sizeof(double) * k * TILE);
     ivec singular[TV] = {};
     if (job.exact)
         leave_unweighted(job, part, now, room, out, correction);

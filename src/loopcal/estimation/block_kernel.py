@@ -74,6 +74,11 @@ class BlockKernel(Protocol):
         into: (k, b) where the new corrections are to stand, if not in an array of their own.
         """
 
+    def rounding(
+        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
+    ) -> Array:
+        """L^-1 eps a, (r, b), a the size of a loop's terms: sum |J_x| (1 + |reading|)."""
+
 
 @dataclass(frozen=True)
 class NumpyKernel:
@@ -106,6 +111,15 @@ class NumpyKernel:
         assert found.rows is not None
         rows = found.rows.reshape(len(found.rows), -1)
         return Reduced(found.correction, found.step, found.singular, total=rows @ rows.T)
+
+    def rounding(
+        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
+    ) -> Array:
+        x = readings + corrections
+        slopes = self.engine.evaluate(x, known, Stage.BY_QUANTITY).by_quantity
+        sizes = np.einsum("kmb,kb->mb", np.abs(slopes), 1.0 + np.abs(readings))
+        part = LoopValues(np.finfo(float).eps * sizes, slopes, np.empty((0, *slopes.shape[1:])))
+        return self.reduce(part, np.zeros_like(x), noise).E
 
     def _reduced(
         self, readings: Array, corrections: Array, known: Array, noise: BlockNoise, stage: Stage
@@ -149,6 +163,13 @@ class CompiledKernel:
         rows = scratch("rows", n, r, readings.shape[1])
         return self._reduced(readings, corrections, known, noise, rows=rows, into=into)
 
+    def rounding(
+        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
+    ) -> Array:
+        rows = np.empty((1, self.engine.loops - len(noise.unmeasured), readings.shape[1]))
+        given = readings, corrections, known, noise
+        return self._reduced(*given, by_parameter=False, rounding=True, rows=rows).E
+
     def _reduced(
         self,
         readings: Array,
@@ -157,6 +178,7 @@ class CompiledKernel:
         noise: BlockNoise,
         *,
         by_parameter: bool = True,
+        rounding: bool = False,
         rows: Array | None = None,
         total: Array | None = None,
         into: Array | None = None,
@@ -180,6 +202,7 @@ class CompiledKernel:
             ),
             self.exact,
             by_parameter,
+            rounding,
             correction,
             step,
             singular,

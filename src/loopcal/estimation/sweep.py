@@ -21,7 +21,7 @@ from loopcal.estimation.kernel import BlockNoise, unweighted, whiten
 from loopcal.estimation.loss import Loss
 from loopcal.estimation.problem import BLOCK, Pattern, Poses, Problem
 from loopcal.estimation.reduction import Accumulator
-from loopcal.expressions.engine import Engine, LoopValues, Stage, engine_for
+from loopcal.expressions.engine import Engine, engine_for
 from loopcal.measurements.noise import CovarianceBlock
 
 Array = NDArray[np.float64]
@@ -235,12 +235,9 @@ class Sweeper:
     ) -> float:
         """Root mean square of |L^-1 eps a|, a the size of the terms in a loop value."""
         some = slice(0, _SAMPLE)
-        x = readings[:, some] + corrections[:, some]
-        slopes = self.engine(pattern).evaluate(x, known[:, some], Stage.BY_QUANTITY).by_quantity
-        sizes = np.einsum("kmb,kb->mb", np.abs(slopes), 1.0 + np.abs(readings[:, some]))
-        part = LoopValues(np.finfo(float).eps * sizes, slopes, np.empty((0, *slopes.shape[1:])))
-        whitened = self.reduce(part, np.zeros_like(x), _select(noise, some))
-        return float(np.sqrt(np.square(whitened.E).sum(axis=0).mean()))
+        given = readings[:, some], corrections[:, some], known[:, some], _select(noise, some)
+        E = self.kernel(pattern).rounding(*given)
+        return float(np.sqrt(np.square(E).sum(axis=0).mean()))
 
     def _close(
         self,

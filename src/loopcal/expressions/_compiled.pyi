@@ -46,6 +46,7 @@ class Engine:
         noise: Noise,
         exact: bool,
         by_parameter: bool,
+        rounding: bool,
         correction: _Array,
         step: _Array,
         singular: NDArray[np.uint8],
