@@ -55,10 +55,9 @@ ClusterOption = Annotated[
 
 def _version(asked: bool) -> None:
     if asked:
-        from loopcal.expressions.choice import in_words
-        from loopcal.files.versions import version
+        from loopcal.files.versions import version_and_engine
 
-        print_out(f"loopcal {version()} (engine: {in_words()})")
+        print_out(version_and_engine())
         raise typer.Exit
 
 
@@ -75,9 +74,7 @@ def _executor(workers: int | None, cluster: str | None, *, threads: bool) -> Exe
 def _common(
     version: Annotated[
         bool,
-        typer.Option(
-            "--version", callback=_version, is_eager=True, help="Print the version and the engine."
-        ),
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
     ] = False,
 ) -> None:
     """Options before any command."""
