@@ -23,7 +23,7 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
-.PHONY: help install demo test lint types suite partners chromium test-pythons benchmark clean
+.PHONY: help install demo test lint types suite partners chromium test-pythons sanitize fuzz benchmark clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -31,7 +31,7 @@ help: ## list the targets
 
 install: $(STAMP) ## create the environment and install loopcal into it, editable
 
-$(STAMP): pyproject.toml
+$(STAMP): pyproject.toml CMakeLists.txt $(wildcard engine/*)
 	@mkdir -p $(TMPDIR)
 	@if [ ! -x $(BIN)/python ]; then \
 		if [ -z "$(PYTHON)" ]; then \
@@ -42,7 +42,7 @@ $(STAMP): pyproject.toml
 			echo "$(PYTHON) cannot be used: loopcal needs Python 3.11 or newer." >&2; exit 1; }; \
 		echo "creating $(VENV) with $$($(PYTHON) -V)"; \
 		$(PYTHON) -m venv $(VENV); fi
-	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	$(BIN)/python -m pip install --quiet --editable '.[test]' $(SETTINGS)
 	@touch $@
 
 demo: $(STAMP) ## calibrate the examples by both methods, the truth beside them
@@ -89,6 +89,23 @@ chromium:
 			&& echo "chromium: installed" \
 			|| echo "chromium: could not be installed; tests that need it skip"; \
 	else echo "chromium: absent, and only root with apt-get installs it here; tests that need it skip"; fi
+
+# The engine built with AddressSanitizer and UndefinedBehaviorSanitizer, in an environment of its own.
+SANITIZED := .venv-sanitize
+SANITIZER  = $(shell $(CXX) -print-file-name=libasan.so) $(shell $(CXX) -print-file-name=libubsan.so)
+
+sanitize: ## the engine's tests, and a minute of random tapes, under sanitizers of memory and of undefined behaviour
+	@$(MAKE) --no-print-directory install VENV=$(SANITIZED) \
+		SETTINGS="-Ccmake.define.LOOPCAL_SANITIZE=ON -Ccmake.build-type=RelWithDebInfo"
+	LD_PRELOAD="$(SANITIZER)" ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
+		LOOPCAL_ENGINE=compiled LOOPCAL_THREADS=2 $(SANITIZED)/bin/python -m pytest -p no:xdist \
+		tests/expressions/test_engine.py tests/expressions/test_compiled_engine.py \
+		tests/estimation/test_block_kernel.py
+	LD_PRELOAD="$(SANITIZER)" ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
+		LOOPCAL_THREADS=2 $(SANITIZED)/bin/python analyses/fuzz_engine.py --minutes 1
+
+fuzz: $(STAMP) ## ten minutes of random tapes through both engines
+	$(BIN)/python analyses/fuzz_engine.py --minutes 10
 
 benchmark: $(STAMP) ## times and memory beside other programs
 	$(BIN)/python benchmarks/run.py

@@ -14,7 +14,7 @@ from six_axis import JOINT_SD, POINT_SD, six_axis
 
 POSES = 300
 COMMAND, BARE = "loopcal calibrate --no-report, 300 poses", "python -c 'import numpy'"
-DEMANDED = 15.0
+DEMANDED = 10.0
 
 _PROJECT = f"""
 schema = 1

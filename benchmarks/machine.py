@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_info
 
+from loopcal.expressions.choice import in_words
+
 
 @dataclass(frozen=True)
 class Machine:
@@ -26,6 +28,7 @@ class Machine:
     blas: str
     odrpack: str
     loopcal: str
+    engine: str
     load: float
     """Processes that wanted a core, on average over the last minute."""
 
@@ -33,7 +36,7 @@ class Machine:
         return (
             f"{self.date}; {self.processor}, {self.cores} cores, {self.system}; "
             f"Python {self.python}, NumPy {self.numpy}, {self.blas}, odrpack {self.odrpack}, "
-            f"loopcal {self.loopcal}; load before the run {self.load:.1f}"
+            f"loopcal {self.loopcal} ({self.engine}); load before the run {self.load:.1f}"
         )
 
 
@@ -51,6 +54,7 @@ def this_machine() -> Machine:
         blas=f"{blas['internal_api']} {blas['version']} on one thread",
         odrpack=version("odrpack"),
         loopcal=version("loopcal"),
+        engine=in_words(),
         load=os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan"),
     )
 

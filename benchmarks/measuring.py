@@ -9,6 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 
+class DisagreementError(Exception):
+    """Programs that should find the same do not."""
+
+
 @dataclass(frozen=True)
 class Times:
     """Wall times of repeated runs [s]."""

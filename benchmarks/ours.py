@@ -1,8 +1,13 @@
-"""loopcal on the benchmark's problem: the solve alone, and the whole call with all it reports."""
+"""loopcal on the benchmark's problem: the solve alone, and the whole call with all it reports.
+
+Each on either engine, on any number of threads.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +16,23 @@ from six_axis import Fit, SixAxis
 import loopcal
 from loopcal.estimation.problem import build_problem
 from loopcal.estimation.solver import solve
+from loopcal.expressions.choice import AVAILABLE
+
+T = TypeVar("T")
+BEST = "compiled" if AVAILABLE else "numpy"
+
+
+def on_engine(engine: str, run: Callable[[], T], threads: int | None = None) -> Callable[[], T]:
+    """The same on the engine "numpy" or "compiled"; threads: all cores if not given."""
+
+    def chosen() -> T:
+        os.environ["LOOPCAL_ENGINE"] = engine
+        os.environ.pop("LOOPCAL_THREADS", None)
+        if threads is not None:
+            os.environ["LOOPCAL_THREADS"] = str(threads)
+        return run()
+
+    return chosen
 
 
 def solver(problem: SixAxis) -> Callable[[], Fit]:

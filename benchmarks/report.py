@@ -8,6 +8,8 @@ from pathlib import Path
 import command
 import platform_poses
 import scale
+from both_engines import Engines
+from floor import LANES, Share
 from measuring import Times
 from whole_solve import DEMANDED, SOLVE, Comparison
 
@@ -43,22 +45,71 @@ def sizes(found: Sequence[scale.Size]) -> str:
         [
             f"{size.poses:,}",
             f"{size.solve / size.poses * 1e6:.2f}",
+            f"{size.numpy / size.poses * 1e6:.2f}",
+            f"{size.numpy / size.solve:.2f}",
             f"{size.calibrate / size.poses * 1e6:.2f}",
             f"{size.peak / 1e6:,.0f}",
+            f"{size.peak_calibrate / 1e6:,.0f}",
         ]
         for size in found
     ]
     per_pose = [size.solve / size.poses for size in found]
-    flat = max(per_pose) / min(per_pose)
-    head = ["poses", "solve [µs/pose]", "calibrate() [µs/pose]", "peak memory [MB]"]
+    flat, last = max(per_pose) / min(per_pose), found[-1]
+    head = [
+        "poses",
+        "solve [µs/pose]",
+        "on NumPy [µs/pose]",
+        "ratio",
+        "calibrate() [µs/pose]",
+        "peak memory [MB]",
+        "with calibrate() [MB]",
+    ]
     words = (
         f"Time per pose of the solve is flat within {flat:.2f} "
-        f"({'meets' if flat <= scale.DEMANDED_FLAT else 'misses'} {scale.DEMANDED_FLAT:g}); peak "
-        f"memory of the whole process, readings included, is {found[-1].peak / 1e6:,.0f} MB "
-        f"({'meets' if found[-1].peak <= scale.DEMANDED_PEAK else 'misses'} "
+        f"({'meets' if flat <= scale.DEMANDED_FLAT else 'misses'} {scale.DEMANDED_FLAT:g}); "
+        f"{last.poses:,} poses take {last.numpy / last.solve:.2f} times as long on NumPy "
+        f"({'meets' if last.numpy >= scale.DEMANDED_RATIO * last.solve else 'misses'} "
+        f"{scale.DEMANDED_RATIO:g}); peak memory of the whole process that solves, readings "
+        f"included, is {last.peak / 1e6:,.0f} MB "
+        f"({'meets' if last.peak <= scale.DEMANDED_PEAK else 'misses'} "
         f"{scale.DEMANDED_PEAK / 1e6:,.0f} MB)."
     )
     return f"One process each, medians:\n\n{_table(head, rows)}\n\n{words}"
+
+
+def engines(found: Sequence[Engines]) -> str:
+    """Both engines side by side, other problems."""
+    rows = [
+        [
+            one.problem,
+            _milliseconds(one.times["compiled"].median),
+            _milliseconds(one.times["numpy"].median),
+            f"{one.ratio:.2f}",
+            _demand(one.ratio, one.demanded),
+        ]
+        for one in found
+    ]
+    head = ["solve", "compiled [ms]", "NumPy [ms]", "ratio", "demanded"]
+    return f"Both engines, parameters checked to agree:\n\n{_table(head, rows)}"
+
+
+def shares(found: Sequence[Share], hertz: float) -> str:
+    """The time of a pose beside its arithmetic."""
+    rows = [
+        [
+            share.name,
+            f"{share.seconds * 1e9:.0f}",
+            f"{share.operations:,}",
+            f"{share.floor(hertz) * 1e9:.0f}" if hertz else "",
+            f"{share.seconds / share.floor(hertz):.1f}" if hertz else "",
+        ]
+        for share in found
+    ]
+    head = ["one pose, one thread", "time [ns]", "operations", "floor [ns]", "times the floor"]
+    words = (
+        f"The floor is two vectors of {LANES} operations in every cycle at {hertz / 1e9:.2f} GHz"
+    )
+    return f"{words}:\n\n{_table(head, rows)}"
 
 
 def cold_start(times: dict[str, Times]) -> str:

@@ -13,15 +13,20 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import both_engines
 import command
+import floor
 import platform_poses
 import report
 import scale
 from machine import this_machine
+from measuring import DisagreementError
 from threadpoolctl import threadpool_limits
-from whole_solve import DisagreementError, compare
+from whole_solve import compare
 
-PARTS = ("six-axis", "scale", "command", "platform")
+from loopcal.expressions.choice import AVAILABLE
+
+PARTS = ("six-axis", "scale", "engines", "command", "platform")
 DOCUMENT = Path(__file__).parent.parent / "docs" / "explanation" / "performance.md"
 
 
@@ -43,6 +48,13 @@ def main() -> int:
             data["six-axis"] = [asdict(comparison) for comparison in found]
             for comparison in found:
                 tell(report.whole_solve(comparison))
+        if "engines" in wanted.only and AVAILABLE:
+            pairs = [both_engines.monte_carlo(), both_engines.elimination()]
+            data["engines"] = [asdict(pair) for pair in pairs]
+            tell(report.engines(pairs))
+            shares = floor.measure()
+            data["floor"] = [asdict(share) for share in shares]
+            tell(report.shares(shares, floor.clock()))
     except DisagreementError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -7,6 +7,7 @@ Joints read with an sd of 50 urad, the point with 10 um; the true parameters lie
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import geometric_arm
 import numpy as np
@@ -52,7 +53,7 @@ class SixAxis:
         """Of the six joints and the three coordinates, (9,) [SI]."""
         return np.array([JOINT_SD] * 6 + [POINT_SD] * 3)
 
-    @property
+    @cached_property
     def dataset(self) -> Dataset:
         """The readings as loopcal takes them."""
         rows = np.vstack([self.joints, self.points])

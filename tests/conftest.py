@@ -9,6 +9,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from loopcal.expressions.choice import AVAILABLE, ENGINES
 from tests import command_line
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,3 +37,13 @@ def shared_data() -> Callable[[str], Path]:
 def run_loopcal() -> Callable[..., object]:
     """Runs `loopcal ARGUMENTS` in a process of its own; see `command_line.run`."""
     return command_line.run
+
+
+@pytest.fixture(params=ENGINES)
+def each_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The test runs on one engine after the other; on NumPy alone where there is no other."""
+    name: str = request.param
+    if name == "compiled" and not AVAILABLE:
+        pytest.skip("the compiled engine was not built")
+    monkeypatch.setenv("LOOPCAL_ENGINE", name)
+    return name

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import re
 import subprocess
 import sys
 import tomllib
@@ -216,7 +217,8 @@ def test_a_project_keeps_to_the_published_schema(run: Run) -> None:
 def test_version_and_help(run: Run) -> None:
     import loopcal
 
-    assert run("--version").out == f"loopcal {loopcal.__version__}\n"
+    told = run("--version").out
+    assert re.fullmatch(rf"loopcal {loopcal.__version__} \(engine: (numpy|compiled, .+)\)\n", told)
     for arguments in (["--help"], ["calibrate", "-h"], ["simulate", "-h"], ["new", "--help"]):
         done = run(*arguments)
         assert done.code == 0

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
-from loopcal.estimation.kernel import Whitened
 from loopcal.estimation.reduction import Accumulator, Spectrum, spectrum, undetermined
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -41,8 +40,7 @@ def added_up(
     accumulator = Accumulator(N, triangular, units)
     for part in np.split(np.arange(len(E)), blocks):
         rows = np.column_stack([D[part], E[part]]).T.reshape(N + 1, R, -1)
-        nothing = np.zeros(0)
-        accumulator.add(Whitened(rows, nothing, nothing, nothing.astype(bool)))
+        accumulator.add(rows)
     return accumulator
 
 

@@ -1,4 +1,4 @@
-"""The NumPy engine gives, for every width of a block, what plain Python gives pose by pose."""
+"""Both engines give, for every width of a block, what plain Python gives pose by pose."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loopcal.expressions import engine as engine_module
-from loopcal.expressions import operations
+from loopcal.expressions import numpy_engine, operations
 from loopcal.expressions.derivative import linearise
-from loopcal.expressions.engine import NumpyEngine, engine_for
+from loopcal.expressions.engine import Engine, engine_class, engine_for
+from loopcal.expressions.numpy_engine import NumpyEngine
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
 from tests.reference.plain_tape import complex_step
@@ -56,8 +56,11 @@ def pose_by_pose(x: Array, known: Array, p: Array) -> Array:
     return np.array(columns).T
 
 
-def new_engine(tape: Tape, size: int) -> NumpyEngine:
-    return NumpyEngine(linearise(tape, tape.quantities, tape.parameters), size)
+pytestmark = pytest.mark.usefixtures("each_engine")
+
+
+def new_engine(tape: Tape, size: int) -> Engine:
+    return engine_class()(linearise(tape, tape.quantities, tape.parameters), size)
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -87,6 +90,14 @@ def test_one_engine_serves_blocks_of_changing_width_and_parameters() -> None:
             values = engine.evaluate(x, known)
             assert values.f.shape == (2, width)
             assert values.f == pytest.approx(pose_by_pose(x, known, p), rel=1e-14)
+
+
+def test_no_pose_is_no_work() -> None:
+    engine = new_engine(TAPE, 64)
+    engine.at(P)
+    values = engine.evaluate(np.zeros((2, 0)), np.zeros((1, 0)))
+    assert values.f.shape == (2, 0)
+    assert values.by_quantity.shape == (2, 2, 0)
 
 
 def test_more_poses_than_the_engine_holds_go_block_by_block() -> None:
@@ -120,7 +131,7 @@ def test_what_depends_on_parameters_alone_is_evaluated_once_per_parameters(
         counted[name] += 1
         return plain(name, *arguments)
 
-    monkeypatch.setattr(engine_module, "evaluate_scalar", counting)
+    monkeypatch.setattr(numpy_engine, "evaluate_scalar", counting)
     tape = trace(
         lambda x, p: (x["a"] * np.sin(p["k"]), x["a"] + np.sin(p["k"]) ** 3),
         quantities="a",
@@ -170,7 +181,7 @@ def test_each_thread_has_its_own_engine_and_one_thread_keeps_its() -> None:
     here = engine_for(TAPE, ("k",), 64)
     assert engine_for(TAPE, ("k",), 64) is here
     assert engine_for(TAPE, ("l",), 64) is not here
-    there: list[NumpyEngine] = []
+    there: list[Engine] = []
     thread = threading.Thread(target=lambda: there.append(engine_for(TAPE, ("k",), 64)))
     thread.start()
     thread.join()

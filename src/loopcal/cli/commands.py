@@ -55,9 +55,9 @@ ClusterOption = Annotated[
 
 def _version(asked: bool) -> None:
     if asked:
-        from loopcal.files.versions import version
+        from loopcal.files.versions import version_and_engine
 
-        print_out(f"loopcal {version()}")
+        print_out(version_and_engine())
         raise typer.Exit
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.kernel import BlockNoise
 from loopcal.expressions.derivative import lagrangian_gradient
-from loopcal.expressions.engine import NumpyEngine, engine_for
+from loopcal.expressions.engine import Engine, engine_for
 from loopcal.expressions.tape import Tape
 
 Array = NDArray[np.float64]
@@ -105,8 +105,8 @@ class _Poses:
 
     def __init__(
         self,
-        first: NumpyEngine,
-        second: NumpyEngine,
+        first: Engine,
+        second: Engine,
         readings: Array,
         known: Array,
         T: Array,

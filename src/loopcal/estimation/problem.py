@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +65,7 @@ class Problem:
     poses: tuple[str, ...]
     patterns: tuple[Pattern, ...] = field(default=())
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the estimated parameters."""
         everything = self.mechanism.parameters.names
@@ -77,7 +77,7 @@ class Problem:
         everything = self.mechanism.parameters.items
         return tuple(everything[i].unit for i in self.free)
 
-    @property
+    @cached_property
     def equations(self) -> int:
         """Loop equations over all poses, less the unmeasured quantities they determine."""
         return sum(
@@ -101,12 +101,15 @@ class Problem:
     @property
     def block(self) -> int:
         """Poses in a block: at most BLOCK, and so many that all blocks are about as long."""
-        poses = len(self.poses)
-        return math.ceil(poses / math.ceil(poses / BLOCK))
+        return self._block(BLOCK)
 
-    def blocks(self) -> Iterator[tuple[Pattern, Poses]]:
+    def _block(self, most: int) -> int:
+        poses = len(self.poses)
+        return math.ceil(poses / math.ceil(poses / most))
+
+    def blocks(self, most: int = BLOCK) -> Iterator[tuple[Pattern, Poses]]:
         """The poses in blocks, each with its pattern; a pose without any loop is in none."""
-        size = self.block
+        size = self._block(most)
         for pattern in self.patterns:
             if isinstance(pattern.poses, slice):
                 for begin in range(0, len(self.poses), size):
@@ -261,6 +264,8 @@ def _filled(raw: Array, home: Sequence[float]) -> Array:
 
     home: a start for each quantity without any reading.
     """
+    if not np.isnan(raw).any():
+        return raw
     filled = raw.copy()
     order = np.arange(raw.shape[1])
     for row, usual in zip(filled, home, strict=True):

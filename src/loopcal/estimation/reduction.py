@@ -14,8 +14,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.kernel import Whitened
-
 Array = NDArray[np.float64]
 RANK_TOLERANCE, SUMMED_TOLERANCE = 1e-10, 1e-6
 """Directions with a singular value this much below the largest are not determined; from normal
@@ -40,13 +38,17 @@ class Accumulator:
         size = parameters + 1
         self.total = np.zeros((size, size))
 
-    def add(self, block: Whitened) -> None:
-        """Add a block's equations."""
-        rows = block.rows.reshape(len(block.rows), -1)
+    def add(self, rows: Array) -> None:
+        """Add a block's equations, (n + 1, r, b): the columns of D, last E."""
+        rows = rows.reshape(len(rows), -1)
         if self.triangular:
             self.total = _triangle(self.total, rows.T)
         else:
             self.total += rows @ rows.T
+
+    def add_total(self, total: Array) -> None:
+        """Add a block's equations, their products already summed over loops and poses."""
+        self.total += total
 
     def add_other(self, other: Accumulator) -> None:
         """Add what another accumulator of the same kind has gathered."""
@@ -131,9 +133,11 @@ def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
         scale = _scale(np.sqrt(np.square(R[:, :n]).sum(axis=0)), data.units)
         U, s, Vt = np.linalg.svd(R[:n, :n] * scale)
         return Spectrum(scale, Vt.T, s, U.T @ R[:n, n])
-    H = data.total[:n, :n] + np.diag(np.square(precision))
+    H = data.total[:n, :n].copy()
+    diagonal = H.reshape(-1)[:: n + 1]  # a view
+    diagonal += np.square(precision)
     g = data.total[:n, n] + known * precision
-    scale = _scale(np.sqrt(np.diag(H)), data.units)
+    scale = _scale(np.sqrt(diagonal), data.units)
     values, vectors = np.linalg.eigh(H * scale * scale[:, None])
     s = np.sqrt(np.maximum(values, 0.0))
     b = vectors.T @ (scale * g)

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.block_kernel import BlockKernel, NumpyKernel
 from loopcal.estimation.kernel import BlockNoise, Whitened
 from loopcal.estimation.loss import Loss
 from loopcal.estimation.problem import Pattern, Poses, Problem
@@ -29,7 +30,7 @@ from loopcal.estimation.solver import Progress, Solution, solve_with
 from loopcal.estimation.starting import start_corrections
 from loopcal.estimation.status import Status
 from loopcal.estimation.sweep import NEAR, NEGLIGIBLE, Sweeper
-from loopcal.expressions.engine import LoopValues, Stage
+from loopcal.expressions.engine import Engine, LoopValues, Stage
 
 Array = NDArray[np.float64]
 _MOST, _STEP = 50, 1e-7
@@ -136,7 +137,9 @@ class _Reweighted(Sweeper):
         self.weights = weights
         self.corrects = False
         self.poses: Poses = slice(0, 0)
-        self.reduce = self._weighted
+
+    def _made(self, engine: Engine) -> BlockKernel:
+        return NumpyKernel(engine, self._weighted)
 
     def noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:
         self.poses = poses

@@ -91,7 +91,7 @@ def _linearised(
         values = engine.evaluate(problem.readings[:, poses] + start, problem.known[:, poses])
         sweeper.evaluations += start.shape[1]
         whitened = sweeper.reduce(values, start, noise)
-        data.add(whitened)
+        data.add(whitened.rows)
         proposals[:, poses] = whitened.correction
         for j, column in enumerate(whitened.D):
             steps[j][:, poses] = unload(whitened.G, column, noise)

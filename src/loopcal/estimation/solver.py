@@ -84,6 +84,15 @@ class _Point:
     closed: float | None
 
 
+@dataclass(frozen=True)
+class _Start:
+    """Where the search began."""
+
+    parameters: Array
+    corrections: Array
+    merit: float
+
+
 def solve(
     problem: Problem,
     *,
@@ -123,7 +132,9 @@ class _Solver:
         self.before = np.inf
 
     def run(self, max_iterations: int) -> Solution:
-        current = first = self._first()
+        current = self._first()
+        # of the first point only what it takes to return to it: arrays by pose are large
+        first = _Start(current.parameters, current.sweep.corrections, current.merit)
         damping = 0.0
         while True:
             assert current.spectrum is not None
@@ -290,20 +301,20 @@ class _Solver:
         end = replace(point, parameters=parameters)
         return self._solution(end, "converged", closed.corrections)
 
-    def _stalled(self, first: _Point, current: _Point) -> Solution:
+    def _stalled(self, first: _Start, current: _Point) -> Solution:
         """The end where no step lowers the merit: given up, unless only rounding is in the way."""
         end = self._evaluate(current.parameters, current.sweep.proposal, _CLOSED)
         if self._negligible(end):
             return self._converged(end)
         return self._give_up(first, current, "stalled")
 
-    def _give_up(self, first: _Point, current: _Point, reason: str) -> Solution:
+    def _give_up(self, first: _Start, current: _Point, reason: str) -> Solution:
         end = self._evaluate(current.parameters, current.sweep.proposal, _CLOSED)
         if end.sweep.open_poses.size or end.spectrum is None:
             end = replace(current, closed=None)
             reason = "cannot_close"
         if not end.merit <= first.merit:
-            start = self._evaluate(first.parameters, first.sweep.corrections, _CLOSED)
+            start = self._evaluate(first.parameters, first.corrections, _CLOSED)
             end = start if start.merit <= end.merit else end
         return self._solution(end, reason)
 
@@ -323,7 +334,9 @@ class _Solver:
             near = end.sweep.step <= 1.0  # a longer step may lead anywhere
             corrections = end.sweep.proposal if near else end.sweep.corrections
         prior = max(prior, 0.0)
-        return Solution(end.parameters, corrections, end.sweep, end.spectrum, prior, status)
+        # arrays by pose are large: of those on the way nothing is kept
+        sweep = replace(end.sweep, corrections=corrections, proposal=corrections)
+        return Solution(end.parameters, corrections, sweep, end.spectrum, prior, status)
 
 
 def _weakness(names: tuple[str, ...]) -> str:

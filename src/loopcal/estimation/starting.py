@@ -39,7 +39,7 @@ def start_corrections(sweeper: Sweeper, parameters: Array) -> Array:
     problem = sweeper.problem
     sweeper.at(parameters)
     units, names = problem.mechanism.quantities, problem.mechanism.tape.quantities
-    best = np.zeros_like(problem.readings)
+    best = np.zeros(problem.readings.shape)  # no memory yet, where nothing is unmeasured
     for pattern in problem.patterns:
         angles = [i for i in pattern.unmeasured if units[names[i]] == "rad"]
         if not angles and not any(names[i] in problem.mechanism.home for i in pattern.unmeasured):

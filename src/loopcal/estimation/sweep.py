@@ -9,19 +9,19 @@ linearisation did not hold), so that chi-squared is the true profile
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.closing import UNMEASURED_SCALE, Closed, close_by_newton
-from loopcal.estimation.kernel import BlockNoise, Whitened, unweighted, whiten
+from loopcal.estimation.block_kernel import BlockKernel, Reduce, Reduced, kernel_for
+from loopcal.estimation.closing import Closed, close_by_newton
+from loopcal.estimation.kernel import BlockNoise, unweighted, whiten
 from loopcal.estimation.loss import Loss
-from loopcal.estimation.problem import Pattern, Poses, Problem
+from loopcal.estimation.problem import BLOCK, Pattern, Poses, Problem
 from loopcal.estimation.reduction import Accumulator
-from loopcal.estimation.scratch import scratch
-from loopcal.expressions.engine import LoopValues, NumpyEngine, Stage, engine_for
+from loopcal.expressions.engine import Engine, engine_for
 from loopcal.measurements.noise import CovarianceBlock
 
 Array = NDArray[np.float64]
@@ -33,8 +33,6 @@ NEAR = 0.1
 """On the way, loops count as closed when the next correction will be at most so many sds."""
 _SAMPLE = 64
 """Poses from which the rounding of loop values is estimated."""
-
-Reduce = Callable[[LoopValues, Array, BlockNoise], Whitened]
 
 
 @dataclass(frozen=True)
@@ -82,6 +80,13 @@ class Sweeper:
             pattern.loops: engine_for(problem.tape(pattern), problem.names, problem.block)
             for pattern in problem.patterns
         }
+        self._exact = exact
+        stated = problem.uncertainty
+        self._by_pose = stated.sd.shape[1] > 1 or any(b.factor.ndim > 2 for b in stated.blocks)
+        self._noises: dict[tuple[tuple[int, ...], tuple[int, ...]], BlockNoise] = {}
+        self._units = problem.units
+        self._kernels = {loops: self._made(engine) for loops, engine in self._engines.items()}
+        self._block = min((kernel.block for kernel in self._kernels.values()), default=BLOCK)
         self.prior_sd = np.full(len(problem.free), np.inf) if exact else problem.prior_sd
         # The basic method corrects nothing; only unmeasured quantities have to be found.
         self.corrects = not exact or any(p.unmeasured for p in problem.patterns)
@@ -107,35 +112,47 @@ class Sweeper:
         problem = self.problem
         closing = closing if self.corrects else None
         self.at(parameters)
-        data = Accumulator(len(problem.free), triangular, problem.units)
-        used = corrections if closing is None else np.zeros_like(corrections)
-        proposal = np.zeros_like(corrections) if self.corrects else corrections
+        data = Accumulator(len(problem.free), triangular, self._units)
+        used = corrections if closing is None else np.zeros(corrections.shape)
+        proposal = np.zeros(corrections.shape) if self.corrects else corrections
         steps, ratios = [0.0], [0.0]
-        singular: list[NDArray[np.intp]] = []
-        late: list[NDArray[np.intp]] = []
+        nowhere = np.empty(0, dtype=np.intp)
+        singular, late = [nowhere], [nowhere]
         surplus = 0.0
-        for pattern, poses in problem.blocks():
+        summed = not triangular and self.loss is None
+        for pattern, poses in problem.blocks(self._block):
             noise = self.noise(pattern, poses)
             readings, known = problem.readings[:, poses], problem.known[:, poses]
+            if self.rounding is None:
+                self.rounding = self._rounding(
+                    pattern, readings, corrections[:, poses], known, noise
+                )
             start = Closed(corrections[:, poses], np.zeros(readings.shape[1], dtype=bool))
             if closing is not None:
                 start = self._close(
                     pattern, readings, known, start.corrections, noise, closing, contraction
                 )
                 used[:, poses] = start.corrections
-            values = self._values(pattern, readings, start.corrections, known, Stage.BY_PARAMETER)
-            if self.rounding is None:
-                self.rounding = self._rounding(values, readings, noise)
-            whitened = self.reduce(values, start.corrections, noise)
+            self.evaluations += readings.shape[1]
+            into = proposal[:, poses] if self.corrects and isinstance(poses, slice) else None
+            found = self.kernel(pattern).equations(
+                readings, start.corrections, known, noise, summed=summed, into=into
+            )
             if self.loss is not None:
-                surplus += _weigh(whitened, self.loss, len(values.f) - len(pattern.unmeasured))
-            data.add(whitened)
-            singular.append(_numbers(poses, whitened.singular))
-            late.append(_numbers(poses, start.open))
+                held = len(pattern.loops) - len(pattern.unmeasured)
+                surplus += _weigh(found, self.loss, held)
+            if found.total is not None:
+                data.add_total(found.total)
+            elif found.rows is not None:
+                data.add(found.rows)
+            if found.singular.any():
+                singular.append(_numbers(poses, found.singular))
+            if start.open.any():
+                late.append(_numbers(poses, start.open))
             if self.corrects:
-                proposal[:, poses] = whitened.correction
-                move = whitened.correction - start.corrections
-                steps.append(float(_step_in_sds(move, noise).max()))
+                if into is None:
+                    proposal[:, poses] = found.correction
+                steps.append(float(found.step.max()))
                 last = steps[-1] / start.step if start.step > 0.0 else 0.0
                 ratios.append(min(max(last, start.contraction), 1.0))
         return Sweep(
@@ -160,8 +177,8 @@ class Sweeper:
             return Closed(corrections, np.zeros(corrections.shape[1], dtype=bool))
         problem = self.problem
         self.at(parameters)
-        done, late = np.zeros_like(corrections), np.zeros(corrections.shape[1], dtype=bool)
-        for pattern, poses in problem.blocks():
+        done, late = np.zeros(corrections.shape), np.zeros(corrections.shape[1], dtype=bool)
+        for pattern, poses in problem.blocks(self._block):
             noise = self.noise(pattern, poses)
             readings, known = problem.readings[:, poses], problem.known[:, poses]
             start = corrections[:, poses]
@@ -175,8 +192,8 @@ class Sweeper:
         At the parameters as they were set; infinite where it is no number.
         """
         readings, known = self.problem.readings[:, poses], self.problem.known[:, poses]
-        values = self._values(pattern, readings, corrections, known, Stage.BY_QUANTITY)
-        E = self.reduce(values, corrections, self.noise(pattern, poses)).E
+        noise = self.noise(pattern, poses)
+        E = self._corrected(pattern, readings, corrections, known, noise).E
         cost = np.square(E).sum(axis=0)
         return np.where(np.isfinite(cost), cost, np.inf)
 
@@ -186,25 +203,41 @@ class Sweeper:
         for engine in self._engines.values():
             engine.at(parameters)
 
-    def engine(self, pattern: Pattern) -> NumpyEngine:
+    def engine(self, pattern: Pattern) -> Engine:
         """What evaluates the loops that hold in the poses of a pattern."""
         return self._engines[pattern.loops]
 
-    def _values(
-        self, pattern: Pattern, readings: Array, corrections: Array, known: Array, stage: Stage
-    ) -> LoopValues:
-        self.evaluations += readings.shape[1]
-        x = np.add(readings, corrections, out=scratch("x", *readings.shape))
-        return self.engine(pattern).evaluate(x, known, stage)
+    def kernel(self, pattern: Pattern) -> BlockKernel:
+        """What reduces the poses of a pattern."""
+        return self._kernels[pattern.loops]
 
-    def _rounding(self, values: LoopValues, readings: Array, noise: BlockNoise) -> float:
+    def _made(self, engine: Engine) -> BlockKernel:
+        return kernel_for(engine, self.reduce, exact=self._exact)
+
+    def _corrected(
+        self,
+        pattern: Pattern,
+        readings: Array,
+        corrections: Array,
+        known: Array,
+        noise: BlockNoise,
+    ) -> Reduced:
+        self.evaluations += readings.shape[1]
+        return self.kernel(pattern).corrected(readings, corrections, known, noise)
+
+    def _rounding(
+        self,
+        pattern: Pattern,
+        readings: Array,
+        corrections: Array,
+        known: Array,
+        noise: BlockNoise,
+    ) -> float:
         """Root mean square of |L^-1 eps a|, a the size of the terms in a loop value."""
         some = slice(0, _SAMPLE)
-        slopes = values.by_quantity[:, :, some]
-        sizes = np.einsum("kmb,kb->mb", np.abs(slopes), 1.0 + np.abs(readings[:, some]))
-        part = LoopValues(np.finfo(float).eps * sizes, slopes, np.empty((0, *slopes.shape[1:])))
-        whitened = self.reduce(part, np.zeros_like(readings[:, some]), _select(noise, some))
-        return float(np.sqrt(np.square(whitened.E).sum(axis=0).mean()))
+        given = readings[:, some], corrections[:, some], known[:, some], _select(noise, some)
+        E = self.kernel(pattern).rounding(*given)
+        return float(np.sqrt(np.square(E).sum(axis=0).mean()))
 
     def _close(
         self,
@@ -228,16 +261,14 @@ class Sweeper:
         last = ratio = 0.0
         for _ in range(MOST_CLOSINGS):
             part = noise if active is None else _select(noise, active)
-            values = self._values(
+            found = self._corrected(
                 pattern,
                 readings if active is None else readings[:, active],
                 at,
                 known if active is None else known[:, active],
-                Stage.BY_QUANTITY,
+                part,
             )
-            correction = self.reduce(values, at, part).correction
-            move = correction - at
-            size = _step_in_sds(move, part)
+            correction, size = found.correction, found.step
             if active is None and (longest := float(size.max())) * contraction <= tolerance:
                 return Closed(correction, late, longest)
             # A step larger than the one before, or one that is no number, overshot: halve it.
@@ -258,7 +289,7 @@ class Sweeper:
             if not rest.any():
                 return Closed(done, late, last, ratio)
             base = np.where(overshot, base, at)[:, rest]
-            step = np.where(overshot, step, move)[:, rest]
+            step = np.where(overshot, step, correction - at)[:, rest]
             length = np.where(overshot, 0.5 * length, 1.0)[rest]
             expected = np.where(overshot, expected, size)[rest]
             active = active[rest]
@@ -278,6 +309,14 @@ class Sweeper:
 
     def noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:
         """The uncertainty of one block of poses; what is in none of its loops counts as exact."""
+        if self._by_pose:
+            return self._noise(pattern, poses)
+        key = pattern.loops, pattern.unmeasured
+        if key not in self._noises:
+            self._noises[key] = self._noise(pattern, poses)
+        return self._noises[key]
+
+    def _noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:
         uncertainty, unmeasured = self.problem.uncertainty, pattern.unmeasured
         everything = range(len(self.problem.readings))
         measured = tuple(i for i in everything if i not in unmeasured)
@@ -296,12 +335,13 @@ class Sweeper:
         return BlockNoise(sd, blocks, unmeasured, measured)
 
 
-def _weigh(block: Whitened, loss: Loss, equations: int) -> float:
+def _weigh(block: Reduced, loss: Loss, equations: int) -> float:
     """Scale the rows of each pose by the root of its weight; what the loss is above them."""
     s = np.einsum("rb,rb->b", block.E, block.E)
     weight = loss.weight(s, equations)
     surplus = float((loss.rho(s, equations) - weight * s).sum())
     rows = block.rows
+    assert rows is not None
     rows *= np.sqrt(weight)
     return surplus
 
@@ -332,14 +372,3 @@ def _select(noise: BlockNoise, chosen: NDArray[np.intp] | slice) -> BlockNoise:
         for b in noise.blocks
     )
     return BlockNoise(sd, blocks, noise.unmeasured, noise.measured)
-
-
-def _step_in_sds(step: Array, noise: BlockNoise) -> Array:
-    """Largest step of each pose in sds, (b,); exact quantities do not move."""
-    sd = np.where(noise.sd > 0.0, noise.sd, 1.0)
-    if noise.unmeasured:
-        sd[list(noise.unmeasured)] = UNMEASURED_SCALE
-    size = np.abs(step, out=scratch("step", *step.shape))
-    size /= sd
-    result: Array = size.max(axis=0)
-    return result

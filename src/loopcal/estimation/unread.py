@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.kernel import eliminate
 from loopcal.estimation.problem import Pattern, Poses
 from loopcal.estimation.sweep import Sweeper
-from loopcal.expressions.engine import NumpyEngine, Stage, engine_for
+from loopcal.expressions.engine import Engine, Stage, engine_for
 
 Array = NDArray[np.float64]
 _MOST = 40
@@ -50,7 +50,7 @@ def found_in_loops(sweeper: Sweeper, start: Array, pattern: Pattern, poses: Pose
     return out
 
 
-def _search(engine: NumpyEngine, x: Array, known: Array, rows: list[int], weight: Array) -> Array:
+def _search(engine: Engine, x: Array, known: Array, rows: list[int], weight: Array) -> Array:
     """What the unmeasured rows (u, b) of x change by."""
     first = x[rows]
     done, active = first.copy(), np.arange(x.shape[1])
@@ -78,7 +78,7 @@ def _search(engine: NumpyEngine, x: Array, known: Array, rows: list[int], weight
     return change
 
 
-def _weighted(engine: NumpyEngine, x: Array, known: Array, weight: Array) -> tuple[Array, Array]:
+def _weighted(engine: Engine, x: Array, known: Array, weight: Array) -> tuple[Array, Array]:
     """Loop values (m, b) and derivatives (u, m, b), in sds."""
     values = engine.evaluate(x, known, Stage.BY_QUANTITY)
     return values.f * weight, values.by_quantity * weight

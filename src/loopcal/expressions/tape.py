@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from operator import index
 from typing import Any
 
@@ -88,6 +89,10 @@ class Tape:
 
     def depends_on(self) -> tuple[frozenset[str], ...]:
         """For each loop equation, the names of all inputs it contains."""
+        return self._inputs_of_loops
+
+    @cached_property
+    def _inputs_of_loops(self) -> tuple[frozenset[str], ...]:
         names: list[frozenset[str]] = []
         for name, payload in self.operations:
             if name in LEAVES:

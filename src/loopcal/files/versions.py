@@ -12,6 +12,13 @@ def versions() -> dict[str, str]:
     return {"loopcal": version(), "python": platform.python_version(), "numpy": np.__version__}
 
 
+def version_and_engine() -> str:
+    """What `loopcal --version` says."""
+    from loopcal.expressions.choice import in_words
+
+    return f"loopcal {version()} (engine: {in_words()})"
+
+
 def version() -> str:
     """Version of the installed loopcal."""
     from importlib.metadata import version as installed

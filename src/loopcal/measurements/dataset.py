@@ -77,7 +77,10 @@ class Dataset:
                 )
 
         def si(name: str, values: Any, what: str) -> Array:
-            return to_si(as_numbers(values, what), units.get(name, "1"))
+            numbers = as_numbers(values, what)  # an array of its own
+            numbers = to_si(numbers, units[name]) if name in units else numbers
+            numbers.flags.writeable = False  # is kept then, without another copy
+            return numbers
 
         readings = {q: si(q, column(table, q), f"column {q!r}") for q in names}
         spread = {

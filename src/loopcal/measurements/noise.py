@@ -135,7 +135,8 @@ def resolve_noise(
     for key, value in noise.entries.items():
         names = key if isinstance(key, tuple) else expand(key)
         for name in names:
-            expand(name)  # a tuple may name a quantity that is not there
+            if names is key:
+                expand(name)  # a tuple may name a quantity that is not there
             blocks.pop(in_block.pop(name, ()), None)
             sources[name] = "datasheet" if key in noise.by_maker else "given"
         if isinstance(value, Tracker):
@@ -156,9 +157,10 @@ def resolve_noise(
             sources[name] = "reading"
     rows = [_row(name, sds, dataset) for name in quantities]
     varying = any(row.ndim for row in rows)
-    width = poses if varying else 1
     return ReadingUncertainty(
-        np.array([np.broadcast_to(row, (width,)) for row in rows]),
+        np.array([np.broadcast_to(row, (poses,)) for row in rows])
+        if varying
+        else np.array(rows).reshape(len(rows), 1),
         tuple(
             CovarianceBlock(tuple(quantities.index(n) for n in names), _factor(value))
             for names, value in blocks.items()
@@ -191,8 +193,8 @@ def _row(name: str, sds: Mapping[str, Array], dataset: Dataset) -> Array:
     if name not in sds:
         raise InputError(f"no sd is stated for the quantity {name!r}", remedy=remedy)
     row = np.asarray(sds[name], dtype=float)
-    without = np.flatnonzero(np.isnan(np.atleast_1d(row)))
-    if row.ndim and without.size:
+    if row.ndim and np.isnan(row).any():
+        without = np.flatnonzero(np.isnan(row))
         raise InputError(
             f"{len(without)} readings of {name!r} have no sd, the first at pose "
             f"{dataset.poses[without[0]]!r}",

@@ -1,0 +1,188 @@
+"""Random tapes, readings and noise through both engines, for so many minutes.
+
+    python analyses/fuzz_engine.py --minutes 10
+
+Each round draws loops, a number of poses, how the noise is told and what is unmeasured, and
+compares values, derivatives, whitened equations, their sums and corrections of the compiled engine
+with those of NumPy: relative to the largest value of each kind in a pose, and beside what readings
+changed by a unit or two in the last place do to NumPy's own numbers. Every tenth round is wild:
+values leave their domains, and the engine must only survive. Ends with 1 at the first difference,
+telling its seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from loopcal.estimation.block_kernel import BlockKernel, CompiledKernel, NumpyKernel
+from loopcal.estimation.kernel import BlockNoise, unweighted, whiten
+from loopcal.expressions.choice import in_words
+from loopcal.expressions.compiled_engine import CompiledEngine
+from loopcal.expressions.derivative import linearise
+from loopcal.expressions.engine import Stage
+from loopcal.expressions.numpy_engine import NumpyEngine
+from loopcal.expressions.tape import Tape
+from loopcal.expressions.trace import trace
+from loopcal.measurements.noise import CovarianceBlock
+from tests.reference.random_loops import BINARY, UNARY
+
+Array = NDArray[np.float64]
+TOLERANCE, MOVED = 1e-11, 30.0
+WILD: tuple[Callable[..., Any], ...] = (
+    np.sqrt, np.log, np.arcsin, np.arccos, np.tan, np.exp, abs, lambda a: 1.0 / a,
+    lambda a: a**-3.5, lambda a: 1e200 * a, lambda a: np.exp(a * a), lambda a: np.sin(1e30 * a),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Case:
+    """One round: a tape, parameters, and a block of poses."""
+
+    tape: Tape
+    parameters: Array
+    readings: Array
+    corrections: Array
+    known: Array
+    noise: BlockNoise
+
+
+def draw(rng: np.random.Generator, wild: bool) -> Case:
+    """A case of moderate values, or a wild one."""
+    m, k = int(rng.integers(1, 6)), int(rng.integers(2, 9))
+    n, c = int(rng.integers(1, 9)), int(rng.integers(0, 3))
+    steps, functions = int(rng.integers(3, 30)), UNARY + BINARY
+    if wild:
+        functions += WILD
+
+    def loops(x: Any, p: Any) -> list[Any]:
+        values = [x[i] for i in range(k + c)] + [p[i] for i in range(n)]
+        for _ in range(steps):
+            function = functions[int(rng.integers(len(functions)))]
+            arguments = [values[int(rng.integers(len(values)))] for _ in range(2)]
+            values.append(function(*arguments[: 2 if function in BINARY else 1]))
+        weights = rng.normal(size=(m, k + 1))
+        # the sum of all quantities keeps loops apart and every quantity in them
+        return [
+            np.sin(values[-1 - r % steps]) + sum(w * x[i] for i, w in enumerate(row[:k]))
+            + row[k] * p[r % n] * x[r % k]
+            for r, row in enumerate(weights)
+        ]  # fmt: skip
+
+    tape = trace(
+        loops,
+        quantities=[f"x{i}" for i in range(k)],
+        known=[f"c{i}" for i in range(c)],
+        parameters=[f"p{i}" for i in range(n)],
+    )
+    poses = int(rng.choice([1, 2, 31, 32, 33, 100, 129, 300]))
+    return Case(
+        tape,
+        rng.uniform(-2, 2, n) * (rng.random(n) < 0.9),
+        rng.uniform(-2, 2, (k, poses)),
+        1e-2 * rng.normal(size=(k, poses)),
+        rng.uniform(-1, 1, (c, poses)),
+        _noise(rng, k, m, poses),
+    )
+
+
+def _noise(rng: np.random.Generator, k: int, m: int, poses: int) -> BlockNoise:
+    most = min(m - 1, k - 1, 3)
+    unmeasured = tuple(rng.permutation(k)[: int(rng.integers(0, most + 1))].tolist())
+    measured = tuple(i for i in range(k) if i not in unmeasured)
+    sd = rng.uniform(0.5, 2.0, (k, poses if rng.random() < 0.5 else 1)) * 1e-3
+    sd[list(unmeasured)] = np.inf
+    blocks: tuple[CovarianceBlock, ...] = ()
+    if rng.random() < 0.5:
+        among = tuple(rng.permutation(measured)[: int(rng.integers(1, 4))].tolist())
+        size = (len(among), len(among))
+        shape = (poses, *size) if rng.random() < 0.5 else size
+        blocks = (
+            CovarianceBlock(among, 1e-3 * (np.eye(len(among)) + 0.3 * rng.normal(size=shape))),
+        )
+    return BlockNoise(sd, blocks, unmeasured, measured)
+
+
+def numbers(case: Case, compiled: bool, readings: Array, *, exact: bool) -> list[Array]:
+    """What one engine makes of the case, as arrays (..., poses)."""
+    tape, b = case.tape, readings.shape[1]
+    linearisation = linearise(tape, tape.quantities, tape.parameters)
+    kernel: BlockKernel
+    if compiled:
+        ours = CompiledEngine(linearisation, b)
+        engine: Any = ours
+        kernel = CompiledKernel(ours, exact)
+    else:
+        engine = NumpyEngine(linearisation, b)
+        kernel = NumpyKernel(engine, unweighted if exact else whiten)
+    engine.at(case.parameters)
+    values = engine.evaluate(readings + case.corrections, case.known, Stage.BY_PARAMETER)
+    found = [a.copy() for a in (values.f, values.by_quantity, values.by_parameter)]
+    given = (readings, case.corrections, case.known, case.noise)
+    rows = kernel.equations(*given, summed=False)
+    assert rows.rows is not None
+    found += [rows.rows[:-1].copy(), rows.rows[-1].copy(), rows.correction.copy()]
+    total = kernel.equations(*given, summed=True).total
+    assert total is not None
+    return [*found, total[:, :, None], kernel.corrected(*given).correction.copy()]
+
+
+def difference(case: Case, rng: np.random.Generator, *, exact: bool) -> float:
+    """The largest difference between the engines beside what is allowed: above 1 is too much."""
+    readings = case.readings
+    # last places of the readings, as if they were rounded otherwise
+    nudged = readings * (1.0 + 4e-16 * rng.integers(-2, 3, readings.shape))
+    ours = numbers(case, True, readings, exact=exact)
+    theirs = numbers(case, False, readings, exact=exact)
+    moved = numbers(case, False, nudged, exact=exact)
+    worst = 0.0
+    for a, b, c in zip(ours, theirs, moved, strict=True):
+        if not np.array_equal(np.isfinite(a), np.isfinite(b)):
+            return np.inf
+        if a.size and np.isfinite(b).all():
+            axes = tuple(range(a.ndim - 1))
+            scale = 1.0 + np.abs(b).max(axis=axes)
+            spread = np.abs(b - c).max(axis=axes)
+            apart = np.abs(a - b).max(axis=axes)
+            worst = max(worst, float((apart / (TOLERANCE * scale + MOVED * spread)).max()))
+    return worst
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Rounds until the time is over."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--seed", type=int, default=0, help="of the first round")
+    wanted = parser.parse_args(arguments)
+    end, seed, worst = time.monotonic() + 60.0 * wanted.minutes, wanted.seed, 0.0
+    print(f"engine: {in_words()}", flush=True)
+    while time.monotonic() < end:
+        rng = np.random.default_rng(seed)
+        wild, exact = seed % 10 == 9, bool(rng.random() < 0.2)
+        with np.errstate(all="ignore"):
+            case = draw(rng, wild)
+            if wild:
+                numbers(case, True, case.readings, exact=exact)
+                found = 0.0
+            else:
+                found = difference(case, rng, exact=exact)
+        if not found <= 1.0:
+            print(f"seed {seed}: {found:.3g} times the difference allowed\n{case.tape}")
+            return 1
+        worst, seed = max(worst, found), seed + 1
+    print(f"{seed - wanted.seed} rounds, at most {worst:.2g} of the difference allowed")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,15 @@
+// Threads that share numbered jobs. Which thread takes a job does not matter to its result.
+
+#pragma once
+
+#include <cstddef>
+
+namespace loopcal {
+
+using Job = void (*)(void* context, int number, double* workspace);
+
+// Runs jobs 0 .. count-1, each once, on up to `threads` threads (the caller is one of them), each
+// with a workspace of `room` doubles. If another call is running, the caller does all of its own.
+void run_jobs(Job job, void* context, int count, int threads, std::size_t room);
+
+}  // namespace loopcal

@@ -1,0 +1,114 @@
+// What the Python side hands over, and what the code for each vector width is given and gives back.
+// Plain data only: this header is compiled for several processors, and whatever inline function it
+// held might be linked in the version for the newest.
+
+#pragma once
+
+#include <stddef.h>
+#include <stdint.h>
+
+namespace loopcal {
+
+// Poses run side by side in the registers of a tape.
+constexpr int TILE = 32;
+// Sums over poses run in this many lanes whatever the processor's, so that all give the same bits.
+constexpr int SUMS = 8;
+// Poses whose whitened rows are added up together: sums of products want long rows.
+constexpr int PIECE = 128;
+
+enum Code : int32_t {
+    ADD, SUB, MUL, DIV, NEG, POW, SQUARE, SQRT, SINCOS, TAN, ARCSIN, ARCCOS, ARCTAN, ARCTAN2,
+    HYPOT, EXP, LOG, ABS, SIGN,
+    PLUS,   // a b + c d
+    MINUS,  // a b - c d
+    TURN,   // a c - b d and a d + b c
+    SIN, COS,  // of numbers only: for poses both come together
+    CODES,
+};
+
+// Where a value stands in a workspace: a row of TILE poses (step 1), or a number that is the same
+// for all of them, written SUMS times (step 0).
+struct Operand {
+    int32_t at, step;
+};
+
+struct Instruction {
+    int32_t code;
+    int32_t out[2];
+    Operand in[4];
+};
+
+// A tape ready to run: instructions in stages, and where its outputs stand afterwards: f, then for
+// each quantity its derivatives of all loops, then for each parameter.
+struct Program {
+    const Instruction* instructions;
+    int ends[3];
+    const Operand* outputs;
+    int loops, quantities, parameters;  // of the outputs
+    int inputs, known;                  // rows to be filled: all readings, known constants
+    const double* numbers;
+    int count;    // of numbers
+    int first;    // row of the first input
+    size_t room;  // doubles in a workspace of the tape
+};
+
+// Rows of poses anywhere in memory: element (i, pose) is at[i * row + pose].
+struct Rows {
+    const double* at;
+    ptrdiff_t row;
+};
+
+struct Covariance {
+    const int32_t* places;  // among the measured quantities
+    int size;
+    const double* factor;
+    ptrdiff_t by_pose;  // 0, or size^2 where every pose has its own
+};
+
+struct Noise {
+    const double* sd;
+    ptrdiff_t row, by_pose;
+    const int32_t* unmeasured;
+    int unmeasured_count;
+    const int32_t* measured;
+    int measured_count;
+    const Covariance* blocks;
+    int block_count;
+};
+
+// Poses to evaluate: outputs[0 .. count) of each pose to out.at[i * out_row + pose].
+struct Evaluation {
+    const Program* program;
+    Rows x, known;
+    int stage;
+    double* out;
+    ptrdiff_t out_row;
+};
+
+// Poses to linearise at readings + corrections and to reduce.
+struct Reduction {
+    const Program* program;
+    const Noise* noise;
+    Rows readings, corrections, known;
+    bool exact, by_parameter;
+    bool rounding;  // E of the rounding of loop values in place of the loop values, without corrections
+    double* correction;  // (k, poses)
+    ptrdiff_t correction_row;
+    double* step;       // (poses)
+    uint8_t* singular;  // (poses)
+    double* rows;       // (n + 1, r, poses), or null
+    ptrdiff_t rows_row;
+    size_t room;  // doubles in a workspace
+};
+
+// The code for one vector width.
+struct Width {
+    const char* name;
+    void (*evaluate)(const Evaluation&, int begin, int end, double* workspace);
+    // total: (n + 1, n + 1), its lower triangle set to the sums over these poses; or null
+    void (*reduce)(const Reduction&, int begin, int end, double* workspace, double* total);
+};
+
+extern const Width width_2, width_4, width_8;
+
+}  // namespace loopcal

@@ -1,0 +1,83 @@
+"""Which engine runs the tapes, and on how many threads: without loading NumPy.
+
+The compiled engine runs where it was built, else NumPy does. LOOPCAL_ENGINE=numpy or
+LOOPCAL_ENGINE=compiled in the environment decides otherwise; LOOPCAL_THREADS is the number of
+threads.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from functools import lru_cache
+
+from loopcal.errors import UsageError, nearest
+
+try:
+    from loopcal.expressions import _compiled
+except ImportError:  # installed without a compiler
+    AVAILABLE = False
+else:
+    AVAILABLE = True
+ENGINES = ("numpy", "compiled")
+
+
+def chosen_engine() -> str:
+    """ "numpy" or "compiled".
+
+    Raises UsageError where LOOPCAL_ENGINE is neither, or asks for what was not built.
+    """
+    name = os.environ.get("LOOPCAL_ENGINE")
+    if name is None:
+        return "compiled" if AVAILABLE else "numpy"
+    if name not in ENGINES:
+        raise UsageError(f"LOOPCAL_ENGINE is {name!r}", remedy=nearest(name, ENGINES))
+    if name == "compiled" and not AVAILABLE:
+        raise UsageError(
+            "LOOPCAL_ENGINE is 'compiled', but loopcal was installed without the compiled engine",
+            remedy="install CMake, make and a C++ compiler, then loopcal once more; or unset it",
+        )
+    return name
+
+
+def in_words() -> str:
+    """The engine that runs, with what it makes use of."""
+    name = chosen_engine()
+    return f"{name}, {_described()}" if name == "compiled" else name
+
+
+def _described() -> str:
+    """The width of the vectors and the number of threads, in words."""
+    count = use_threads()
+    return f"{_compiled.width()}, {count} thread{'s' if count > 1 else ''}"
+
+
+def use_threads() -> int:
+    """Let as many threads share a block as LOOPCAL_THREADS says; else all cores that are ours.
+
+    A process that shares the cores with its siblings uses one.
+
+    Raises UsageError where LOOPCAL_THREADS is no whole number above zero.
+    """
+    text = os.environ.get("LOOPCAL_THREADS")
+    if text is None:
+        count = 1 if _among_siblings() else _cores()
+    elif text.isdecimal() and int(text) > 0:
+        count = int(text)
+    else:
+        raise UsageError(
+            f"LOOPCAL_THREADS is {text!r}", remedy="give a whole number of threads, 1 or more"
+        )
+    _compiled.use_threads(count)
+    return count
+
+
+def _among_siblings() -> bool:
+    processes = sys.modules.get("multiprocessing.process")
+    return processes is not None and processes.parent_process() is not None
+
+
+@lru_cache(maxsize=1)
+def _cores() -> int:
+    affinity = getattr(os, "sched_getaffinity", None)  # not everywhere
+    return len(affinity(0)) if affinity else os.cpu_count() or 1

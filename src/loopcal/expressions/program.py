@@ -1,0 +1,142 @@
+"""A linearised tape as instructions for the compiled engine, fused where that saves work.
+
+cos and sin of one angle are one instruction, sums of two products are one, and the two sums of a
+plane rotation, a c - b d and a d + b c, are one together. Rounding stays as on the tape.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+from loopcal.expressions.operations import LEAVES
+from loopcal.expressions.tape import Tape
+
+Position = int
+"""Of an operation on the tape."""
+
+
+@dataclass(frozen=True)
+class Instruction:
+    """One step: the values it makes, from those it takes, all as positions on the tape.
+
+    An unwanted second result is None.
+    """
+
+    name: str
+    results: tuple[Position | None, ...]
+    arguments: tuple[Position, ...]
+
+
+@dataclass(frozen=True)
+class Program:
+    """Instructions over rows of poses.
+
+    rows: where values that vary by pose stand, inputs first; count: of rows; ends: how many
+    instructions each stage needs.
+    """
+
+    instructions: tuple[Instruction, ...]
+    ends: tuple[int, ...]
+    rows: dict[Position, int]
+    results: tuple[tuple[int, ...], ...]
+    count: int
+
+
+def program_of(tape: Tape, varies: Sequence[bool], ends: Sequence[int]) -> Program:
+    """The program of a tape in stages; ends: how many outputs there are at the end of each."""
+    instructions = _turns(_sums(tape, varies))
+    made = {r: i for i, one in enumerate(instructions) for r in one.results if r is not None}
+    stage_ends = [
+        max((made.get(o, -1) for o in tape.outputs[:end]), default=-1) + 1 for end in ends
+    ]
+    return _in_rows(tape, instructions, stage_ends)
+
+
+def _sums(tape: Tape, varies: Sequence[bool]) -> list[Instruction]:
+    """Instructions in the order of the tape, with sums of products and pairs of cos and sin."""
+    uses = Counter(a for name, payload in tape.operations if name not in LEAVES for a in payload)
+    uses.update(tape.outputs)
+    inside: set[Position] = set()
+    for position, (name, payload) in enumerate(tape.operations):
+        if name in ("add", "sub") and varies[position]:
+            products = {int(a) for a in payload}
+            if len(products) == 2 and all(
+                tape.operations[a][0] == "mul" and varies[a] and uses[a] == 1 for a in products
+            ):
+                inside |= products
+    return list(_fused(tape, varies, inside))
+
+
+def _fused(tape: Tape, varies: Sequence[bool], inside: set[Position]) -> Iterator[Instruction]:
+    other = {"sin": "cos", "cos": "sin"}
+    where = {(name, payload): i for i, (name, payload) in enumerate(tape.operations)}
+    done: set[Position] = set()
+    for position, (name, payload) in enumerate(tape.operations):
+        arguments = tuple(int(a) for a in payload)
+        if name in LEAVES or not varies[position] or position in inside or position in done:
+            continue
+        if name in other:
+            pair = {name: position, other[name]: where.get((other[name], payload))}
+            done.update(p for p in pair.values() if p is not None)
+            yield Instruction("sincos", (pair["sin"], pair["cos"]), arguments)
+        elif name in ("add", "sub") and inside.issuperset(arguments):
+            factors = tuple(int(f) for a in arguments for f in tape.operations[a][1])
+            yield Instruction("plus" if name == "add" else "minus", (position,), factors)
+        else:
+            yield Instruction(name, (position,), arguments)
+
+
+def _turns(instructions: Iterable[Instruction]) -> tuple[Instruction, ...]:
+    """The same, a c - b d and a d + b c made together where the first of them was."""
+    instructions = list(instructions)
+    sums = {_pairs(one.arguments): i for i, one in enumerate(instructions) if one.name == "plus"}
+    turned: dict[int, Instruction] = {}
+    gone: set[int] = set()
+    for i, one in enumerate(instructions):
+        if one.name != "minus":
+            continue
+        a, c, b, d = one.arguments
+        for order in ((a, b, c, d), (c, b, a, d)):
+            partner = sums.get(_pairs((order[0], d, b, order[2])))
+            if partner is not None and partner not in gone and partner not in turned:
+                results = (*one.results, *instructions[partner].results)
+                turned[min(i, partner)] = Instruction("turn", results, order)
+                gone.add(max(i, partner))
+                break
+    return tuple(turned.get(i, one) for i, one in enumerate(instructions) if i not in gone)
+
+
+def _pairs(factors: Sequence[Position]) -> frozenset[tuple[Position, ...]]:
+    """What a sum of two products is made of, in whatever order."""
+    return frozenset((tuple(sorted(factors[:2])), tuple(sorted(factors[2:]))))
+
+
+def _in_rows(tape: Tape, instructions: Sequence[Instruction], ends: Sequence[int]) -> Program:
+    """A row for every value: inputs have theirs, outputs keep theirs, others pass them on."""
+    rows: dict[Position, int] = {}
+    for position, (name, payload) in enumerate(tape.operations):
+        if name in ("quantity", "known"):
+            rows[position] = int(payload[0]) + (len(tape.quantities) if name == "known" else 0)
+    count = len(tape.quantities) + len(tape.known)
+    kept = {*rows, *tape.outputs}
+    last = {a: i for i, one in enumerate(instructions) for a in one.arguments}
+    free: list[int] = []
+    results: list[tuple[int, ...]] = []
+    for i, one in enumerate(instructions):
+        for argument in set(one.arguments):
+            if last[argument] == i and argument in rows and argument not in kept:
+                free.append(rows[argument])
+        own = []
+        for _ in one.results:
+            if not free:
+                free.append(count)
+                count += 1
+            own.append(free.pop())
+        rows |= {r: row for r, row in zip(one.results, own, strict=True) if r is not None}
+        free += [
+            row for r, row in zip(one.results, own, strict=True) if r not in last and r not in kept
+        ]
+        results.append(tuple(own))
+    return Program(tuple(instructions), tuple(ends), rows, tuple(results), count)
