@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.distances import point_outputs, points
+from loopcal.estimation.distances import POLAR, point_outputs, points
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem import Problem
 from loopcal.estimation.unclosed import open_loops
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 
 Array = NDArray[np.float64]
+ASIDE = 10.0
+"""Where a station that reads angles is thought to stand until it is placed [m]."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,12 @@ def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
             remedy='start from the nominal parameters (fit.start = "nominal")',
         )
     values = dict(zip(mechanism.parameters.names, problem.start.tolist(), strict=True))
-    differences = output_differences(problem, problem.start)
+    for family, placement in stations:
+        if family.form in POLAR:  # angles to a machine that stands over its station are none
+            aside = np.full(len(family.readings), ASIDE)
+            values = placement.moved(values, np.eye(len(aside)), aside)
+    start = np.array(list(values.values()))
+    differences = output_differences(problem, start)
     alike: dict[tuple[str, ...], list[tuple[Array, Array, Placement]]] = {}
     for family, placement in stations:
         outputs = point_outputs(mechanism, family)

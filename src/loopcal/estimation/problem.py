@@ -163,7 +163,7 @@ def build_problem(
         patterns,
     )
     refuse_too_few(problem)
-    refuse_without_length(mechanism, problem.readings, uncertainty.sd)
+    refuse_without_length(mechanism, problem.readings, known, uncertainty.sd)
     return problem
 
 

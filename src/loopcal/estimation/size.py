@@ -8,23 +8,27 @@ the less its joints' noise moves the ball, so a fit would shrink it without end.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.expressions.engine import engine_for
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameter
 
 Array = NDArray[np.float64]
 _NOISE = 6.0
 """So many sds away from 0 a reading is no noise."""
+_SAMPLE, _MADE_UP = 200, 1e-6
 
 
-def refuse_without_length(mechanism: Mechanism, readings: Array, sd: Array) -> None:
-    """InputError where the only lengths read are gaps of 0, and none is held or known beforehand.
+def refuse_without_length(mechanism: Mechanism, readings: Array, known: Array, sd: Array) -> None:
+    """InputError where the only lengths read are gaps of 0, and none that tells size is held.
 
-    readings: (k, N); sd: (k, N) or (k, 1), both [SI] in the order of the quantities. A gap within
-    its noise of 0 says no more than one of 0.
+    readings: (k, N); known: (c, N); sd: (k, N) or (k, 1), all [SI] in the orders of the tape. A
+    gap within its noise of 0 says no more than one of 0.
     """
     names, units = mechanism.tape.quantities, mechanism.quantities
     read = np.flatnonzero(np.any(np.isfinite(sd), axis=1)).tolist()
@@ -35,7 +39,9 @@ def refuse_without_length(mechanism: Mechanism, readings: Array, sd: Array) -> N
     if (np.abs(readings[lengths]) > _NOISE * sd[lengths]).any():
         return
     own = [p for p in mechanism.parameters if p.unit == "m" and p.nominal]
-    if not own or any(p.fixed or math.isfinite(p.prior_sd) for p in own):
+    held = [p for p in own if p.fixed or math.isfinite(p.prior_sd)]
+    whole = len(read) == len(names) and np.isfinite(readings).all()
+    if not own or (held and (not whole or _tell_size(mechanism, held, readings, known))):
         return
     seen = tuple(f"{family.name}_" for family in mechanism.families)
     links = [p for p in own if not p.name.startswith(seen)] or own
@@ -48,3 +54,33 @@ def refuse_without_length(mechanism: Mechanism, readings: Array, sd: Array) -> N
         "[parameters], or give it a prior sd; or measure one, with a ball-bar of known length or "
         "as the distance of two poses",
     )
+
+
+def _tell_size(
+    mechanism: Mechanism, held: Sequence[Parameter], readings: Array, known: Array
+) -> bool:
+    """Whether scaling the lengths that are held cannot be made up for by parameters that are free.
+
+    Loops are of first degree in lengths, so with J_h p_h in the range of J_free, wherever the
+    joints stand, the rest of the machine scales without them.
+    """
+    some = slice(None, None, max(1, readings.shape[1] // _SAMPLE))
+    x, constants = readings[:, some].copy(), known[:, some]
+    # beside the poses: where loops close, whatever is held is trivially made up for by the rest
+    turned = [
+        i for i, q in enumerate(mechanism.tape.quantities) if mechanism.quantities[q] == "rad"
+    ]
+    x[turned] += np.random.default_rng(0).uniform(-0.5, 0.5, (len(turned), x.shape[1]))
+    names = [p.name for p in held]
+    free = [n for n in mechanism.parameters.free if n not in names]
+    engine = engine_for(mechanism.tape, (*names, *free), x.shape[1])
+    engine.at(np.array([p.nominal for p in mechanism.parameters]))
+    J = engine.evaluate(x, constants).by_parameter
+    J = J.reshape(len(J), -1).T
+    if not np.isfinite(J).all():
+        return True
+    column = J[:, : len(names)] @ np.array([p.nominal for p in held])
+    rest = J[:, len(names) :]
+    rest = rest / np.maximum(np.linalg.norm(rest, axis=0), 1e-300)
+    left = column - rest @ np.linalg.lstsq(rest, column, rcond=1e-10)[0]
+    return bool(np.linalg.norm(left) > _MADE_UP * np.linalg.norm(column))

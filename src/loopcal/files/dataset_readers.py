@@ -153,7 +153,7 @@ def read_poses(path: str | Path, pose: str | int, **how: Any) -> Dataset:
 
 
 def column_labels(
-    path: str | Path,
+    path: str | Path | BinaryIO,
     *,
     sheet: str | int | None = None,
     header: bool | None = None,

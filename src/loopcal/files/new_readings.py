@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from loopcal.files.columns import Column
 from loopcal.files.data_entries import DataSpec, named_columns
@@ -29,7 +31,12 @@ def read_new_readings(path: str | Path, inputs: Mapping[str, Any], mechanism: Me
     """
     spec = _spec(inputs, mechanism)
     how: dict[str, Any] = {key: spec.options.get(key) for key in _FORMAT}
-    there = column_labels(path, **how)
+    content = sys.stdin.buffer.read() if str(path) == "-" else None
+
+    def source() -> str | Path | BinaryIO:
+        return path if content is None else BytesIO(content)
+
+    there = column_labels(source(), **how)
     parts = [named_columns(p, there, mechanism) if p.by_name else p for p in (spec, *spec.joins)]
     needless = {*mechanism.outputs, *mechanism.predicting().unused}
     columns = {
@@ -40,7 +47,7 @@ def read_new_readings(path: str | Path, inputs: Mapping[str, Any], mechanism: Me
     }
     pose = spec.options.get("pose", "pose")
     pose_column = pose if pose in there or isinstance(pose, int) else None
-    return read_dataset(path, columns, pose=pose_column, **how)
+    return read_dataset(source(), columns, pose=pose_column, **how)
 
 
 def _spec(inputs: Mapping[str, Any], mechanism: Mechanism) -> DataSpec:

@@ -20,6 +20,8 @@ from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 from loopcal.mechanisms.parameters import Parameter
 
+SECOND = 0.01
+"""By how much [m, rad] the home of a row's second pose differs from that of the first."""
 ENDS = ("", "_b")
 """What is appended to a machine's quantities where two of its poses stand in one row."""
 
@@ -149,7 +151,7 @@ def assemble(
     return replace(
         made,
         families=tuple(_families(machine, instruments, ends)),
-        home={q + end: v for end in ENDS[:ends] for q, v in machine.home.items()},
+        home=_home(machine, ends),
         implied={q: v for i in instruments for q, v in i.implied.items()},
         orientations=tuple(i.orientation for i in instruments if i.orientation),
         chain=machine.chain,
@@ -179,6 +181,15 @@ def _families(machine: Machine, instruments: Sequence[Instrument], ends: int) ->
         )
     for i in instruments:
         yield Family(i.name, i.loops, tuple(i.readings), i.form, i.place, i.remedy)
+
+
+def _home(machine: Machine, ends: int) -> dict[str, float]:
+    """Where searches begin; the second pose a little aside: two in one place have no distance."""
+    return {
+        q + end: v + SECOND * number
+        for number, end in enumerate(ENDS[:ends])
+        for q, v in machine.home.items()
+    }
 
 
 def _stated(

@@ -94,5 +94,6 @@ def _refuse_open(mechanism: Mechanism, f: Array, x: Array, poses: Sequence[str])
         raise InputError(
             f"the loops of {int(still_open.sum())} poses cannot close; at pose {poses[first]!r} "
             f"the loop equation {loop!r} stays {worst[first]:.3g} away from zero",
-            remedy="drive the mechanism within its reach, or give better start values",
+            remedy="drive the mechanism within its reach, or give better start values"
+            + ("; leave undriven as many quantities as things touch" if mechanism.implied else ""),
         )

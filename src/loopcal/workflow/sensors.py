@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError
 from loopcal.files.project_data import load_dataset
+from loopcal.files.project_file import Project
+from loopcal.measurements.dataset import Dataset
 
 if TYPE_CHECKING:
     from loopcal.statistics.repeats import Repeats
@@ -47,7 +49,7 @@ def sensor_noise(
     read = None if project is None else named_project(project, function)
     series = read_repeats(files, project=read, columns=columns, pose=pose)
     found = repeated_readings(series)
-    if read is not None:
+    if read is not None and _all_read(read, series):
         try:
             elsewhere = load_dataset(read).dataset if read.fit.start != "nominal" else None
         except InputError:
@@ -59,3 +61,8 @@ def sensor_noise(
             raise error.at(read.name) from None
         found = with_separation(found, apart)
     return SensorNoise(found, repeats_summary.summary(found), repeats_summary.document(found))
+
+
+def _all_read(project: Project, series: Sequence[Dataset]) -> bool:
+    """Whether joints can be told from instrument: machines with unread quantities cannot."""
+    return all(q in one.readings for one in series for q in project.mechanism.tape.quantities)
