@@ -128,7 +128,7 @@ def test_a_covariance_of_the_data_may_be_replaced_for_the_simulation():
 )
 def test_what_does_not_fit_is_refused_at_its_place(text, place, words):
     with pytest.raises(InputError) as caught:
-        spec(text)
+        spec(text).refuse_missing()
     assert place in str(caught.value.place)
     assert words in str(caught.value)
     assert caught.value.remedy

@@ -47,7 +47,8 @@ class SimulationSpec:
     poses: how many; grid: whether they are all combinations of the ranges' values, or random;
     ranges: quantity or known constant -> range; truth: parameter -> true value, where it is not
     the nominal one; perturb: parameter -> sd of a random deviation of its truth, fixed parameters
-    never among them; noise: of the sensors, as they truly are.
+    never among them; noise: of the sensors, as they truly are; missing: a quantity that should have a
+    range and has none; place: of the ranges in the file.
     """
 
     poses: int
@@ -56,9 +57,21 @@ class SimulationSpec:
     truth: Mapping[str, float]
     perturb: Mapping[str, float]
     noise: NoiseSpec
+    missing: str | None = None
+    place: str = ""
+
+    def refuse_missing(self) -> None:
+        """InputError where a quantity has no range: whoever only calibrates need not care."""
+        if self.missing is not None:
+            raise InputError(
+                f"no range is given for {self.missing!r}",
+                place=self.place,
+                remedy=f"add {self.missing} = {{ from = ..., to = ..., unit = ... }}",
+            )
 
     def driven(self, seed: int) -> dict[str, NDArray[np.float64]]:
         """Where the driven quantities stand [SI]; the seed chooses where there is no grid."""
+        self.refuse_missing()
         if self.grid:
             return grid_poses({name: span.values for name, span in self.ranges.items()})
         ranges = {name: (span.start, span.stop) for name, span in self.ranges.items()}
@@ -82,7 +95,7 @@ def simulation_spec(
 
     Raises InputError for names, units and ranges that do not fit the mechanism.
     """
-    ranges = _ranges(entry, mechanism, place.at("ranges"))
+    ranges, missing = _ranges(entry, mechanism, place.at("ranges"))
     grid = any(r.step is not None for r in ranges.values())
     poses = entry.poses
     if grid:
@@ -123,10 +136,16 @@ def simulation_spec(
             remedy="give a covariance that is the same in all poses",
         )
     truth, perturb = _machine(entry, mechanism, place)
-    return SimulationSpec(poses, grid, ranges, truth, perturb, noise.followed_by(told))
+    here = str(place.at("ranges"))
+    return SimulationSpec(
+        poses, grid, ranges, truth, perturb, noise.followed_by(told), missing, here
+    )
 
 
-def _ranges(entry: SimulationEntry, mechanism: Mechanism, place: Place) -> dict[str, Range]:
+def _ranges(
+    entry: SimulationEntry, mechanism: Mechanism, place: Place
+) -> tuple[dict[str, Range], str | None]:
+    """The ranges by quantity, and one that is missing."""
     units = {**mechanism.quantities, **mechanism.known}
     found = {}
     for name, given in entry.ranges.items():
@@ -159,12 +178,8 @@ def _ranges(entry: SimulationEntry, mechanism: Mechanism, place: Place) -> dict[
     elsewhere |= {column for o in mechanism.orientations for column in o.columns}
     missing = [n for n in units if n not in found and n not in elsewhere]
     if missing and (mechanism.outputs or missing[0] in mechanism.known):
-        raise InputError(
-            f"no range is given for {missing[0]!r}",
-            place=str(place),
-            remedy=f"add {missing[0]} = {{ from = ..., to = ..., unit = ... }}",
-        )
-    return found
+        return found, missing[0]
+    return found, None
 
 
 def _machine(

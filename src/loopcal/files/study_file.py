@@ -216,7 +216,9 @@ def _simulation(
             "noise": {**shared.noise, **own.noise},
         }
     )
-    return simulation_spec(both, mechanism, told, here)
+    made = simulation_spec(both, mechanism, told, here)
+    made.refuse_missing()
+    return made
 
 
 def _method(entry: MethodEntry, mechanism: Mechanism, told: NoiseSpec, place: Place) -> StudyMethod:

@@ -99,7 +99,8 @@ def other_optima(result: Result) -> tuple[OtherOptimum, ...]:
 
 
 def _vague(result: Result) -> bool:
-    quantities, home = result.mechanism.quantities, result.mechanism.home
+    quantities = result.mechanism.quantities
+    home = {**result.mechanism.implied, **result.mechanism.home}
     angles = [name for name in quantities if quantities[name] == "rad" and name not in home]
     sds = (result.reading_sds[name] for name in angles)
     return any(bool((sd >= VAGUE).any()) for sd in sds)
