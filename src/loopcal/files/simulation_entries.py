@@ -47,8 +47,8 @@ class SimulationSpec:
     poses: how many; grid: whether they are all combinations of the ranges' values, or random;
     ranges: quantity or known constant -> range; truth: parameter -> true value, where it is not
     the nominal one; perturb: parameter -> sd of a random deviation of its truth, fixed parameters
-    never among them; noise: of the sensors, as they truly are; missing: a quantity that should have a
-    range and has none; place: of the ranges in the file.
+    never among them; noise: of the sensors, as they truly are; missing: a quantity that should
+    have a range and has none; place: of the ranges in the file.
     """
 
     poses: int
