@@ -12,16 +12,9 @@ import time
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from both_engines import DRIVEN
 
 POSES, DEMANDED = 100_000, 20.0
-RANGES = {
-    "platform_x": (-0.1, 0.1),
-    "platform_y": (-0.1, 0.1),
-    "platform_z": (0.6, 0.8),
-    "platform_rz": (-0.4, 0.4),
-    "platform_ry": (-0.3, 0.3),
-    "platform_rx": (-0.3, 0.3),
-}
 
 
 @dataclass(frozen=True)
@@ -57,11 +50,11 @@ def measure(rounds: int = 3) -> list[Platform]:
     found = []
     for seen, mechanism in cases.items():
         sds = {q: 1e-5 if unit == "m" else 5e-5 for q, unit in mechanism.quantities.items()}
-        noise = lc.Noise(sds | dict.fromkeys(RANGES, np.inf))
+        noise = lc.Noise(sds | dict.fromkeys(DRIVEN, np.inf))
         draw = np.random.default_rng(1)
         free = mechanism.parameters.free
         truth = {n: mechanism.parameters[n].nominal + 1e-3 * draw.standard_normal() for n in free}
-        poses = lc.random_poses(RANGES, POSES, seed=2)
+        poses = lc.random_poses(DRIVEN, POSES, seed=2)
         data = lc.simulate(mechanism, poses, noise=noise, seed=3, truth=truth).dataset
         times = []
         with threadpool_limits(1, user_api="blas"):
