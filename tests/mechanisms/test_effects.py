@@ -287,3 +287,8 @@ def test_effects_added_one_by_one_are_those_added_together() -> None:
     assert list(together.effects) == ["harmonics", "scale"]
     for one, after in pairwise(together.effects.values()):
         assert not {*one} & {*after}
+
+
+def test_the_same_order_twice_is_refused() -> None:
+    with pytest.raises(InputError, match="one of them twice"):
+        Harmonics(orders=(1, 2, 1.0))

@@ -29,7 +29,7 @@ class Harmonics:
     elliptic one by twice the angle, a gear with its ratio. Part of order 1 looks like geometry:
     the joint's axis, or what it carries, displaced; the prior decides what the poses leave open.
 
-    Raises InputError for an order that is not positive, or none.
+    Raises InputError for an order that is not positive, or given twice, or none.
     """
 
     joints: tuple[str, ...] = ("*",)
@@ -41,6 +41,11 @@ class Harmonics:
             raise InputError(
                 f"the orders of {self.name!r} are {list(self.orders)}",
                 remedy="give positive numbers: 1 for once per turn of the joint",
+            )
+        if len({*self.orders}) < len(self.orders):
+            raise InputError(
+                f"the orders of {self.name!r} are {list(self.orders)}, one of them twice",
+                remedy="give each order once",
             )
 
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
