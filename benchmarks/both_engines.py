@@ -9,7 +9,7 @@ import numpy as np
 import ours
 from measuring import DisagreementError, Times, in_turns
 from numpy.typing import NDArray
-from six_axis import JOINT_SD, POINT_SD, six_axis
+from problems import six_axis
 
 import loopcal as lc
 from loopcal.estimation.problem import Problem, build_problem
@@ -64,14 +64,14 @@ def monte_carlo(draws: int = DRAWS) -> Engines:
     """Calibrations of the six-axis arm from the same poses, each with noise of its own."""
     problem, rng = six_axis(DRAWN_POSES), np.random.default_rng(2)
     rows, sds = np.vstack([problem.joints, problem.points]), problem.sds[:, None]
-    names = problem.mechanism.tape.quantities
+    names = problem.quantities
     drawn = [
         lc.Dataset.from_arrays(
             dict(zip(names, rows + sds * rng.standard_normal(rows.shape), strict=True))
         )
         for _ in range(draws)
     ]
-    noise = lc.Noise({"theta_*": JOINT_SD * 2**0.5, "xyz": POINT_SD * 2**0.5})
+    noise = lc.Noise(dict(zip(names, (2**0.5 * problem.sds).tolist(), strict=True)))
 
     def run() -> list[Solved]:
         return [_solved(build_problem(problem.mechanism, data, noise)) for data in drawn]

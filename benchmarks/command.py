@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from measuring import Times, in_turns
-from six_axis import JOINT_SD, POINT_SD, six_axis
+from problems import JOINT_SD, POINT_SD, six_axis
 
 POSES = 300
 COMMAND, BARE = "loopcal calibrate --no-report, 300 poses", "python -c 'import numpy'"

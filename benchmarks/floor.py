@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from six_axis import six_axis
+from problems import six_axis
 
 from loopcal.estimation.problem import build_problem
 from loopcal.estimation.sweep import Sweeper

@@ -15,7 +15,7 @@ import geometric_arm
 import numpy as np
 import odrpack
 from numpy.typing import NDArray
-from six_axis import JOINT_SD, POINT_SD, Fit, SixAxis
+from problems import Fit, Problem
 
 from loopcal.expressions.engine import Stage, engine_for
 
@@ -35,7 +35,7 @@ class Callbacks:
 BY_HAND = Callbacks(geometric_arm.point, geometric_arm.by_joint, geometric_arm.by_parameter)
 
 
-def on_tape(problem: SixAxis) -> Callbacks:
+def on_tape(problem: Problem) -> Callbacks:
     """loopcal's own tape and engine as callbacks, each evaluating no more than it returns."""
     tape, poses = problem.mechanism.tape, problem.joints.shape[1]
     joints = engine_for(tape, (), poses, quantities=tape.quantities[:6])
@@ -60,9 +60,9 @@ def on_tape(problem: SixAxis) -> Callbacks:
     return Callbacks(point, by_joint, by_parameter)
 
 
-def calibrate(problem: SixAxis, callbacks: Callbacks) -> Fit:
+def calibrate(problem: Problem, callbacks: Callbacks) -> Fit:
     """The fit; raises RuntimeError where ODRPACK does not converge."""
-    weights_x, weights_y = np.full(6, JOINT_SD**-2), np.full(3, POINT_SD**-2)
+    weights_x, weights_y = problem.joint_sds**-2, problem.point_sds**-2
     scale = max(weights_x.max(), weights_y.max())
     found = odrpack.odr_fit(
         callbacks.point,

@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from six_axis import Fit, SixAxis
+from problems import Fit, Problem
 
 import loopcal
 from loopcal.estimation.problem import build_problem
@@ -35,7 +35,7 @@ def on_engine(engine: str, run: Callable[[], T], threads: int | None = None) -> 
     return chosen
 
 
-def solver(problem: SixAxis) -> Callable[[], Fit]:
+def solver(problem: Problem) -> Callable[[], Fit]:
     """From readings to parameters: build_problem and solve. Tracing the loops is done before."""
     mechanism, data, noise = problem.mechanism, problem.dataset, problem.noise
 
@@ -48,7 +48,7 @@ def solver(problem: SixAxis) -> Callable[[], Fit]:
     return run
 
 
-def calibrator(problem: SixAxis) -> Callable[[], Fit]:
+def calibrator(problem: Problem) -> Callable[[], Fit]:
     """The whole call: also residuals, accuracy before and after, covariance, identifiability."""
     mechanism, data, noise = problem.mechanism, problem.dataset, problem.noise
 
@@ -61,7 +61,7 @@ def calibrator(problem: SixAxis) -> Callable[[], Fit]:
     return run
 
 
-def sds(problem: SixAxis) -> NDArray[np.float64]:
+def sds(problem: Problem) -> NDArray[np.float64]:
     """The sds of the parameters, (27,) [SI]."""
     result = loopcal.calibrate(
         problem.mechanism, problem.dataset, noise=problem.noise, start="nominal"

@@ -44,7 +44,7 @@ def measure(poses: int) -> Size:
     """Measure one size here: medians, after one run to set up."""
     import ours
     from measuring import in_turns
-    from six_axis import six_axis
+    from problems import six_axis
 
     problem = six_axis(poses)
     solve, calibrate = ours.solver(problem), ours.calibrator(problem)

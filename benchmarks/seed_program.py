@@ -14,8 +14,8 @@ from math import cos, sin
 import numpy as np
 from geometric_arm import AXES, DIRECTIONS, PLANES
 from numpy.typing import NDArray
+from problems import Fit, Problem
 from scipy.linalg import solve_triangular
-from six_axis import Fit, SixAxis
 
 Array = NDArray[np.float64]
 MOST = 100
@@ -103,7 +103,7 @@ def linearised(theta: Array, p: Array) -> tuple[Array, Array, Array]:
     return right[:3], J_x, J_p
 
 
-def calibrate(problem: SixAxis, tolerance: float = 1e-6) -> Fit:
+def calibrate(problem: Problem, tolerance: float = 1e-6) -> Fit:
     """The seed's iteration (3.24) to (3.30) with flat priors, until no parameter moves any more.
 
     tolerance: of a parameter's move beside its sd.

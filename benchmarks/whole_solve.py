@@ -12,7 +12,7 @@ import odrpack_explicit
 import ours
 import seed_program
 from measuring import DisagreementError, Times, in_turns
-from six_axis import Fit, SixAxis, six_axis
+from problems import Fit, Problem, six_axis
 
 SOLVE, CALL = "loopcal, solve", "loopcal, calibrate() as a whole"
 ONE, NUMPY = "loopcal, solve on one thread", "loopcal, solve on the NumPy engine"
@@ -58,7 +58,7 @@ def compare(poses: int, rounds: int) -> Comparison:
     return Comparison(poses, times, evaluations, disagreement)
 
 
-def _checked(problem: SixAxis, fits: dict[str, Fit]) -> float:
+def _checked(problem: Problem, fits: dict[str, Fit]) -> float:
     sds = ours.sds(problem)
     reference = fits[SOLVE]
     worst = 0.0
