@@ -43,6 +43,7 @@ class Machine:
 def this_machine() -> Machine:
     """The machine that this runs on, now."""
     libraries = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
+    libraries.sort(key=lambda pool: "numpy" not in pool.get("filepath", ""))  # not scipy's own
     blas = libraries[0] if libraries else {"internal_api": "BLAS", "version": ""}
     return Machine(
         date=datetime.now(UTC).date().isoformat(),

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+
+LONG = 5.0
+"""A run that takes longer [s] is its own measurement: what it sets up once is nothing beside it."""
 
 
 class DisagreementError(Exception):
@@ -30,21 +33,26 @@ class Times:
         return min(self.seconds)
 
 
+def rounds_for(seconds: float) -> int:
+    """How often to time what takes so long [s]; 0 if it has been timed by that."""
+    if seconds > LONG:
+        return 0
+    return 3 if seconds > 1.0 else 5 if seconds > 0.1 else 15
+
+
 def in_turns(
-    programs: Mapping[str, Callable[[], object]],
-    *,
-    rounds: int,
-    often: Sequence[str] = (),
-    times_often: int = 5,
+    programs: Mapping[str, Callable[[], object]], rounds: int | Mapping[str, int]
 ) -> dict[str, Times]:
-    """Times of programs run one after the other, so many rounds; `often` more than once in each.
+    """Times of programs run one after the other, so many rounds, or of each so many.
 
     Every program must have run once before: what is set up only once does not count.
     """
+    if isinstance(rounds, int):
+        rounds = dict.fromkeys(programs, rounds)
     seconds: dict[str, list[float]] = {name: [] for name in programs}
-    for _ in range(rounds):
+    for turn in range(max(rounds.values(), default=0)):
         for name, program in programs.items():
-            for _ in range(times_often if name in often else 1):
+            if turn < rounds[name]:
                 begin = time.perf_counter()
                 program()
                 seconds[name].append(time.perf_counter() - begin)

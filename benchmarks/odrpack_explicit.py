@@ -8,71 +8,58 @@ are in any arm, it calls "possibly not correct" for being zero.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 
-import geometric_arm
 import numpy as np
 import odrpack
 from numpy.typing import NDArray
-from problems import Fit, Problem
+from problems import Fit, Model, Problem
 
 from loopcal.expressions.engine import Stage, engine_for
 
 Array = NDArray[np.float64]
-Model = Callable[[Array, Array], Array]
 
 
-@dataclass(frozen=True)
-class Callbacks:
-    """g(joints (6, N), parameters (27,)): (3, N); its derivatives (3, 6, N) and (3, 27, N)."""
-
-    point: Model
-    by_joint: Model
-    by_parameter: Model
-
-
-BY_HAND = Callbacks(geometric_arm.point, geometric_arm.by_joint, geometric_arm.by_parameter)
-
-
-def on_tape(problem: Problem) -> Callbacks:
-    """loopcal's own tape and engine as callbacks, each evaluating no more than it returns."""
-    tape, poses = problem.mechanism.tape, problem.joints.shape[1]
-    joints = engine_for(tape, (), poses, quantities=tape.quantities[:6])
+def on_tape(problem: Problem) -> Problem:
+    """The same problem, its model loopcal's own tape: each evaluates what it returns."""
+    tape, (J, poses) = problem.mechanism.tape, problem.joints.shape
+    names = problem.quantities[:J]
+    joints = engine_for(tape, (), poses, quantities=names)
     parameters = engine_for(tape, tape.parameters, poses, quantities=())
-    x = np.zeros((9, poses))
+    rows = [tape.quantities.index(name) for name in names]
+    x = np.zeros((len(tape.quantities), poses))
 
     def point(at: Array, p: Array) -> Array:
-        x[:6] = at
+        x[rows] = at
         joints.at(p)
         return np.array(joints.evaluate(x, stage=Stage.VALUES).f)
 
     def by_joint(at: Array, p: Array) -> Array:
-        x[:6] = at
+        x[rows] = at
         joints.at(p)
         return np.array(joints.evaluate(x).by_quantity.transpose(1, 0, 2))
 
     def by_parameter(at: Array, p: Array) -> Array:
-        x[:6] = at
+        x[rows] = at
         parameters.at(p)
         return np.array(parameters.evaluate(x).by_parameter.transpose(1, 0, 2))
 
-    return Callbacks(point, by_joint, by_parameter)
+    return replace(problem, model=Model(point, by_joint, by_parameter))
 
 
-def calibrate(problem: Problem, callbacks: Callbacks) -> Fit:
+def calibrate(problem: Problem) -> Fit:
     """The fit; raises RuntimeError where ODRPACK does not converge."""
     weights_x, weights_y = problem.joint_sds**-2, problem.point_sds**-2
     scale = max(weights_x.max(), weights_y.max())
     found = odrpack.odr_fit(
-        callbacks.point,
+        problem.model.point,
         problem.joints,
         problem.points,
         problem.nominal,
         weight_x=weights_x / scale,
         weight_y=weights_y / scale,
-        jac_beta=callbacks.by_parameter,
-        jac_x=callbacks.by_joint,
+        jac_beta=problem.model.by_parameter,
+        jac_x=problem.model.by_joint,
         maxit=100,
     )
     if found.info % 10 not in (1, 2, 3):  # its last digit tells of convergence

@@ -1,80 +1,88 @@
-"""What a run measured, as tables of Markdown: printed, and kept in docs/explanation."""
+"""What a run measured, in words and tables: printed, and kept in docs/explanation."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 
 import command
+import memory
 import platform_poses
-import scale
 from both_engines import Engines
 from floor import LANES, Share
 from measuring import Times
-from whole_solve import DEMANDED, SOLVE, Comparison
+from programs import NUMPY, PROGRAMS
+from side_by_side import Comparison
+from tables import met, milliseconds, table, times_as_long
 
-ALL = "measured"
-"""The block of the document that holds every part but the platform's, which has its own."""
+DEMANDED_AT, FLAT_FROM, MANY = 1_000, 10_000, 1_000_000
+"""Poses: where others have to be slower, and from where to where loopcal's time has to be flat."""
+DEMANDED_FLAT, DEMANDED_OF_NUMPY = 1.3, 4.0
 
 
-def whole_solve(comparison: Comparison) -> str:
-    """The programs side by side at one number of poses."""
-    rows = [
-        [
-            name,
-            _milliseconds(times.median),
-            _milliseconds(times.best),
-            f"{comparison.evaluations[name]:.0f}",
-            f"{comparison.ratio(name):.3g}",
-            _demand(comparison.ratio(name), DEMANDED[name]) if name in DEMANDED else "",
+def side_by_side(found: Sequence[Comparison]) -> str:
+    """The programs on one problem over the number of poses."""
+    names = list(dict.fromkeys(name for one in found for name in one.times))
+    head = [f"{one.poses:,} poses" for one in found]
+
+    def rows(cell: Callable[[Comparison, str], str]) -> list[list[str]]:
+        """A row for every program, a cell for every number of poses that it went up to."""
+        return [
+            [name, *(cell(one, name) if name in one.times else "" for one in found)]
+            for name in names
         ]
-        for name, times in comparison.times.items()
-    ]
-    head = ["program", "median [ms]", "best [ms]", "evaluations", f"/ {SOLVE}", "demanded"]
-    title = (
-        f"Six-axis arm, 27 parameters, {comparison.poses:,} poses; parameters agree to "
-        f"{comparison.disagreement:.1g} sds. Evaluations are of the model or its derivatives, "
-        "per pose:"
-    )
-    return f"{title}\n\n{_table(head, rows)}"
 
-
-def sizes(found: Sequence[scale.Size]) -> str:
-    """Time per pose and memory over the number of poses."""
-    rows = [
+    apart = max(one.disagreement for one in found)
+    times = rows(lambda one, name: milliseconds(one.times[name].median))
+    ratios = rows(lambda one, name: times_as_long(one.ratio(name)))
+    evaluations = rows(lambda one, name: f"{one.evaluations[name]:,.0f}")
+    return "\n\n".join(
         [
-            f"{size.poses:,}",
-            f"{size.solve / size.poses * 1e6:.2f}",
-            f"{size.numpy / size.poses * 1e6:.2f}",
-            f"{size.numpy / size.solve:.2f}",
-            f"{size.calibrate / size.poses * 1e6:.2f}",
-            f"{size.peak / 1e6:,.0f}",
-            f"{size.peak_calibrate / 1e6:,.0f}",
+            f"### {found[0].problem.capitalize()}",
+            f"Parameters agree to {apart:.1g} sds. Medians in milliseconds:",
+            table(["program", *head], times),
+            f"How many times as long as {names[0]}:",
+            table(["program", *head], ratios),
+            "Evaluations of the model or its derivatives, per pose:",
+            table(["program", *head], evaluations),
         ]
-        for size in found
-    ]
-    per_pose = [size.solve / size.poses for size in found]
-    flat, last = max(per_pose) / min(per_pose), found[-1]
-    head = [
-        "poses",
-        "solve [µs/pose]",
-        "on NumPy [µs/pose]",
-        "ratio",
-        "calibrate() [µs/pose]",
-        "peak memory [MB]",
-        "with calibrate() [MB]",
-    ]
-    words = (
-        f"Time per pose of the solve is flat within {flat:.2f} "
-        f"({'meets' if flat <= scale.DEMANDED_FLAT else 'misses'} {scale.DEMANDED_FLAT:g}); "
-        f"{last.poses:,} poses take {last.numpy / last.solve:.2f} times as long on NumPy "
-        f"({'meets' if last.numpy >= scale.DEMANDED_RATIO * last.solve else 'misses'} "
-        f"{scale.DEMANDED_RATIO:g}); peak memory of the whole process that solves, readings "
-        f"included, is {last.peak / 1e6:,.0f} MB "
-        f"({'meets' if last.peak <= scale.DEMANDED_PEAK else 'misses'} "
-        f"{scale.DEMANDED_PEAK / 1e6:,.0f} MB)."
     )
-    return f"One process each, medians:\n\n{_table(head, rows)}\n\n{words}"
+
+
+def demands(found: Sequence[Comparison]) -> str:
+    """Whether loopcal is as fast as it has to be on the six-axis arm, as far as that was run."""
+    by_poses = {one.poses: one for one in found}
+    words = []
+    few, many = by_poses.get(DEMANDED_AT), by_poses.get(MANY)
+    for program in PROGRAMS:
+        if few and program.demanded and program.name in few.times:
+            ratio = few.ratio(program.name)
+            words.append(
+                f"{program.name} takes {times_as_long(ratio)} times as long at {DEMANDED_AT:,} "
+                f"poses (at least {program.demanded:g} demanded: {met(ratio >= program.demanded)})"
+            )
+    if many:
+        ratio = many.ratio(NUMPY.name)
+        words.append(
+            f"{NUMPY.name} {times_as_long(ratio)} times as long at {MANY:,} "
+            f"(at least {DEMANDED_OF_NUMPY:g}: {met(ratio >= DEMANDED_OF_NUMPY)})"
+        )
+        per_pose = [
+            next(iter(one.times.values())).median / poses
+            for poses, one in by_poses.items()
+            if poses >= FLAT_FROM
+        ]
+        flat = max(per_pose) / min(per_pose)
+        words.append(
+            f"loopcal's own time per pose is flat within {flat:.2f} from {FLAT_FROM:,} poses on "
+            f"(at most {DEMANDED_FLAT:g}: {met(flat <= DEMANDED_FLAT)})"
+        )
+    return "; ".join(words) + "." if words else ""
+
+
+def absent() -> str:
+    """The programs that are not installed here."""
+    names = [f"{program.name} ({program.needs})" for program in PROGRAMS if not program.installed]
+    return f"Not installed, and so not run: {', '.join(names)}." if names else ""
 
 
 def engines(found: Sequence[Engines]) -> str:
@@ -82,15 +90,32 @@ def engines(found: Sequence[Engines]) -> str:
     rows = [
         [
             one.problem,
-            _milliseconds(one.times["compiled"].median),
-            _milliseconds(one.times["numpy"].median),
+            milliseconds(one.times["compiled"].median),
+            milliseconds(one.times["numpy"].median),
             f"{one.ratio:.2f}",
-            _demand(one.ratio, one.demanded),
+            f"{one.demanded:g}: {met(one.ratio >= one.demanded)}",
         ]
         for one in found
     ]
     head = ["solve", "compiled [ms]", "NumPy [ms]", "ratio", "demanded"]
-    return f"Both engines, parameters checked to agree:\n\n{_table(head, rows)}"
+    return f"### Both engines\n\nParameters agree:\n\n{table(head, rows)}"
+
+
+def sizes(found: Sequence[memory.Size]) -> str:
+    """Memory over the number of poses."""
+    rows = [
+        [f"{size.poses:,}", f"{size.solve / 1e6:,.0f}", f"{size.calibrate / 1e6:,.0f}"]
+        for size in found
+    ]
+    head = ["poses, six-axis", "solve [MB]", "calibrate() [MB]"]
+    words = "Peak of the whole process, readings included, one process each:"
+    demanded = ""
+    if found[-1].poses == MANY:
+        demanded = (
+            f"\n\nAt most {memory.DEMANDED / 1e6:,.0f} MB demanded of a solve of {MANY:,} poses: "
+            f"{met(found[-1].solve <= memory.DEMANDED)}."
+        )
+    return f"### Memory\n\n{words}\n\n{table(head, rows)}{demanded}"
 
 
 def shares(found: Sequence[Share], hertz: float) -> str:
@@ -109,21 +134,25 @@ def shares(found: Sequence[Share], hertz: float) -> str:
     words = (
         f"The floor is two vectors of {LANES} operations in every cycle at {hertz / 1e9:.2f} GHz"
     )
-    return f"{words}:\n\n{_table(head, rows)}"
+    return f"### The floor\n\n{words}:\n\n{table(head, rows)}"
 
 
-def cold_start(times: dict[str, Times]) -> str:
-    """The command beside a bare import of NumPy."""
+def cold_start(times: dict[str, Times], study: float) -> str:
+    """The command beside a bare import of NumPy; study: how long the seed's takes [s]."""
     bare = times[command.BARE].median
     ratio = times[command.COMMAND].median / bare
     rows = [
-        [f"`{name}`", _milliseconds(t.median), _milliseconds(t.best), f"{t.median / bare:.3g}"]
+        [f"`{name}`", milliseconds(t.median), milliseconds(t.best), f"{t.median / bare:.3g}"]
         for name, t in times.items()
     ]
-    words = f"Demanded: at most {command.DEMANDED:g} times; "
-    words += "met." if ratio <= command.DEMANDED else "missed."
     head = ["from a cold start", "median [ms]", "best [ms]", "ratio"]
-    return f"{_table(head, rows)}\n\n{words}"
+    return (
+        f"### The command\n\n{table(head, rows)}\n\n"
+        f"At most {command.DEMANDED:g} times demanded: {met(ratio <= command.DEMANDED)}. "
+        f"`{command.STUDY}`, all scenarios of the seed 1,000 times by both methods, takes "
+        f"{study:.1f} s (at most {command.DEMANDED_STUDY:g} s: "
+        f"{met(study <= command.DEMANDED_STUDY)})."
+    )
 
 
 def platform(found: Sequence[platform_poses.Platform]) -> str:
@@ -134,45 +163,14 @@ def platform(found: Sequence[platform_poses.Platform]) -> str:
             str(entry.parameters),
             f"{entry.wall:.1f}",
             f"{entry.processor:.1f}",
-            "met" if entry.wall <= platform_poses.DEMANDED else "missed",
+            met(entry.wall <= platform_poses.DEMANDED),
         ]
         for entry in found
     ]
     head = ["the platform is seen by", "parameters", "wall [s]", "processor [s]"]
     head.append(f"{platform_poses.DEMANDED:g} s")
     title = (
-        f"Stewart-Gough platform, its pose read by nobody, {platform_poses.POSES:,} poses, "
-        "calibrate() as a whole, the best of three:"
+        f"Its pose read by nobody, {platform_poses.POSES:,} poses, calibrate() as a whole, the "
+        "best of three:"
     )
-    return f"{title}\n\n{_table(head, rows)}"
-
-
-def write_into(document: Path, block: str, text: str) -> None:
-    """Replace what a former run measured, between two markers, by what this one did."""
-    begin, end = (f"<!-- {block}: {edge} -->" for edge in ("begin", "end"))
-    content = document.read_text(encoding="utf-8")
-    ahead, rest = content.split(begin)
-    _, behind = rest.split(end)
-    document.write_text(f"{ahead}{begin}\n{text}\n{end}{behind}", encoding="utf-8")
-
-
-def _demand(ratio: float, demanded: float) -> str:
-    return f"{demanded:g}: {'met' if ratio >= demanded else 'missed'}"
-
-
-def _milliseconds(seconds: float) -> str:
-    return f"{seconds * 1e3:,.2f}" if seconds < 1.0 else f"{seconds * 1e3:,.0f}"
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
-
-    def line(cells: Sequence[str]) -> str:
-        first = cells[0].ljust(widths[0])
-        rest = (cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True))
-        return "| " + " | ".join([first, *rest]) + " |"
-
-    rule = "| " + " | ".join(
-        "-" * w if i == 0 else "-" * (w - 1) + ":" for i, w in enumerate(widths)
-    )
-    return "\n".join([line(head), rule + " |", *map(line, rows)])
+    return f"### Stewart-Gough platform\n\n{title}\n\n{table(head, rows)}"

@@ -1,7 +1,7 @@
 """Times and memory beside other programs: `make benchmark`, or `python benchmarks/run.py --help`.
 
-Results are checked for agreement before any time is told. Whether demands are met is printed and
-does not change the exit code; programs that disagree end the run with exit code 1.
+Results are checked for agreement before any time is told: programs that disagree end the run with
+exit code 1. Whether demands are met is printed, and does not change the exit code.
 """
 
 from __future__ import annotations
@@ -9,96 +9,148 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import both_engines
 import command
+import figure
 import floor
+import memory
 import platform_poses
 import report
-import scale
 from machine import this_machine
 from measuring import DisagreementError
+from problems import PROBLEMS
+from programs import PROGRAMS
+from side_by_side import compare
+from tables import write_into
 from threadpoolctl import threadpool_limits
-from whole_solve import compare
 
 from loopcal.expressions.choice import AVAILABLE
 
-PARTS = ("six-axis", "scale", "engines", "command", "platform")
 DOCUMENT = Path(__file__).parent.parent / "docs" / "explanation" / "performance.md"
 
 
-def main() -> int:
+@dataclass
+class Found:
+    """What a run found so far: its text, the numbers behind it, and figures by name."""
+
+    texts: list[str] = field(default_factory=list)
+    numbers: dict[str, Any] = field(default_factory=dict)
+    figures: dict[str, str] = field(default_factory=dict)
+
+
+def programs(found: Found, asked: argparse.Namespace) -> None:
+    """All programs side by side, on every problem and number of poses."""
+    words = f"Measured {found.numbers['machine']}."
+    for name in asked.problems:
+        compared = []
+        for poses in asked.poses:
+            say(f"{name}, {poses:,} poses")
+            compared.append(compare(PROBLEMS[name](poses), PROGRAMS, asked.rounds))
+        found.numbers[name] = [asdict(one) for one in compared]
+        found.figures[name] = figure.drawn(compared, words)
+        found.texts.append(report.side_by_side(compared))
+        if name == "six-axis":
+            found.texts.append(report.demands(compared))
+    found.texts.append(report.absent())
+
+
+def engines(found: Found, asked: argparse.Namespace) -> None:
+    """Both engines on other problems."""
+    if not AVAILABLE:
+        return
+    pairs = [both_engines.monte_carlo(), both_engines.elimination()]
+    found.numbers["engines"] = [asdict(pair) for pair in pairs]
+    found.texts.append(report.engines(pairs))
+
+
+def arithmetic(found: Found, asked: argparse.Namespace) -> None:
+    """Where the compiled engine's time goes."""
+    if not AVAILABLE:
+        return
+    shares = floor.measure()
+    found.numbers["floor"] = [asdict(share) for share in shares]
+    found.texts.append(report.shares(shares, floor.clock()))
+
+
+def memories(found: Found, asked: argparse.Namespace) -> None:
+    """Peak memory from 10,000 poses on."""
+    sizes = [memory.in_its_own_process(poses) for poses in asked.poses if poses >= 10_000]
+    found.numbers["memory"] = [asdict(size) for size in sizes]
+    if sizes:
+        found.texts.append(report.sizes(sizes))
+
+
+def commands(found: Found, asked: argparse.Namespace) -> None:
+    """The command from a cold start."""
+    times, study = command.measure(asked.rounds), command.study()
+    found.numbers["command"] = {name: asdict(t) for name, t in times.items()} | {"study": study}
+    found.texts.append(report.cold_start(times, study))
+
+
+def platforms(found: Found, asked: argparse.Namespace) -> None:
+    """A parallel machine."""
+    seen = platform_poses.in_its_own_process()
+    found.numbers["platform"] = [asdict(entry) for entry in seen]
+    found.texts.append(report.platform(seen))
+
+
+PARTS: dict[str, Callable[[Found, argparse.Namespace], None]] = {
+    "programs": programs,
+    "engines": engines,
+    "floor": arithmetic,
+    "memory": memories,
+    "command": commands,
+    "platform": platforms,
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run what is asked for, print it, and write it where asked."""
-    wanted = _arguments()
+    asked = _asked(arguments)
     machine = this_machine()
-    texts: list[str] = [f"Measured {machine}."]
-    data: dict[str, Any] = {"machine": asdict(machine)}
-    print(texts[0], flush=True)
-
-    def tell(text: str) -> None:
-        print(f"\n{text}", flush=True)
-        texts.append(text)
-
+    found = Found([f"Measured {machine}."], {"machine": str(machine)})
     try:
-        if "six-axis" in wanted.only:
-            found = [compare(poses, wanted.rounds) for poses in wanted.poses]
-            data["six-axis"] = [asdict(comparison) for comparison in found]
-            for comparison in found:
-                tell(report.whole_solve(comparison))
-        if "engines" in wanted.only and AVAILABLE:
-            pairs = [both_engines.monte_carlo(), both_engines.elimination()]
-            data["engines"] = [asdict(pair) for pair in pairs]
-            tell(report.engines(pairs))
-            shares = floor.measure()
-            data["floor"] = [asdict(share) for share in shares]
-            tell(report.shares(shares, floor.clock()))
+        for part in asked.only:
+            say(part)
+            PARTS[part](found, asked)
     except DisagreementError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    if "scale" in wanted.only:
-        sizes = [scale.in_its_own_process(poses) for poses in wanted.sizes]
-        data["scale"] = [asdict(size) for size in sizes]
-        tell(report.sizes(sizes))
-    if "command" in wanted.only:
-        times = command.measure(wanted.rounds * 3)
-        data["command"] = {name: asdict(t) for name, t in times.items()}
-        tell(report.cold_start(times))
-    seen = []
-    if "platform" in wanted.only:
-        seen = platform_poses.in_its_own_process()
-        data["platform"] = [asdict(entry) for entry in seen]
-        print(f"\n{report.platform(seen)}", flush=True)
-    if wanted.json:
-        Path(wanted.json).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-    if wanted.document and len(texts) > 1:
-        report.write_into(DOCUMENT, report.ALL, "\n\n".join(texts))
-    if wanted.document and seen:
-        report.write_into(DOCUMENT, "platform", f"{texts[0]}\n\n{report.platform(seen)}")
+    text = "\n\n".join(filter(None, found.texts))
+    print(text)
+    if asked.json:
+        Path(asked.json).write_text(json.dumps(found.numbers, indent=1) + "\n", encoding="utf-8")
+    if asked.document:
+        write_into(asked.document, "measured", text)
+        for name, svg in found.figures.items():
+            asked.document.with_suffix("").mkdir(exist_ok=True)
+            (asked.document.with_suffix("") / f"{name}.svg").write_text(svg, encoding="utf-8")
     return 0
 
 
-def _arguments() -> argparse.Namespace:
+def say(words: str) -> None:
+    """How far a run is, for who waits."""
+    print(f"... {words}", file=sys.stderr, flush=True)
+
+
+def _asked(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), help="parts [all]")
     parser.add_argument(
-        "--only", action="append", choices=PARTS, help="this part, may be repeated [all]"
+        "--problems", nargs="+", choices=PROBLEMS, default=list(PROBLEMS), help="[all]"
     )
-    parser.add_argument(
-        "--poses", type=int, nargs="+", default=[1_000, 10_000], help="of the six-axis comparison"
-    )
-    parser.add_argument(
-        "--sizes", type=int, nargs="+", default=[10_000, 100_000, 1_000_000], help="of the scale"
-    )
-    parser.add_argument("--rounds", type=int, default=3, help="of every program [3]")
+    sizes = [100, 1_000, 10_000, 100_000, 1_000_000]
+    parser.add_argument("--poses", type=int, nargs="+", default=sizes, help="numbers of poses")
+    parser.add_argument("--rounds", type=int, default=9, help="of any program at most [9]")
     parser.add_argument("--json", metavar="FILE", help="write all times there")
-    parser.add_argument(
-        "--document", action="store_true", help=f"write the tables into {DOCUMENT.name}"
-    )
-    arguments = parser.parse_args()
-    arguments.only = arguments.only or list(PARTS)
-    return arguments
+    words = f"write into {DOCUMENT.name}, or another file with its markers, and draw figures"
+    parser.add_argument("--document", type=Path, nargs="?", const=DOCUMENT, help=words)
+    return parser.parse_args(arguments)
 
 
 if __name__ == "__main__":

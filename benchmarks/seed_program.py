@@ -3,7 +3,8 @@
 The forward transform of each pose is a product of 4x4 matrices, each derivative that product
 with one matrix replaced by its derivative (products from the left and from the right are kept,
 so that none is formed twice); then QR and triangular solves per pose and one least-squares
-solution per iteration. Nothing is vectorised over poses, as in the original.
+solution per iteration. Nothing is vectorised over poses, as in the original. The planar arm
+has its equations written out.
 """
 
 from __future__ import annotations
@@ -83,8 +84,8 @@ CHAIN = elementary()
 GENERATORS = [_generator(step.kind, step.axis) for step in CHAIN]
 
 
-def linearised(theta: Array, p: Array) -> tuple[Array, Array, Array]:
-    """Point (3,) of one pose, its derivatives by the joints (3, 6) and the parameters (3, 27)."""
+def chain(theta: Array, p: Array) -> tuple[Array, Array, Array]:
+    """Six axes: point (3,) of one pose, derivatives by joints (3, 6) and parameters (3, 27)."""
     matrices = [step.matrix(step.amount(theta, p)) for step in CHAIN]
     left = [np.eye(4)]
     for T in matrices:
@@ -103,27 +104,41 @@ def linearised(theta: Array, p: Array) -> tuple[Array, Array, Array]:
     return right[:3], J_x, J_p
 
 
+def two_links(theta: Array, p: Array) -> tuple[Array, Array, Array]:
+    """Planar: point (2,) of one pose, derivatives by joints (2, 2) and parameters (2, 6)."""
+    a = theta[0] + p[4]
+    b = a + theta[1] + p[5]
+    ca, sa, cb, sb = cos(a), sin(a), cos(b), sin(b)
+    x, y = p[2] * ca + p[3] * cb, p[2] * sa + p[3] * sb
+    J_x = np.array([[-y, -p[3] * sb], [x, p[3] * cb]])
+    J_p = np.array([[1.0, 0.0, ca, cb, -y, -p[3] * sb], [0.0, 1.0, sa, sb, x, p[3] * cb]])
+    return np.array([p[0] + x, p[1] + y]), J_x, J_p
+
+
+LINEARISED = {"six-axis": chain, "planar": two_links}
+
+
 def calibrate(problem: Problem, tolerance: float = 1e-6) -> Fit:
     """The seed's iteration (3.24) to (3.30) with flat priors, until no parameter moves any more.
 
     tolerance: of a parameter's move beside its sd.
     """
     joints, points, sds = problem.joints, problem.points, problem.sds
-    N = joints.shape[1]
-    p = problem.nominal
-    y = np.zeros((N, 9))
+    (J, N), P, n = joints.shape, len(points), problem.nominal.size
+    p, linearised, by_point = problem.nominal, LINEARISED[problem.name], -np.eye(P)
+    y = np.zeros((N, J + P))
     for iteration in range(1, MOST + 1):
-        D, E, Q_all = np.empty((N, 3, 27)), np.empty((N, 3)), np.empty((N, 9, 3))
+        D, E, Q_all = np.empty((N, P, n)), np.empty((N, P)), np.empty((N, J + P, P))
         for i in range(N):
             corrected = sds * y[i]
-            point, J_theta, J_p = linearised(joints[:, i] + corrected[:6], p)
-            f = point - (points[:, i] + corrected[6:])
-            J_y = np.hstack([J_theta, -np.eye(3)]) * sds
+            point, J_theta, J_p = linearised(joints[:, i] + corrected[:J], p)
+            f = point - (points[:, i] + corrected[J:])
+            J_y = np.hstack([J_theta, by_point]) * sds
             Q, R = np.linalg.qr(J_y.T)
             D[i] = solve_triangular(R, J_p, trans="T")
             E[i] = Q.T @ y[i] - solve_triangular(R, f, trans="T")
             Q_all[i] = Q
-        stacked = D.reshape(-1, 27)
+        stacked = D.reshape(-1, n)
         step, *_ = np.linalg.lstsq(stacked, E.reshape(-1), rcond=None)
         for i in range(N):
             y[i] = Q_all[i] @ (E[i] - D[i] @ step)

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from machine import this_machine
 from problems import six_axis
-from report import write_into
+from tables import write_into
 
 from loopcal import Cluster, Processes, Threads, calibrate, validate
 from loopcal.execution.executor import Executor, InProcess

@@ -1,4 +1,4 @@
-"""Time per pose and peak memory over the number of poses, each size in a process of its own.
+"""Peak memory over the number of poses, each size in a process of its own.
 
 Run as a script with a number of poses it measures that size, and prints it as JSON.
 """
@@ -12,55 +12,38 @@ import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-DEMANDED_FLAT, DEMANDED_PEAK, DEMANDED_RATIO = 1.3, 0.6e9, 4.0
-REPEATS = {10_000: 7, 100_000: 5, 1_000_000: 3}
+DEMANDED = 0.6e9
+"""Of a solve of the largest size [bytes]."""
 
 
 @dataclass(frozen=True)
 class Size:
-    """One size: times of a solve, of a solve on the NumPy engine, and of calibrate() [s].
-
-    peak: of the whole process, readings included, that solves [bytes]; peak_calibrate: that calls
-    calibrate() too.
-    """
+    """The peak of the whole process, readings included, that solves; that calibrates [bytes]."""
 
     poses: int
     solve: float
-    numpy: float
     calibrate: float
-    peak: float
-    peak_calibrate: float
 
 
 def in_its_own_process(poses: int) -> Size:
     """Measure one size."""
-    done = subprocess.run(
-        [sys.executable, __file__, str(poses)], check=True, capture_output=True, text=True
-    )
+    command = [sys.executable, __file__, str(poses)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
     return Size(**json.loads(done.stdout))
 
 
 def measure(poses: int) -> Size:
-    """Measure one size here: medians, after one run to set up."""
+    """Measure one size here, six-axis."""
     import ours
-    from measuring import in_turns
     from problems import six_axis
 
     problem = six_axis(poses)
     solve, calibrate = ours.solver(problem), ours.calibrator(problem)
     del problem  # the programs have the readings as a data set
-    programs = {
-        "solve": ours.on_engine(ours.BEST, solve),
-        "numpy": ours.on_engine("numpy", solve),
-        "calibrate": ours.on_engine(ours.BEST, calibrate),
-    }
-    programs["solve"]()
+    solve()
     peak = _peak()
-    for name in ("numpy", "calibrate"):
-        programs[name]()
-    peak_calibrate = _peak()
-    times = {name: t.median for name, t in in_turns(programs, rounds=REPEATS.get(poses, 3)).items()}
-    return Size(poses, **times, peak=peak, peak_calibrate=peak_calibrate)
+    calibrate()
+    return Size(poses, peak, _peak())
 
 
 def _peak() -> float:
