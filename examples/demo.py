@@ -9,7 +9,7 @@ from loopcal.estimation.rounding import significant
 from loopcal.estimation.summary import SHOWN, columns
 from loopcal.files.truth_file import read_truth
 from loopcal.units import from_si
-from loopcal.workflow import run_calibration
+from loopcal.workflow.calibration import run_calibration
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "build" / "demo"

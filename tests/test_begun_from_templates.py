@@ -9,7 +9,9 @@ import pytest
 
 import loopcal as lc
 from loopcal.errors import InputError
-from loopcal.workflow import new_project, run_calibration, run_simulation
+from loopcal.workflow.calibration import run_calibration
+from loopcal.workflow.projects import new_project
+from loopcal.workflow.simulation import run_simulation
 
 
 def test_lengths_that_the_rest_makes_up_for_set_no_size(

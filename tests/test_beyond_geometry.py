@@ -19,7 +19,9 @@ from loopcal.files.project_file import read_project
 from loopcal.files.result_file import read_result
 from loopcal.statistics.models import compare_models
 from loopcal.statistics.outliers import find_outliers
-from loopcal.workflow import run_calibration, run_prediction, run_simulation
+from loopcal.workflow.calibration import run_calibration
+from loopcal.workflow.checking import run_prediction
+from loopcal.workflow.simulation import run_simulation
 from tests.command_line import run
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -18,7 +18,7 @@ from loopcal.files.project_file import Project, read_project
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
-from loopcal.workflow import run_calibration
+from loopcal.workflow.calibration import run_calibration
 
 PROJECT = """
 schema = 1

@@ -10,7 +10,9 @@ import pytest
 
 from loopcal.errors import InputError, UsageError
 from loopcal.files.result_file import read_result
-from loopcal.workflow import new_project, run_calibration, run_simulation, schema
+from loopcal.workflow.calibration import run_calibration
+from loopcal.workflow.projects import new_project, schema
+from loopcal.workflow.simulation import run_simulation
 
 LOOPS = """
 import numpy as np

@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     from loopcal.statistics.prediction import Prediction, predict
     from loopcal.statistics.repeats import Repeats, repeated_readings
     from loopcal.statistics.validation import MethodComparison, compare_methods, validate
-    from loopcal.workflow import write_result
+    from loopcal.workflow.calibration import write_result
 
 _HOME = {
     "errors": ("InputError", "LoopcalError"),
@@ -123,7 +123,7 @@ _HOME = {
     "statistics.findings": ("Findings", "findings"),
     "statistics.prediction": ("Prediction", "predict"),
     "statistics.repeats": ("Repeats", "repeated_readings"),
-    "workflow": ("write_result",),
+    "workflow.calibration": ("write_result",),
 }
 _NAMESPACES = ("instruments", "machines")
 _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name in names}

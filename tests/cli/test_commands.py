@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from loopcal import workflow
 from loopcal.cli.progress import Counted, Progress
+from loopcal.workflow import calibration
 from tests import command_line
 from tests.cli.conftest import PROJECT, Run, contents
 
@@ -232,7 +232,7 @@ def test_a_fault_of_ours_asks_for_a_report(
     def broken(*_: object, **__: object) -> None:
         raise KeyError("inner")
 
-    monkeypatch.setattr(workflow, "run_calibration", broken)
+    monkeypatch.setattr(calibration, "run_calibration", broken)
     done = run(*CALIBRATE)
     assert done.code == 1
     assert "Traceback" in done.err
@@ -246,7 +246,7 @@ def test_an_interruption_is_one_line(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(workflow, "run_calibration", interrupted)
+    monkeypatch.setattr(calibration, "run_calibration", interrupted)
     done = run(*CALIBRATE)
     assert done.code == 130
     assert done.err == "loopcal: interrupted\n"

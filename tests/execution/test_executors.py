@@ -21,7 +21,7 @@ from loopcal.execution.executor import Done, Executor, InProcess, done, gathered
 from loopcal.execution.local import Processes, Threads
 from loopcal.files.new_project import write_new_project
 from loopcal.files.templates import TEMPLATES
-from loopcal.workflow import run_calibration
+from loopcal.workflow.calibration import run_calibration
 from tests.execution import pieces
 from tests.reference.simulated import planar_arm
 

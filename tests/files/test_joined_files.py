@@ -10,7 +10,8 @@ import pytest
 from loopcal.errors import InputError
 from loopcal.files.project_data import LoadedData, load_dataset
 from loopcal.files.project_file import read_project
-from loopcal.workflow import run_calibration, run_simulation
+from loopcal.workflow.calibration import run_calibration
+from loopcal.workflow.simulation import run_simulation
 
 MECHANISM = """
 schema = 1

@@ -143,7 +143,7 @@ def calibrate(
 ) -> None:
     """Fit; write result.json, residuals.csv, mechanism.toml and report.html; print a summary."""
     from loopcal.cli.progress import Progress
-    from loopcal.workflow import run_calibration
+    from loopcal.workflow.calibration import run_calibration
 
     executor = _executor(workers, cluster, threads=True)
     with Progress() as progress:
@@ -180,7 +180,7 @@ def check(
     project: ProjectArgument, as_json: JsonOption = False, mechanism: FunctionOption = None
 ) -> None:
     """Before any fit: ranges, what the poses can determine, and the sds to expect."""
-    from loopcal.workflow import run_check
+    from loopcal.workflow.checking import run_check
 
     done = run_check(project, function=mechanism)
     for warning in done.warnings:
@@ -210,7 +210,7 @@ def predict(
     mechanism: FunctionOption = None,
 ) -> None:
     """End points for given readings, with their covariance; warns of extrapolation."""
-    from loopcal.workflow import prediction_table, run_prediction
+    from loopcal.workflow.checking import prediction_table, run_prediction
 
     done = run_prediction(result, file, out=out, function=mechanism)
     if as_json:
@@ -298,7 +298,7 @@ def noise(
     mechanism: FunctionOption = None,
 ) -> None:
     """Sensor sds from repeated readings of one pose, drift told apart from scatter."""
-    from loopcal.workflow import sensor_noise
+    from loopcal.workflow.sensors import sensor_noise
 
     done = sensor_noise(files, project=project, columns=columns, pose=pose, function=mechanism)
     if as_json:
@@ -318,7 +318,7 @@ def simulate(
     mechanism: FunctionOption = None,
 ) -> None:
     """Write readings of the project's mechanism with its noise, the truth kept beside them."""
-    from loopcal.workflow import run_simulation
+    from loopcal.workflow.simulation import run_simulation
 
     done = run_simulation(project, out=out, seed=seed, function=mechanism)
     poses = len(done.simulation.dataset)
@@ -382,7 +382,7 @@ def new(
     mechanism: Annotated[str, typer.Option(metavar="TYPE", help=f"One of {', '.join(TEMPLATES)}.")],
 ) -> None:
     """Write a commented project to start from."""
-    from loopcal.workflow import new_project
+    from loopcal.workflow.projects import new_project
 
     made = new_project(name, mechanism)
     lines = [f"written: {', '.join(map(str, made.files))}", ""]
@@ -395,6 +395,6 @@ def schema(
     name: Annotated[str, typer.Argument(metavar="project|result", help="Which file.")],
 ) -> None:
     """Print the JSON Schema of project files, or of result.json."""
-    from loopcal import workflow
+    from loopcal.workflow import projects
 
-    print_json(workflow.schema(name))
+    print_json(projects.schema(name))

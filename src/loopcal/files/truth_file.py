@@ -7,14 +7,16 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError, nearest
 from loopcal.files.json_reader import read_json
 from loopcal.files.versions import version
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.simulation.simulate import Simulation
 from loopcal.units import convertible, to_si
+
+if TYPE_CHECKING:
+    from loopcal.simulation.simulate import Simulation
 
 SCHEMA = 1
 

@@ -22,13 +22,8 @@ from loopcal.files.result_file import WrittenResult
 from loopcal.files.truth_file import read_truth
 from loopcal.files.validation_entries import ValidationSpec, validation_arguments
 from loopcal.measurements.checks import DataWarning
-from loopcal.report.page import page_of
 from loopcal.statistics.findings import Findings, findings
-from loopcal.statistics.intervals import intervals
-from loopcal.statistics.models import compare_models
-from loopcal.statistics.validation import validate
 from loopcal.workflow.projects import named_project
-from loopcal.workflow.streams import run_stream
 
 Pieces = Callable[[str, int, int], None]
 """Called with what is done in pieces, how many of them are done, and how many there are."""
@@ -97,6 +92,8 @@ def run_calibration(
         )
     stream = project_stream(read)
     if stream is not None:
+        from loopcal.workflow.streams import run_stream
+
         run = run_stream(
             read,
             stream,
@@ -135,6 +132,8 @@ def run_calibration(
             if asked_for is not None and result.status.converged:
                 result = _validated(result, read, loaded, folded, asked_for)
         if patterns and result.status.converged:
+            from loopcal.statistics.intervals import intervals
+
             shared = _shared("intervals", executor, pieces)
             result = replace(result, intervals=intervals(result, patterns, **shared))
     except InputError as error:
@@ -186,6 +185,8 @@ def _validated(
     how: Mapping[str, Any],
     asked_for: ValidationSpec,
 ) -> Result:
+    from loopcal.statistics.validation import validate
+
     parts = validation_arguments(project, asked_for)
     try:
         found = validate(project.mechanism, loaded.dataset, **how, **parts, full=result)
@@ -198,6 +199,8 @@ def _compared(
     project: Project, loaded: LoadedData, how: Mapping[str, Any], asked_for: ValidationSpec
 ) -> Result:
     """The calibration with the recommended one of the project's models."""
+    from loopcal.statistics.models import compare_models
+
     parts = validation_arguments(project, asked_for)
     found = compare_models(project.mechanism, loaded.dataset, project.compare, **how, **parts)
     chosen = next(m for m in found.models if m.name == found.recommended)
@@ -221,7 +224,11 @@ def write_result(
     them. Raises InputError, naming the file, the reason and a remedy, where they cannot be written.
     """
     fields = (found or findings(result)).document()
-    page = page_of(result, folder) if report else None
+    page = None
+    if report:
+        from loopcal.report.page import page_of
+
+        page = page_of(result, folder)
     return result_file.write_result(
         result, folder, title=title, inputs=inputs, warnings=warnings, findings=fields, report=page
     )
