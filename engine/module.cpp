@@ -109,6 +109,34 @@ int poses_of_job(size_t poses) {
     return static_cast<int>(std::min<size_t>(std::max<size_t>(pieces, 1), 8) * PIECE);
 }
 
+int jobs_of(size_t poses) {
+    const size_t each = poses_of_job(poses);
+    return static_cast<int>((poses + each - 1) / each);
+}
+
+// Whether a signal came that Python has raised an exception for; only its main thread hears of any.
+bool interrupted() {
+    const nb::gil_scoped_acquire lock;
+    return PyErr_CheckSignals() != 0;
+}
+
+// Jobs of poses on all threads, other Python threads let run meanwhile.
+template <class Context>
+void share(void (*run)(Context&, int begin, int end, int number, double* workspace), Context& context, size_t poses,
+           size_t room) {
+    struct Given { void (*run)(Context&, int, int, int, double*); Context& context; int each, poses; };
+    Given given{run, context, poses_of_job(poses), static_cast<int>(poses)};
+    const auto job = [](void* to, int number, double* workspace) {
+        const Given& g = *static_cast<Given*>(to);
+        g.run(g.context, number * g.each, std::min((number + 1) * g.each, g.poses), number, workspace);
+    };
+    {
+        const nb::gil_scoped_release without_lock;
+        run_jobs(job, &given, jobs_of(poses), threads, room, interrupted);
+    }
+    if (PyErr_Occurred()) throw nb::python_error();
+}
+
 class Engine {
 public:
     Engine(Table instructions, std::vector<int> ends, std::vector<int32_t> outputs, std::vector<int> shape,
@@ -124,6 +152,11 @@ public:
         for (int32_t output : outputs) outputs_.push_back(operand(output));
         const int wanted = shape[0] * (1 + shape[1] + shape[2]);
         require(static_cast<int>(outputs_.size()) == wanted, "there are not so many outputs");
+        for (int i = 0; i < wanted; i++) {
+            if (i >= shape[0] && i % shape[0] == 0) ends_of_.push_back(static_cast<int32_t>(loops_of_.size()));
+            if (i >= shape[0] && !always_zero(outputs[i])) loops_of_.push_back(i % shape[0]);
+        }
+        ends_of_.push_back(static_cast<int32_t>(loops_of_.size()));
         int before = 0;
         for (int i = 0; i < 3; i++) {
             require(ends[i] >= before && ends[i] <= static_cast<int>(instructions_.size()), "stages out of order");
@@ -131,6 +164,7 @@ public:
         }
         program_.instructions = instructions_.data();
         program_.outputs = outputs_.data();
+        program_.loops_of = loops_of_.data(), program_.ends_of = ends_of_.data();
         program_.loops = shape[0], program_.quantities = shape[1], program_.parameters = shape[2];
         program_.inputs = inputs[0], program_.known = inputs[1];
         program_.numbers = numbers_.data();
@@ -159,15 +193,9 @@ public:
         require(out.shape(0) == outputs_.size() && out.shape(1) >= poses && (out.shape(1) <= 1 || out.stride(1) == 1), "no room for the outputs");
         const Evaluation job{&program_, rows_of(x, program_.inputs, poses, "x has a wrong shape"), known_rows(known, poses),
                              stage, out.data(), static_cast<ptrdiff_t>(out.stride(0))};
-        const int each = poses_of_job(poses);
-        nb::gil_scoped_release without_lock;
-        struct Context { const Evaluation& job; const Width& width; int each, poses; };
-        Context context{job, *width, each, static_cast<int>(poses)};
-        const auto run = [](void* given, int number, double* workspace) {
-            const Context& c = *static_cast<Context*>(given);
-            c.width.evaluate(c.job, number * c.each, std::min((number + 1) * c.each, c.poses), workspace);
-        };
-        run_jobs(run, &context, jobs(poses, each), threads, program_.room);
+        struct Context { const Evaluation& job; const Width& width; } context{job, *width};
+        share<Context>([](Context& c, int begin, int end, int, double* workspace) { c.width.evaluate(c.job, begin, end, workspace); },
+                       context, poses, program_.room);
     }
 
     void reduce(Matrix readings, Matrix corrections, std::optional<Matrix> known, const NoiseOfBlock& noise, bool exact,
@@ -187,26 +215,33 @@ public:
                             rows_of(corrections, k, poses, "corrections have a wrong shape"), known_rows(known, poses), exact, by_parameter, rounding,
                             correction.data(), static_cast<ptrdiff_t>(correction.stride(0)), step.data(), singular.data(),
                             rows ? rows->data() : nullptr, static_cast<ptrdiff_t>(poses), room(plain, n)};
-        const int each = poses_of_job(poses), count = jobs(poses, each);
         const size_t square = total ? static_cast<size_t>(n + 1) * (n + 1) : 0;
-        nb::gil_scoped_release without_lock;
-        std::vector<double> parts(square * count);
-        struct Context { const Reduction& job; const Width& width; int each, poses; double* parts; size_t square; };
-        Context context{job, *width, each, static_cast<int>(poses), parts.data(), square};
-        const auto run = [](void* given, int number, double* workspace) {
-            const Context& c = *static_cast<Context*>(given);
-            c.width.reduce(c.job, number * c.each, std::min((number + 1) * c.each, c.poses), workspace,
-                           c.square ? c.parts + number * c.square : nullptr);
-        };
-        run_jobs(run, &context, count, threads, job.room);
-        if (total) add_up(parts, count, n + 1, *total);
+        std::vector<double> parts(square * jobs_of(poses));
+        struct Context { const Reduction& job; const Width& width; double* parts; size_t square; } context{job, *width, parts.data(), square};
+        share<Context>([](Context& c, int begin, int end, int number, double* workspace) {
+            c.width.reduce(c.job, begin, end, workspace, c.square ? c.parts + number * c.square : nullptr);
+        }, context, poses, job.room);
+        if (total) add_up(parts, jobs_of(poses), n + 1, *total);
+    }
+
+    void search(Matrix readings, Matrix corrections, std::optional<Matrix> known, const NoiseOfBlock& noise, Out change) const {
+        const size_t poses = readings.shape(1), k = program_.inputs;
+        require(program_.quantities == program_.inputs, "derivatives by all quantities are needed");
+        std::vector<Covariance> blocks;
+        const Noise plain = noise.plain(k, poses, blocks);
+        require(plain.unmeasured_count <= program_.loops, "more unmeasured quantities than loops");
+        require(static_cast<int>(change.shape(0)) == plain.unmeasured_count && change.shape(1) == poses && (poses <= 1 || change.stride(1) == 1), "the change has a wrong shape");
+        const Search job{&program_, &plain, rows_of(readings, k, poses, "readings have a wrong shape"),
+                         rows_of(corrections, k, poses, "corrections have a wrong shape"), known_rows(known, poses),
+                         change.data(), static_cast<ptrdiff_t>(change.stride(0))};
+        struct Context { const Search& job; const Width& width; } context{job, *width};
+        share<Context>([](Context& c, int begin, int end, int, double* workspace) { c.width.search(c.job, begin, end, workspace); },
+                       context, poses, search_room(plain));
     }
 
 private:
     static constexpr int CONSTANT = -1, PARAMETER = -2;
     struct Once { int code, a, b; double value; };
-
-    static int jobs(size_t poses, int each) { return static_cast<int>((poses + each - 1) / each); }
 
     // in the order of the poses, whichever thread was first
     static void add_up(const std::vector<double>& parts, int count, int size, Out& total) {
@@ -219,14 +254,27 @@ private:
             }
     }
 
+    static size_t rows_of_views(size_t count) { return (count * 2 * sizeof(double) + TILE * sizeof(double) - 1) / (TILE * sizeof(double)); }
+
+    // rows that are the same for all poses of a job; n: of the parameters in its outputs
+    size_t shared_rows(const Noise& noise, int n) const {
+        size_t rows = 2 * program_.inputs + noise.block_count + rows_of_views(static_cast<size_t>(program_.loops) * (1 + program_.inputs + n));
+        for (int i = 0; i < noise.block_count; i++) rows += static_cast<size_t>(noise.blocks[i].size) * noise.blocks[i].size;
+        return rows;
+    }
+
+    size_t search_room(const Noise& noise) const {
+        const size_t m = program_.loops, k = program_.inputs, u = noise.unmeasured_count;
+        const size_t rows = shared_rows(noise, 0) + k + m + 1 + u + (m + u) + 2 * (m + u * m + 1) + 2 * u * (m + u) + u;
+        return program_.room + rows * TILE;
+    }
+
     size_t room(const Noise& noise, int n) const {
         const size_t m = program_.loops, k = program_.inputs, u = noise.unmeasured_count, r = m - u;
         const size_t K = noise.measured_count, width = n + 1, padded = (width + 3) / 4 * 4;
-        const size_t outputs = m * (1 + k + n);
-        size_t rows = 5 * k + m + (outputs * 2 * sizeof(double) + TILE * sizeof(double) - 1) / (TILE * sizeof(double)) + 1;
-        for (int i = 0; i < noise.block_count; i++) rows += 1 + static_cast<size_t>(noise.blocks[i].size) * noise.blocks[i].size;
-        if (u) rows += outputs + 2 * u * m + u;
-        rows += r * K + 2 * r * r + K + r + K + u;
+        size_t rows = shared_rows(noise, n) + 3 * k + 2 * m;
+        if (u) rows += 2 * u * m + u + r * m + rows_of_views(k * r) + K * r + r + rows_of_views(r);
+        rows += r * K + 2 * r * r + K + r + K;
         return program_.room + width * r * PIECE + padded * padded * SUMS + rows * TILE;
     }
 
@@ -244,6 +292,12 @@ private:
         }
         require(place < rows_, "there is no such row");
         return {static_cast<int32_t>(used_.size()) * SUMS + place * TILE, 1};
+    }
+
+    bool always_zero(int32_t place) const {
+        if (place >= 0) return false;
+        const Once& one = once_[used_[-1 - place]];
+        return one.code == CONSTANT && one.value == 0.0;
     }
 
     void take_once(const int32_t* row, double value, int position) {
@@ -271,6 +325,7 @@ private:
     std::vector<Once> once_;
     std::vector<Instruction> instructions_;
     std::vector<Operand> outputs_;
+    std::vector<int32_t> loops_of_, ends_of_;
     int rows_ = 0;
     Program program_{};
 };
@@ -294,5 +349,6 @@ NB_MODULE(_compiled, m) {
         .def("at", &Engine::at, nb::arg("parameters"))
         .def("evaluate", &Engine::evaluate, nb::arg("x"), nb::arg("known").none(), nb::arg("stage"), nb::arg("out"))
         .def("reduce", &Engine::reduce, nb::arg("readings"), nb::arg("corrections"), nb::arg("known").none(), nb::arg("noise"), nb::arg("exact"),
-             nb::arg("by_parameter"), nb::arg("rounding"), nb::arg("correction"), nb::arg("step"), nb::arg("singular"), nb::arg("rows").none(), nb::arg("total").none());
+             nb::arg("by_parameter"), nb::arg("rounding"), nb::arg("correction"), nb::arg("step"), nb::arg("singular"), nb::arg("rows").none(), nb::arg("total").none())
+        .def("search", &Engine::search, nb::arg("readings"), nb::arg("corrections"), nb::arg("known").none(), nb::arg("noise"), nb::arg("change"));
 }

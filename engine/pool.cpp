@@ -43,6 +43,18 @@ struct Task {
         for (int number; (number = next.fetch_add(1, std::memory_order_relaxed)) < count;)
             job(context, number, workspace);
     }
+
+    // the same for the caller, who looks up every 50 ms
+    void work(double* workspace, bool (*interrupted)()) {
+        auto asked = std::chrono::steady_clock::now();
+        for (int number; (number = next.fetch_add(1, std::memory_order_relaxed)) < count;) {
+            job(context, number, workspace);
+            const auto now = std::chrono::steady_clock::now();
+            if (now - asked < std::chrono::milliseconds(50)) continue;
+            if (interrupted()) next.store(count, std::memory_order_relaxed);
+            asked = now;
+        }
+    }
 };
 
 // Never destroyed: its threads sleep until the process ends.
@@ -50,7 +62,7 @@ class Pool {
 public:
     std::mutex running;  // held by the call that has the threads
 
-    void run(Task& task, int threads, std::size_t room) {
+    void run(Task& task, int threads, std::size_t room, bool (*interrupted)()) {
         while (static_cast<int>(workspaces_.size()) < threads)
             workspaces_.push_back(std::make_unique<Workspace>());
         for (int i = 0; i < threads; i++) workspaces_[i]->at_least(room);
@@ -66,7 +78,7 @@ public:
             generation_.fetch_add(1);
         }
         woken_.notify_all();
-        task.work(workspaces_[0]->at_least(room));
+        task.work(workspaces_[0]->at_least(room), interrupted);
         std::unique_lock lock(mutex_);
         task_ = nullptr;
         idle_.wait(lock, [&] { return busy_ == 0; });
@@ -128,16 +140,16 @@ Pool& the_pool() {
 
 }  // namespace
 
-void run_jobs(Job job, void* context, int count, int threads, std::size_t room) {
+void run_jobs(Job job, void* context, int count, int threads, std::size_t room, bool (*interrupted)()) {
     Task task{job, context, count};
     threads = threads < count / 2 ? threads : count / 2;  // to wake another pays from two jobs on
     if (threads > 1) {
         Pool& shared = the_pool();
         std::unique_lock lock(shared.running, std::try_to_lock);
-        if (lock) return shared.run(task, threads, room);
+        if (lock) return shared.run(task, threads, room, interrupted);
     }
     thread_local Workspace own;
-    task.work(own.at_least(room));
+    task.work(own.at_least(room), interrupted);
 }
 
 }  // namespace loopcal

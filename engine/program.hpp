@@ -44,6 +44,9 @@ struct Program {
     const Instruction* instructions;
     int ends[3];
     const Operand* outputs;
+    // for each quantity and each parameter, the loops in which its derivative is not always zero:
+    // loops_of[ends_of[c] .. ends_of[c + 1])
+    const int32_t *loops_of, *ends_of;
     int loops, quantities, parameters;  // of the outputs
     int inputs, known;                  // rows to be filled: all readings, known constants
     const double* numbers;
@@ -101,12 +104,22 @@ struct Reduction {
     size_t room;  // doubles in a workspace
 };
 
+// Poses whose unmeasured quantities are searched for from readings + corrections.
+struct Search {
+    const Program* program;
+    const Noise* noise;
+    Rows readings, corrections, known;
+    double* change;  // (u, poses)
+    ptrdiff_t change_row;
+};
+
 // The code for one vector width.
 struct Width {
     const char* name;
     void (*evaluate)(const Evaluation&, int begin, int end, double* workspace);
     // total: (n + 1, n + 1), its lower triangle set to the sums over these poses; or null
     void (*reduce)(const Reduction&, int begin, int end, double* workspace, double* total);
+    void (*search)(const Search&, int begin, int end, double* workspace);
 };
 
 extern const Width width_2, width_4, width_8;

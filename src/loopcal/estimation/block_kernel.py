@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.closing import UNMEASURED_SCALE
 from loopcal.estimation.kernel import BlockNoise, Whitened
 from loopcal.estimation.scratch import scratch
+from loopcal.estimation.searching import search
 from loopcal.expressions.compiled_engine import CompiledEngine, native_noise, side_by_side
 from loopcal.expressions.engine import Engine, LoopValues, Stage
 
@@ -79,6 +80,9 @@ class BlockKernel(Protocol):
     ) -> Array:
         """L^-1 eps a, (r, b), a the size of a loop's terms: sum |J_x| (1 + |reading|)."""
 
+    def search(self, readings: Array, corrections: Array, known: Array, noise: BlockNoise) -> Array:
+        """What unmeasured quantities (u, b) change by until loops close best (`searching.py`)."""
+
 
 @dataclass(frozen=True)
 class NumpyKernel:
@@ -121,6 +125,9 @@ class NumpyKernel:
         part = LoopValues(np.finfo(float).eps * sizes, slopes, np.empty((0, *slopes.shape[1:])))
         return self.reduce(part, np.zeros_like(x), noise).E
 
+    def search(self, readings: Array, corrections: Array, known: Array, noise: BlockNoise) -> Array:
+        return search(self.engine, readings + corrections, known, noise)
+
     def _reduced(
         self, readings: Array, corrections: Array, known: Array, noise: BlockNoise, stage: Stage
     ) -> Reduced:
@@ -136,7 +143,7 @@ class CompiledKernel:
 
     engine: CompiledEngine
     exact: bool
-    block: int = 32768  # some milliseconds, after which an interrupt is heard
+    block: int = 32768  # enough for threads to share
 
     def corrected(
         self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
@@ -170,6 +177,17 @@ class CompiledKernel:
         given = readings, corrections, known, noise
         return self._reduced(*given, by_parameter=False, rounding=True, rows=rows).E
 
+    def search(self, readings: Array, corrections: Array, known: Array, noise: BlockNoise) -> Array:
+        change = np.empty((len(noise.unmeasured), readings.shape[1]))
+        self.engine.native.search(
+            side_by_side(readings),
+            side_by_side(corrections),
+            side_by_side(known),
+            _native(noise),
+            change,
+        )
+        return change
+
     def _reduced(
         self,
         readings: Array,
@@ -191,15 +209,7 @@ class CompiledKernel:
             side_by_side(readings),
             side_by_side(corrections),
             side_by_side(known),
-            native_noise(
-                noise.sd,
-                noise.unmeasured,
-                noise.measured,
-                [
-                    ([noise.measured.index(i) for i in block.indices], block.factor)
-                    for block in noise.blocks
-                ],
-            ),
+            _native(noise),
             self.exact,
             by_parameter,
             rounding,
@@ -210,6 +220,11 @@ class CompiledKernel:
             total,
         )
         return Reduced(correction, step, singular.view(np.bool_), rows, total)
+
+
+def _native(noise: BlockNoise) -> Any:
+    blocks = [([noise.measured.index(i) for i in b.indices], b.factor) for b in noise.blocks]
+    return native_noise(noise.sd, noise.unmeasured, noise.measured, blocks)
 
 
 def kernel_for(engine: Engine, reduce: Reduce, *, exact: bool) -> BlockKernel:

@@ -47,6 +47,15 @@ class BlockNoise:
     unmeasured: tuple[int, ...]
     measured: tuple[int, ...]
 
+    def of(self, chosen: NDArray[np.intp] | slice) -> BlockNoise:
+        """The noise of some poses of the block."""
+        sd = self.sd if self.sd.shape[1] == 1 else self.sd[:, chosen]
+        blocks = tuple(
+            b if b.factor.ndim == 2 else CovarianceBlock(b.indices, b.factor[chosen])
+            for b in self.blocks
+        )
+        return BlockNoise(sd, blocks, self.unmeasured, self.measured)
+
 
 @dataclass(frozen=True)
 class Whitened:

@@ -235,7 +235,7 @@ class Sweeper:
     ) -> float:
         """Root mean square of |L^-1 eps a|, a the size of the terms in a loop value."""
         some = slice(0, _SAMPLE)
-        given = readings[:, some], corrections[:, some], known[:, some], _select(noise, some)
+        given = readings[:, some], corrections[:, some], known[:, some], noise.of(some)
         E = self.kernel(pattern).rounding(*given)
         return float(np.sqrt(np.square(E).sum(axis=0).mean()))
 
@@ -260,7 +260,7 @@ class Sweeper:
         expected = np.full(count, np.inf)
         last = ratio = 0.0
         for _ in range(MOST_CLOSINGS):
-            part = noise if active is None else _select(noise, active)
+            part = noise if active is None else noise.of(active)
             found = self._corrected(
                 pattern,
                 readings if active is None else readings[:, active],
@@ -301,7 +301,7 @@ class Sweeper:
             readings[:, active],
             known[:, active],
             np.where(np.isfinite(base), base, start[:, active]),
-            _select(noise, active),
+            noise.of(active),
             min(tolerance, 1e-3),
         )
         done[:, active], late[active] = closed.corrections, closed.open
@@ -362,13 +362,3 @@ def _numbers(poses: Poses, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
     """The positions of chosen poses of a block among all."""
     within = np.flatnonzero(chosen)
     return poses[within] if not isinstance(poses, slice) else within + poses.start
-
-
-def _select(noise: BlockNoise, chosen: NDArray[np.intp] | slice) -> BlockNoise:
-    """The noise of some poses of a block."""
-    sd = noise.sd if noise.sd.shape[1] == 1 else noise.sd[:, chosen]
-    blocks = tuple(
-        b if b.factor.ndim == 2 else CovarianceBlock(b.indices, b.factor[chosen])
-        for b in noise.blocks
-    )
-    return BlockNoise(sd, blocks, noise.unmeasured, noise.measured)

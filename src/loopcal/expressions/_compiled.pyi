@@ -53,3 +53,11 @@ class Engine:
         rows: _Array | None,
         total: _Array | None,
     ) -> None: ...
+    def search(
+        self,
+        readings: _Array,
+        corrections: _Array,
+        known: _Array | None,
+        noise: Noise,
+        change: _Array,
+    ) -> None: ...
