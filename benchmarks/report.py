@@ -8,7 +8,6 @@ import command
 import memory
 import platform_poses
 from both_engines import Engines
-from floor import LANES, Share
 from measuring import Times
 from programs import NUMPY, PROGRAMS
 from side_by_side import Comparison
@@ -116,25 +115,6 @@ def sizes(found: Sequence[memory.Size]) -> str:
             f"{met(found[-1].solve <= memory.DEMANDED)}."
         )
     return f"### Memory\n\n{words}\n\n{table(head, rows)}{demanded}"
-
-
-def shares(found: Sequence[Share], hertz: float) -> str:
-    """The time of a pose beside its arithmetic."""
-    rows = [
-        [
-            share.name,
-            f"{share.seconds * 1e9:.0f}",
-            f"{share.operations:,}",
-            f"{share.floor(hertz) * 1e9:.0f}" if hertz else "",
-            f"{share.seconds / share.floor(hertz):.1f}" if hertz else "",
-        ]
-        for share in found
-    ]
-    head = ["one pose, one thread", "time [ns]", "operations", "floor [ns]", "times the floor"]
-    words = (
-        f"The floor is two vectors of {LANES} operations in every cycle at {hertz / 1e9:.2f} GHz"
-    )
-    return f"### The floor\n\n{words}:\n\n{table(head, rows)}"
 
 
 def cold_start(times: dict[str, Times], study: float) -> str:

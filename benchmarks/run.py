@@ -18,6 +18,7 @@ import both_engines
 import command
 import figure
 import floor
+import floor_report
 import memory
 import platform_poses
 import report
@@ -72,9 +73,9 @@ def arithmetic(found: Found, asked: argparse.Namespace) -> None:
     """Where the compiled engine's time goes."""
     if not AVAILABLE:
         return
-    shares = floor.measure()
-    found.numbers["floor"] = [asdict(share) for share in shares]
-    found.texts.append(report.shares(shares, floor.clock()))
+    measured = floor.measure()
+    found.numbers["floor"] = asdict(measured)
+    found.texts.append(floor_report.floor(measured))
 
 
 def memories(found: Found, asked: argparse.Namespace) -> None:
