@@ -7,7 +7,6 @@ the floating-point operations, and how long they take if every cycle does two ve
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ours import on_engine
 from problems import six_axis
 
 from loopcal.estimation.problem import build_problem
@@ -83,7 +83,10 @@ class _Counted(Sweeper):
 
 def measure() -> Floor:
     """The shares, each containing the ones below it but for the closing, and the whole solve."""
-    os.environ["LOOPCAL_ENGINE"], os.environ["LOOPCAL_THREADS"] = "compiled", "1"
+    return on_engine("compiled", _measured, threads=1)()
+
+
+def _measured() -> Floor:
     arm = six_axis(POSES)
     problem = build_problem(arm.mechanism, arm.dataset, arm.noise)
     sweeper = Sweeper(problem)

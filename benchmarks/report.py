@@ -18,8 +18,8 @@ DEMANDED_AT, FLAT_FROM, MANY = 1_000, 10_000, 1_000_000
 DEMANDED_FLAT, DEMANDED_OF_NUMPY = 1.3, 4.0
 
 
-def side_by_side(found: Sequence[Comparison]) -> str:
-    """The programs on one problem over the number of poses."""
+def side_by_side(found: Sequence[Comparison], drawing: str | None = None) -> str:
+    """The programs on one problem over the number of poses; drawing: where its figure will be."""
     names = list(dict.fromkeys(name for one in found for name in one.times))
     head = [f"{one.poses:,} poses" for one in found]
 
@@ -34,9 +34,11 @@ def side_by_side(found: Sequence[Comparison]) -> str:
     times = rows(lambda one, name: milliseconds(one.times[name].median))
     ratios = rows(lambda one, name: times_as_long(one.ratio(name)))
     evaluations = rows(lambda one, name: f"{one.evaluations[name]:,.0f}")
+    shown = [f"![Time of a calibration against poses]({drawing})"] if drawing else []
     return "\n\n".join(
         [
             f"### {found[0].problem.capitalize()}",
+            *shown,
             f"Parameters agree to {apart:.1g} sds. Medians in milliseconds:",
             table(["program", *head], times),
             f"How many times as long as {names[0]}:",

@@ -54,7 +54,8 @@ def programs(found: Found, asked: argparse.Namespace) -> None:
             compared.append(compare(PROBLEMS[name](poses), PROGRAMS, asked.rounds))
         found.numbers[name] = [asdict(one) for one in compared]
         found.figures[name] = figure.drawn(compared, words)
-        found.texts.append(report.side_by_side(compared))
+        drawing = f"{asked.document.stem}/{name}.svg" if asked.document else None
+        found.texts.append(report.side_by_side(compared, drawing))
         if name == "six-axis":
             found.texts.append(report.demands(compared))
     found.texts.append(report.absent())
