@@ -19,18 +19,26 @@ from loopcal.estimation.solver import solve
 from loopcal.expressions.choice import AVAILABLE
 
 T = TypeVar("T")
+SETTINGS = ("LOOPCAL_ENGINE", "LOOPCAL_THREADS")
 BEST = "compiled" if AVAILABLE else "numpy"
 
 
 def on_engine(engine: str, run: Callable[[], T], threads: int | None = None) -> Callable[[], T]:
     """The same on the engine "numpy" or "compiled"; threads: all cores if not given."""
+    asked = {"LOOPCAL_ENGINE": engine}
+    if threads is not None:
+        asked["LOOPCAL_THREADS"] = str(threads)
 
     def chosen() -> T:
-        os.environ["LOOPCAL_ENGINE"] = engine
-        os.environ.pop("LOOPCAL_THREADS", None)
-        if threads is not None:
-            os.environ["LOOPCAL_THREADS"] = str(threads)
-        return run()
+        before = {name: os.environ.pop(name, None) for name in SETTINGS}
+        os.environ.update(asked)
+        try:
+            return run()
+        finally:
+            for name, value in before.items():
+                os.environ.pop(name, None)
+                if value is not None:
+                    os.environ[name] = value
 
     return chosen
 

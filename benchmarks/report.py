@@ -8,7 +8,6 @@ import command
 import memory
 import platform_poses
 from both_engines import Engines
-from floor import LANES, Share
 from measuring import Times
 from programs import NUMPY, PROGRAMS
 from side_by_side import Comparison
@@ -19,8 +18,8 @@ DEMANDED_AT, FLAT_FROM, MANY = 1_000, 10_000, 1_000_000
 DEMANDED_FLAT, DEMANDED_OF_NUMPY = 1.3, 4.0
 
 
-def side_by_side(found: Sequence[Comparison]) -> str:
-    """The programs on one problem over the number of poses."""
+def side_by_side(found: Sequence[Comparison], drawing: str | None = None) -> str:
+    """The programs on one problem over the number of poses; drawing: where its figure will be."""
     names = list(dict.fromkeys(name for one in found for name in one.times))
     head = [f"{one.poses:,} poses" for one in found]
 
@@ -35,9 +34,11 @@ def side_by_side(found: Sequence[Comparison]) -> str:
     times = rows(lambda one, name: milliseconds(one.times[name].median))
     ratios = rows(lambda one, name: times_as_long(one.ratio(name)))
     evaluations = rows(lambda one, name: f"{one.evaluations[name]:,.0f}")
+    shown = [f"![Time of a calibration against poses]({drawing})"] if drawing else []
     return "\n\n".join(
         [
             f"### {found[0].problem.capitalize()}",
+            *shown,
             f"Parameters agree to {apart:.1g} sds. Medians in milliseconds:",
             table(["program", *head], times),
             f"How many times as long as {names[0]}:",
@@ -116,25 +117,6 @@ def sizes(found: Sequence[memory.Size]) -> str:
             f"{met(found[-1].solve <= memory.DEMANDED)}."
         )
     return f"### Memory\n\n{words}\n\n{table(head, rows)}{demanded}"
-
-
-def shares(found: Sequence[Share], hertz: float) -> str:
-    """The time of a pose beside its arithmetic."""
-    rows = [
-        [
-            share.name,
-            f"{share.seconds * 1e9:.0f}",
-            f"{share.operations:,}",
-            f"{share.floor(hertz) * 1e9:.0f}" if hertz else "",
-            f"{share.seconds / share.floor(hertz):.1f}" if hertz else "",
-        ]
-        for share in found
-    ]
-    head = ["one pose, one thread", "time [ns]", "operations", "floor [ns]", "times the floor"]
-    words = (
-        f"The floor is two vectors of {LANES} operations in every cycle at {hertz / 1e9:.2f} GHz"
-    )
-    return f"### The floor\n\n{words}:\n\n{table(head, rows)}"
 
 
 def cold_start(times: dict[str, Times], study: float) -> str:

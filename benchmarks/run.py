@@ -18,6 +18,7 @@ import both_engines
 import command
 import figure
 import floor
+import floor_report
 import memory
 import platform_poses
 import report
@@ -53,7 +54,8 @@ def programs(found: Found, asked: argparse.Namespace) -> None:
             compared.append(compare(PROBLEMS[name](poses), PROGRAMS, asked.rounds))
         found.numbers[name] = [asdict(one) for one in compared]
         found.figures[name] = figure.drawn(compared, words)
-        found.texts.append(report.side_by_side(compared))
+        drawing = f"{asked.document.stem}/{name}.svg" if asked.document else None
+        found.texts.append(report.side_by_side(compared, drawing))
         if name == "six-axis":
             found.texts.append(report.demands(compared))
     found.texts.append(report.absent())
@@ -72,9 +74,9 @@ def arithmetic(found: Found, asked: argparse.Namespace) -> None:
     """Where the compiled engine's time goes."""
     if not AVAILABLE:
         return
-    shares = floor.measure()
-    found.numbers["floor"] = [asdict(share) for share in shares]
-    found.texts.append(report.shares(shares, floor.clock()))
+    measured = floor.measure()
+    found.numbers["floor"] = asdict(measured)
+    found.texts.append(floor_report.floor(measured))
 
 
 def memories(found: Found, asked: argparse.Namespace) -> None:

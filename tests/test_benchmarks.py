@@ -1,0 +1,116 @@
+"""The benchmark compares what agrees, or nothing: no time is checked here."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from html import escape
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+BENCHMARKS = ROOT / "benchmarks"
+DOCUMENT = "Before.\n\n<!-- measured: begin -->\nold\n<!-- measured: end -->\n\nAfter.\n"
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """benchmarks/run.py as a module; it and its neighbours are forgotten afterwards."""
+    if not BENCHMARKS.is_dir():
+        pytest.skip("the benchmarks are not here")
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    before = set(sys.modules)
+    yield import_module("run")
+    for name in set(sys.modules) - before:
+        if (getattr(sys.modules[name], "__file__", None) or "").startswith(str(BENCHMARKS)):
+            del sys.modules[name]
+
+
+def shifted(program: Any) -> Any:
+    """The same program, its first parameter wrong by a micrometre."""
+
+    def prepare(problem: Any) -> Any:
+        fit = program.prepare(problem)()
+        fit.parameters[0] += 1e-6
+        return lambda: fit
+
+    return replace(program, name="shifted", prepare=prepare)
+
+
+def unknown(program: Any) -> Any:
+    return replace(program, name="unknown", needs="no_such_package")
+
+
+def use(run: Any, programs: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run, "PROGRAMS", programs)
+    monkeypatch.setattr(run.report, "PROGRAMS", programs)
+
+
+def test_all_programs_agree_and_are_told_side_by_side(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    programs = [*run.PROGRAMS, unknown(run.PROGRAMS[0])]
+    use(run, programs, monkeypatch)
+    document = tmp_path / "speed.md"
+    document.write_text(DOCUMENT, "utf-8")
+    asked = ["--only", "programs", "--poses", "30", "60", "--rounds", "1"]
+
+    assert run.main([*asked, "--document", str(document)]) == 0
+
+    printed, ran = capsys.readouterr().out, [p.name for p in programs if p.installed]
+    assert "unknown (no_such_package)" in printed
+    for name in ran:  # times, ratios and evaluations of two problems
+        assert printed.count(f"\n| {name} ") == 6
+    assert document.read_text("utf-8") == DOCUMENT.replace("old", printed.strip())
+    for problem in run.PROBLEMS:
+        svg = (tmp_path / "speed" / f"{problem}.svg").read_text("utf-8")
+        assert svg.count("<polyline ") == len(ran)
+        assert svg.count("<circle ") == 2 * len(ran)
+        assert all(f">{escape(name)}</text>" in svg for name in ran)
+        assert f"](speed/{problem}.svg)" in printed
+
+
+def test_nothing_is_told_of_programs_that_disagree(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    use(run, [run.PROGRAMS[0], shifted(run.PROGRAMS[0])], monkeypatch)
+    document = tmp_path / "speed.md"
+    document.write_text(DOCUMENT, "utf-8")
+    asked = ["--only", "programs", "--problems", "planar", "--poses", "30"]
+
+    assert run.main([*asked, "--document", str(document)]) == 1
+
+    told = capsys.readouterr()
+    assert "planar, 30 poses: shifted differs from" in told.err
+    assert told.out == ""
+    assert document.read_text("utf-8") == DOCUMENT
+    assert [path.name for path in tmp_path.iterdir()] == ["speed.md"]
+
+
+def test_a_program_that_finds_nothing_ends_the_run(
+    run: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails() -> None:
+        raise RuntimeError("no convergence")
+
+    lost = replace(run.PROGRAMS[0], name="lost", prepare=lambda problem: fails)
+    use(run, [run.PROGRAMS[0], lost], monkeypatch)
+
+    assert run.main(["--only", "programs", "--problems", "planar", "--poses", "30"]) == 1
+    assert "lost finds nothing: no convergence" in capsys.readouterr().err
+
+
+def test_long_runs_are_measured_once(run: Any) -> None:
+    measuring = import_module("measuring")
+    done: list[str] = []
+    programs = {name: partial(done.append, name) for name in "abc"}
+
+    times = measuring.in_turns(programs, {"a": 2, "b": 1, "c": measuring.rounds_for(6.0)})
+
+    assert done == ["a", "b", "a"]
+    assert {name: len(t.seconds) for name, t in times.items()} == {"a": 2, "b": 1, "c": 0}
