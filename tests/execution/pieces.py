@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_info
 
 from loopcal.errors import InputError
 from loopcal.estimation.scratch import one_blas_thread
+from loopcal.expressions.choice import use_threads
 
 
 def scaled(shared: float, piece: float) -> float:
@@ -51,3 +52,12 @@ def killing_once(folder: str, piece: int) -> int:
 def blas_threads(shared: None, piece: int) -> int:
     with one_blas_thread():
         return max(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+
+
+def engine_threads(shared: None, piece: int) -> int:
+    return use_threads()
+
+
+def noted(begun: list[int], piece: int) -> int:
+    begun.append(piece)
+    return piece

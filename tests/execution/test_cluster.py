@@ -21,6 +21,7 @@ from loopcal.errors import InputError, LoopcalError, UsageError
 from loopcal.execution.cluster import Cluster, _Opening, versions
 from loopcal.execution.executor import InProcess, gathered
 from loopcal.execution.local import Threads
+from loopcal.expressions import choice
 from loopcal.files import study_parts
 from loopcal.studies.run import run_study
 from tests.command_line import environment, run
@@ -196,10 +197,36 @@ def test_workers_must_be_as_we_are(cluster: DaskCluster) -> None:
         executor.ready()
 
 
+@pytest.mark.skipif(not choice.AVAILABLE, reason="installed without a compiler")
+def test_workers_must_have_our_engine(
+    cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LOOPCAL_ENGINE", "compiled")
+    cluster.start_workers("", LOOPCAL_ENGINE="numpy")
+    executor = Cluster(cluster.address)
+    with pytest.raises(InputError, match="has engine numpy, and here is engine compiled") as told:
+        executor.ready()
+    assert "LOOPCAL_ENGINE=numpy" in str(told.value.remedy)
+    with pytest.raises(InputError, match="a worker has engine numpy"):
+        gathered(executor, pieces.scaled, 1.0, [1.0])
+    monkeypatch.setenv("LOOPCAL_ENGINE", "numpy")
+    assert executor.ready().startswith("1 workers")
+    assert gathered(executor, pieces.scaled, 1.0, [1.0]) == [1.0]
+
+
+@pytest.mark.skipif(not choice.AVAILABLE, reason="installed without a compiler")
+def test_a_worker_holds_the_engine_to_one_thread_for_each_piece(
+    cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("LOOPCAL_THREADS", raising=False)
+    cluster.start_workers("")
+    assert gathered(Cluster(cluster.address), pieces.engine_threads, None, [0, 1]) == [1, 1]
+
+
 def test_a_worker_that_came_later_is_looked_at_too() -> None:
     opening = _Opening({**versions(), "scipy": "0.1"})
     with pytest.raises(InputError, match=r"a worker has scipy \S+, and here is scipy 0\.1"):
-        _ = opening(b"no pickle", 0).value
+        _ = opening(b"no pickle", b"none", 0).value
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import threading
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,20 @@ from threadpoolctl import threadpool_info
 import loopcal as lc
 from loopcal.errors import InputError, UsageError
 from loopcal.estimation.scratch import one_blas_thread
-from loopcal.execution.executor import Done, Executor, InProcess, done, gathered
+from loopcal.execution import local
+from loopcal.execution.executor import (
+    AHEAD,
+    Crew,
+    Done,
+    Executor,
+    InProcess,
+    Window,
+    done,
+    gathered,
+    in_order,
+)
 from loopcal.execution.local import Processes, Threads
+from loopcal.expressions import choice
 from loopcal.files.new_project import write_new_project
 from loopcal.files.templates import TEMPLATES
 from loopcal.workflow.calibration import run_calibration
@@ -32,11 +44,13 @@ LOCAL = [InProcess(), Threads(1), Threads(2), Processes(1), Processes(2)]
 class Backwards(Executor):
     """Does the last piece first."""
 
-    def run(
-        self, work: Callable[[Any, Any], Any], shared: Any, pieces: Sequence[Any]
-    ) -> Generator[Done[Any], None, None]:
-        for number in reversed(range(len(pieces))):
-            yield done(work, shared, pieces[number], number)
+    @contextmanager
+    def crew(self, work: Callable[[Any, Any], Any], shared: Any) -> Generator[Crew, None, None]:
+        def backwards(pieces: Sequence[Any]) -> Generator[Done[Any], None, None]:
+            for number in reversed(range(len(pieces))):
+                yield done(work, shared, pieces[number], number)
+
+        yield backwards
 
 
 @pytest.mark.parametrize("executor", [None, *LOCAL, Backwards()], ids=str)
@@ -78,6 +92,56 @@ def test_work_may_be_left_before_its_end(executor: Executor) -> None:
 def test_a_process_that_dies_is_a_message() -> None:
     with pytest.raises(InputError, match="a worker ended"):
         gathered(Processes(2), pieces.killing, None, [1, 2])
+
+
+@pytest.mark.parametrize("executor", [InProcess(), Threads(2), Processes(2)], ids=str)
+def test_a_crew_does_several_runs(executor: Executor) -> None:
+    with executor.crew(pieces.scaled, 0.5) as done_by:
+        for _ in range(3):
+            assert list(in_order(done_by([2, 4, 6]))) == [1.0, 2.0, 3.0]
+        with closing(done_by(range(50))) as left:
+            next(left)
+        with pytest.raises(TypeError):
+            list(done_by([None]))
+
+
+def test_values_that_nobody_takes_do_not_pile_up() -> None:
+    begun: list[int] = []
+    with closing(Threads(2).run(pieces.noted, begun, range(100))) as finished:
+        for taken in range(1, 40):
+            next(finished)
+            assert len(begun) <= taken + 2 * AHEAD
+        assert len(begun) >= 39
+
+
+def test_no_piece_is_begun_far_ahead_of_the_first_that_is_missing() -> None:
+    window = Window(20)
+    assert window.next(2) == range(2 * AHEAD)
+    for number in range(1, 2 * AHEAD):
+        window.take(number)
+        assert not window.next(2)  # the first takes long
+    window.take(0)
+    assert window.next(2) == range(2 * AHEAD, 4 * AHEAD)
+    assert not window.next(1)  # fewer workers than before
+    assert window.next(99) == range(4 * AHEAD, 20)
+
+
+@pytest.mark.skipif(not choice.AVAILABLE, reason="installed without a compiler")
+@pytest.mark.parametrize(
+    ("executor", "threads"),
+    [(Threads(1), 4), (Threads(2), 2), (Threads(3), 1), (Threads(9), 1), (Processes(2), 2)],
+    ids=str,
+)
+def test_workers_share_the_cores_with_their_engines(
+    executor: Executor, threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("LOOPCAL_THREADS", raising=False)
+    monkeypatch.setattr(local, "cores", lambda: 4)
+    alone = choice.use_threads()
+    assert set(gathered(executor, pieces.engine_threads, None, range(6))) == {threads}
+    assert choice.use_threads() == alone
+    monkeypatch.setenv("LOOPCAL_THREADS", "3")
+    assert set(gathered(executor, pieces.engine_threads, None, range(6))) == {3}
 
 
 @pytest.mark.parametrize("kind", [Processes, Threads])

@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import ThreadpoolController
+from threadpoolctl import OpenBLASController, ThreadpoolController
 
 _pool = threading.local()
 
@@ -48,7 +48,16 @@ class _Blas:
         with self.lock:
             self.holders -= 1
             if not self.holders:
+                _disown()
                 self.limit.close()
+                _disown()
+
+
+def _disown() -> None:
+    """Let this thread lift the limit, whichever set it: threadpoolctl from 3.8 on minds that."""
+    clear = getattr(OpenBLASController, "clear_controlling_thread", None)
+    if clear is not None:
+        clear(force=True)
 
 
 @lru_cache

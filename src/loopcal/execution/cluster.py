@@ -1,7 +1,7 @@
 """Work on a cluster, by dask.distributed: the user brings the scheduler, we bring the pieces.
 
-What all pieces share is a task of the graph, not scattered data: it is sent once, the workers pass
-it on among themselves, and if all that held it are lost the scheduler has it still. The graph is
+What all pieces share is a task of its own, not scattered data: it is sent once, the workers pass
+it on among themselves, and if all that held it are lost the scheduler has it still. Tasks are
 made of functions of the standard library and of bytes, which no worker unpacks before its own
 piece: what has no loopcal, or another one, can pass it on, and says so when its turn comes.
 """
@@ -24,10 +24,11 @@ from typing import Any
 from uuid import uuid4
 
 from loopcal.errors import InputError, UsageError
-from loopcal.execution.executor import Done, Executor, Piece, Shared, Value, done
+from loopcal.execution.executor import Crew, Done, Executor, Piece, Shared, Value, Window, done
+from loopcal.expressions.choice import chosen_engine, engine_threads
 
 PACKAGES = ("loopcal", "numpy", "scipy")
-"""What the numbers depend on."""
+"""What the numbers depend on, beside Python and the engine."""
 
 
 @dataclass(frozen=True)
@@ -40,17 +41,19 @@ class Cluster(Executor):
 
     address: Any
 
-    def run(
-        self, work: Callable[[Shared, Piece], Value], shared: Shared, pieces: Sequence[Piece]
-    ) -> Generator[Done[Value], None, None]:
-        """What became of every piece, in the order of completion.
+    @contextmanager
+    def crew(
+        self, work: Callable[[Shared, Piece], Value], shared: Shared
+    ) -> Generator[Crew, None, None]:
+        """The workers of the cluster, also those that come later.
 
-        Raises UsageError without the extra `cluster`, InputError where no scheduler answers, it is
-        lost, a worker has not our versions, or one piece ended several workers.
+        Raises UsageError without the extra `cluster`, InputError where no scheduler answers; runs
+        raise it where that is lost, a worker has not our versions, or a piece ended several.
         """
-        sealed = pickle.dumps((work, shared, pieces))
+        sealed = pickle.dumps((work, shared))
         with self._client() as client:
-            yield from _outcomes(client, sealed, len(pieces))
+            job = _Job.sent(client, sealed)
+            yield job.outcomes
 
     def ready(self) -> str:
         """How many workers there are, all of them having our versions."""
@@ -59,7 +62,9 @@ class Cluster(Executor):
             for address, worker in found["workers"].items():
                 packages = dict(worker["packages"])
                 packages["python"] = _minor(packages["python"])
-                _check(packages, versions(), f"the worker {address}")
+                _check(packages, _installed(), f"the worker {address}")
+            for address, there in client.run(versions).items():
+                _check(there, versions(), f"the worker {address}")
             threads = sum(client.nthreads().values())
             return (
                 f"{len(found['workers'])} workers with {threads} threads at {self._name}"
@@ -85,13 +90,13 @@ class Cluster(Executor):
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python and of all that the numbers depend on, here."""
-    return {"python": _minor(python_version()), **_installed()}
+    """Versions of Python and of all that the numbers depend on, and the engine, here."""
+    return {**_installed(), "engine": chosen_engine()}
 
 
 @lru_cache(maxsize=1)
 def _installed() -> Mapping[str, str]:
-    return {name: version(name) for name in PACKAGES}
+    return {"python": _minor(python_version()), **{name: version(name) for name in PACKAGES}}
 
 
 def _minor(python: str) -> str:
@@ -110,12 +115,14 @@ def _check(there: Mapping[str, str | None], here: Mapping[str, str], who: str) -
             + ", ".join(f"{name} {there[name]}" for name in other)
             + ", and here is "
             + ", ".join(f"{name} {here[name]}" for name in other),
-            remedy=_REMEDY,
+            remedy=_ENGINE if other == ["engine"] else _REMEDY,
         )
 
 
 _REMEDY = "give workers and this process the same environment (versions of " + ", ".join(PACKAGES)
 _REMEDY += " and Python)"
+_ENGINE = "the engines agree to some twelve digits only: set LOOPCAL_ENGINE=numpy here and for all "
+_ENGINE += "workers, or install loopcal with a compiler on those that have none"
 
 
 @dataclass(frozen=True)
@@ -124,13 +131,20 @@ class _Opening:
 
     made_by: Mapping[str, str]
 
-    def __call__(self, sealed: bytes, number: int) -> Done[Any]:
+    def __call__(self, sealed: bytes, piece: bytes, number: int) -> Done[Any]:
         try:
             _check(versions(), self.made_by, "a worker")
         except InputError as error:
             return Done(number, error)
-        work, shared, pieces = pickle.loads(sealed)
-        return done(work, shared, pieces[number], number)
+        work, shared = _opened(sealed)
+        with engine_threads(1):  # a worker has as many pieces at a time as it has threads
+            return done(work, shared, pickle.loads(piece), number)
+
+
+@lru_cache(maxsize=1)
+def _opened(sealed: bytes) -> Any:
+    """What was sealed, unpacked once for all pieces that a worker does of a job."""
+    return pickle.loads(sealed)
 
 
 def _distributed() -> ModuleType:
@@ -172,25 +186,66 @@ def _connected(address: Any, name: str) -> Any:
         ) from None
 
 
-def _outcomes(client: Any, sealed: bytes, count: int) -> Generator[Done[Any], None, None]:
-    distributed = _distributed()
-    name = f"loopcal-{uuid4().hex}"
-    job = f"{name}-job"
-    opening = (pickle.loads, pickle.dumps(_Opening(versions())))
-    # keys of one group are spread over all workers, not kept where the job is
-    graph: dict[Any, Any] = {(name, n): (operator.call, opening, job, n) for n in range(count)}
-    graph[job] = (bytes, bytearray(sealed))  # Dask takes long over bytes
+@dataclass(frozen=True)
+class _Job:
+    """A job that is with the cluster, as long as this is kept."""
+
+    client: Any
+    name: str
+    sealed: Any
+
+    @classmethod
+    def sent(cls, client: Any, sealed: bytes) -> _Job:
+        name = f"loopcal-{uuid4().hex}"
+        (future,) = _begun(client, {f"{name}-job": (bytes, bytearray(sealed))})  # slow over bytes
+        return cls(client, name, future)
+
+    def outcomes(self, pieces: Sequence[Any]) -> Generator[Done[Any], None, None]:
+        """What became of every piece, in the order of completion."""
+        window = Window(len(pieces))
+        waiting = _distributed().as_completed(loop=self.client.loop)
+        run = uuid4().hex
+        try:
+            while True:
+                workers = sum(self.client.nthreads().values())
+                waiting.update(self._begun(run, pieces, window.next(max(workers, 1))))
+                if waiting.is_empty():
+                    return
+                for future in waiting.next_batch():
+                    outcome: Done[Any] = future.result()
+                    future.release()
+                    window.take(outcome.number)
+                    yield outcome
+        except Exception as error:
+            raise _failure(error) from None
+
+    def _begun(self, run: str, pieces: Sequence[Any], numbers: Sequence[int]) -> list[Any]:
+        # keys of one group are spread over all workers, not kept where the job is
+        opening = (pickle.loads, pickle.dumps(_Opening(versions())))
+        return _begun(
+            self.client,
+            {
+                (f"{self.name}-{run}", n): (
+                    operator.call,
+                    opening,
+                    self.sealed,
+                    (bytes, bytearray(pickle.dumps(pieces[n]))),
+                    n,
+                )
+                for n in numbers
+            },
+        )
+
+
+def _begun(client: Any, graph: dict[Any, Any]) -> list[Any]:
+    """The futures of all tasks of a graph."""
+    if not graph:
+        return []
     with warnings.catch_warnings():
         # it is sent once, and kept where no lost worker can take it along
         warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
-        futures = client.get(graph, [*graph][:count], sync=False)
-    for future in distributed.as_completed(futures, loop=client.loop):
-        try:
-            outcome: Done[Any] = future.result()
-        except Exception as error:
-            raise _failure(error) from None
-        future.release()
-        yield outcome
+        futures: list[Any] = client.get(graph, [*graph], sync=False)
+    return futures
 
 
 def _failure(error: BaseException) -> BaseException:
@@ -200,14 +255,15 @@ def _failure(error: BaseException) -> BaseException:
         return InputError(
             f"a piece of the work ended all of the {error.allowed_failures + 1} workers that "
             "tried it, killed or out of memory",
-            remedy="give the workers more memory, or fewer threads each; a study goes on where "
-            "it was",
+            remedy="give the workers more memory, or fewer threads each; a study or a stream "
+            "goes on where it was",
         )
     if isinstance(error, ModuleNotFoundError) and str(error.name).startswith("loopcal"):
         return InputError("a worker has no loopcal of this version", remedy=_REMEDY)
     if isinstance(error, CancelledError | OSError):
         return InputError(
             "the connection to the scheduler was lost",
-            remedy="see whether it still runs, and begin again; a study goes on where it was",
+            remedy="see whether it still runs, and begin again; a study or a stream goes on "
+            "where it was",
         )
     return error

@@ -7,10 +7,10 @@ pieces are done, or done again after a worker was lost, changes no value.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from loopcal.errors import LoopcalError
 
@@ -19,6 +19,9 @@ Piece = TypeVar("Piece")
 Value = TypeVar("Value")
 Progress = Callable[[int, int], None]
 """Called with how many pieces are done, and how many there are."""
+AHEAD = 3
+"""Pieces for each worker, done or being done, beyond the first that nobody has taken yet: enough
+that no worker waits, so few that values do not pile up where whoever takes them is slow."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,10 @@ class Done(Generic[Value]):
         return self.outcome
 
 
+Crew = Callable[[Sequence[Any]], Generator[Done[Any], None, None]]
+"""Workers that know their work: what became of every piece, once, in the order of completion."""
+
+
 class Executor(ABC):
     """Does work in pieces.
 
@@ -44,18 +51,26 @@ class Executor(ABC):
     """
 
     @abstractmethod
+    def crew(
+        self, work: Callable[[Shared, Piece], Value], shared: Shared
+    ) -> AbstractContextManager[Crew]:
+        """Workers who are told once what they work with, for as many runs as are wanted.
+
+        work: a function at the top of a module, whose value follows from what it is given alone:
+        no clock, no random number, of the disk at most files that nobody changes. All of them can
+        be pickled. Runs raise InputError where workers are lost for good. Closing a run leaves the
+        rest of its pieces undone; leaving the context ends the work.
+        """
+
     def run(
         self, work: Callable[[Shared, Piece], Value], shared: Shared, pieces: Sequence[Piece]
     ) -> Generator[Done[Value], None, None]:
-        """What became of work(shared, piece) for every piece, once, in the order of completion.
-
-        work: a function at the top of a module, and no clock, disk or random number that is not
-        in what it is given; shared goes to every worker once. All of them can be pickled.
-        Raises InputError where workers are lost for good. Closing the generator ends the work.
-        """
+        """What became of work(shared, piece) for every piece: a crew of one run."""
+        with self.crew(work, shared) as done_by:
+            yield from done_by(pieces)
 
     def ready(self) -> str:
-        """Where pieces will be done, in words; raises what `run` would, before any work."""
+        """Where pieces will be done, in words; raises what a run would, before any work."""
         return "in this process"
 
 
@@ -63,12 +78,17 @@ class Executor(ABC):
 class InProcess(Executor):
     """One piece after the other, here."""
 
-    def run(
-        self, work: Callable[[Shared, Piece], Value], shared: Shared, pieces: Sequence[Piece]
-    ) -> Generator[Done[Value], None, None]:
-        """What became of every piece, in their order."""
-        for number, piece in enumerate(pieces):
-            yield done(work, shared, piece, number)
+    @contextmanager
+    def crew(
+        self, work: Callable[[Shared, Piece], Value], shared: Shared
+    ) -> Generator[Crew, None, None]:
+        """This process itself."""
+
+        def one_by_one(pieces: Sequence[Piece]) -> Generator[Done[Value], None, None]:
+            for number, piece in enumerate(pieces):
+                yield done(work, shared, piece, number)
+
+        yield one_by_one
 
 
 def done(
@@ -81,6 +101,20 @@ def done(
         return Done(number, error)
 
 
+def in_order(outcomes: Iterable[Done[Value]]) -> Iterator[Value]:
+    """The values of all pieces in their order, each as soon as those before it are there.
+
+    Raises the error of the first piece that has one, whichever was done first.
+    """
+    early: dict[int, Done[Value]] = {}
+    following = 0
+    for outcome in outcomes:
+        early[outcome.number] = outcome
+        while following in early:
+            yield early.pop(following).value
+            following += 1
+
+
 def gathered(
     executor: Executor | None,
     work: Callable[[Shared, Piece], Value],
@@ -90,15 +124,37 @@ def gathered(
 ) -> list[Value]:
     """The values of all pieces in their order, by an executor (None: in this process).
 
-    Raises the error of the first piece that has one, whichever was done first.
+    Raises what `in_order` raises.
     """
-    outcomes: dict[int, Done[Value]] = {}
-    values: list[Value] = []
     with closing((executor or InProcess()).run(work, shared, pieces)) as found:
-        for outcome in found:
-            outcomes[outcome.number] = outcome
-            while len(values) in outcomes:
-                values.append(outcomes.pop(len(values)).value)
-            if progress:
-                progress(len(values) + len(outcomes), len(pieces))
-    return values
+        return list(in_order(_told(found, len(pieces), progress)))
+
+
+def _told(
+    outcomes: Iterable[Done[Value]], count: int, progress: Progress | None
+) -> Iterator[Done[Value]]:
+    for number, outcome in enumerate(outcomes, 1):
+        yield outcome
+        if progress:
+            progress(number, count)
+
+
+class Window:
+    """Which pieces may be begun: none too far ahead of the first that nobody has taken yet."""
+
+    def __init__(self, count: int) -> None:
+        self.count, self.begun, self.first = count, 0, 0
+        self._taken: set[int] = set()
+
+    def next(self, workers: int) -> range:
+        """The numbers of the pieces that so many workers may begin now."""
+        end = max(self.begun, min(self.count, self.first + AHEAD * workers))
+        begin, self.begun = self.begun, end
+        return range(begin, end)
+
+    def take(self, number: int) -> None:
+        """Somebody takes what became of this piece."""
+        self._taken.add(number)
+        while self.first in self._taken:
+            self._taken.remove(self.first)
+            self.first += 1

@@ -6,20 +6,33 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any
 
 from loopcal.errors import InputError, UsageError
-from loopcal.execution.executor import Done, Executor, InProcess, Piece, Shared, Value, done
-
-
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+from loopcal.execution.executor import (
+    Crew,
+    Done,
+    Executor,
+    InProcess,
+    Piece,
+    Shared,
+    Value,
+    Window,
+    done,
+)
+from loopcal.expressions.choice import cores, engine_threads
 
 
 @dataclass(frozen=True)
@@ -35,6 +48,11 @@ class _Local(Executor):
         if self.workers < 1:
             raise UsageError(f"{self.workers} workers do no work", remedy="give 1 or more")
 
+    @property
+    def _share(self) -> int:
+        """Threads for the engine of each worker, so that all of them together fill the cores."""
+        return max(1, cores() // self.workers)
+
 
 @dataclass(frozen=True)
 class Threads(_Local):
@@ -45,16 +63,18 @@ class Threads(_Local):
     [1, 2, 4, 8, 16]
     """
 
-    def run(
-        self, work: Callable[[Shared, Piece], Value], shared: Shared, pieces: Sequence[Piece]
-    ) -> Generator[Done[Value], None, None]:
-        """What became of every piece, in the order of completion."""
+    @contextmanager
+    def crew(
+        self, work: Callable[[Shared, Piece], Value], shared: Shared
+    ) -> Generator[Crew, None, None]:
+        """Threads that end with the context."""
         pool = ThreadPoolExecutor(self.workers)
+
+        def begin(piece: Piece, number: int) -> Future[Done[Value]]:
+            return pool.submit(_shared_out, work, shared, piece, number, self._share)
+
         try:
-            waiting = {pool.submit(done, work, shared, piece, n) for n, piece in enumerate(pieces)}
-            for future in as_completed(waiting):
-                waiting.discard(future)
-                yield future.result()
+            yield lambda pieces: _finished(begin, pieces, self.workers)
         finally:
             pool.shutdown(cancel_futures=True)
 
@@ -65,7 +85,7 @@ class Threads(_Local):
 
 @dataclass(frozen=True)
 class Processes(_Local):
-    """Processes of this machine, fresh ones for every run.
+    """Processes of this machine, fresh ones for every crew.
 
     They are started by importing the main module anew: a script that uses them does its work
     under `if __name__ == "__main__":`. They end with this process, however it ends.
@@ -74,28 +94,39 @@ class Processes(_Local):
     def run(
         self, work: Callable[[Shared, Piece], Value], shared: Shared, pieces: Sequence[Piece]
     ) -> Generator[Done[Value], None, None]:
-        """What became of every piece, in the order of completion.
+        """What became of every piece; a single one is not worth a process."""
+        if len(pieces) <= 1:
+            return InProcess().run(work, shared, pieces)
+        return super().run(work, shared, pieces)
 
-        Raises InputError where a worker is killed.
+    @contextmanager
+    def crew(
+        self, work: Callable[[Shared, Piece], Value], shared: Shared
+    ) -> Generator[Crew, None, None]:
+        """Processes that end with the context; a single one is this one.
+
+        Runs raise InputError where a worker is killed.
         """
-        workers = min(self.workers, len(pieces))
-        if workers <= 1:
-            yield from InProcess().run(work, shared, pieces)
+        if self.workers == 1:
+            with InProcess().crew(work, shared) as here:
+                yield here
             return
         spawning = get_context("spawn")
         ending, alive = spawning.Pipe(duplex=False)
+        given = ending, work, shared, self._share
         pool = ProcessPoolExecutor(
-            workers, mp_context=spawning, initializer=_begin, initargs=(ending, work, shared)
+            self.workers, mp_context=spawning, initializer=_begin, initargs=given
         )
+
+        def begin(piece: Piece, number: int) -> Future[Done[Value]]:
+            return pool.submit(_work, piece, number)
+
         try:
-            waiting = {pool.submit(_work, piece, n) for n, piece in enumerate(pieces)}
-            for future in as_completed(waiting):
-                waiting.discard(future)
-                yield future.result()
+            yield lambda pieces: _finished(begin, pieces, self.workers)
         except BrokenProcessPool:
             raise InputError(
                 "a worker ended before its work was done, killed or out of memory",
-                remedy="use fewer workers (--workers); a study goes on where it was",
+                remedy="use fewer workers (--workers); a study or a stream goes on where it was",
             ) from None
         except BaseException:
             alive.close()  # nobody waits for the pieces that are being done
@@ -110,14 +141,40 @@ class Processes(_Local):
         return f"{self.workers} processes"
 
 
+def _finished(
+    begin: Callable[[Any, int], Future[Done[Any]]], pieces: Sequence[Any], workers: int
+) -> Generator[Done[Any], None, None]:
+    """What became of every piece, in the order of completion."""
+    window = Window(len(pieces))
+    waiting: set[Future[Done[Any]]] = set()
+    try:
+        while True:
+            waiting |= {begin(pieces[number], number) for number in window.next(workers)}
+            if not waiting:
+                return
+            finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            while finished:
+                outcome = finished.pop().result()
+                window.take(outcome.number)
+                yield outcome
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+def _shared_out(work: Any, shared: Any, piece: Any, number: int, threads: int) -> Done[Any]:
+    with engine_threads(threads):
+        return done(work, shared, piece, number)
+
+
 _given: dict[str, Any] = {}
 """What this worker process works with."""
 
 
-def _begin(ending: Connection, work: Any, shared: Any) -> None:
+def _begin(ending: Connection, work: Any, shared: Any, threads: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent stops its workers
     threading.Thread(target=_end_with, args=(ending,), daemon=True).start()
-    _given.update(work=work, shared=shared)
+    _given.update(work=work, shared=shared, threads=threads)
 
 
 def _end_with(parent: Connection) -> None:
@@ -127,4 +184,4 @@ def _end_with(parent: Connection) -> None:
 
 
 def _work(piece: Any, number: int) -> Done[Any]:
-    return done(_given["work"], _given["shared"], piece, number)
+    return _shared_out(_given["work"], _given["shared"], piece, number, _given["threads"])

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager
 from functools import lru_cache
 
 from loopcal.errors import UsageError, nearest
@@ -20,6 +23,8 @@ except ImportError:  # installed without a compiler
 else:
     AVAILABLE = True
 ENGINES = ("numpy", "compiled")
+
+_held = threading.local()
 
 
 def chosen_engine() -> str:
@@ -55,13 +60,13 @@ def _described() -> str:
 def use_threads() -> int:
     """Let as many threads share a block as LOOPCAL_THREADS says; else all cores that are ours.
 
-    A process that shares the cores with its siblings uses one.
+    Inside `engine_threads` it is those; a process that shares the cores with its siblings uses one.
 
     Raises UsageError where LOOPCAL_THREADS is no whole number above zero.
     """
     text = os.environ.get("LOOPCAL_THREADS")
     if text is None:
-        count = 1 if _among_siblings() else _cores()
+        count = getattr(_held, "count", None) or (1 if _among_siblings() else cores())
     elif text.isdecimal() and int(text) > 0:
         count = int(text)
     else:
@@ -72,12 +77,27 @@ def use_threads() -> int:
     return count
 
 
+@contextmanager
+def engine_threads(count: int) -> Generator[None, None, None]:
+    """Engines that this thread makes use so many threads: its share, where others work beside it.
+
+    How many the engine uses is one number for a whole process; it changes no result.
+    """
+    before = getattr(_held, "count", None)
+    _held.count = count
+    try:
+        yield
+    finally:
+        _held.count = before
+
+
 def _among_siblings() -> bool:
     processes = sys.modules.get("multiprocessing.process")
     return processes is not None and processes.parent_process() is not None
 
 
 @lru_cache(maxsize=1)
-def _cores() -> int:
+def cores() -> int:
+    """How many cores this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)  # not everywhere
     return len(affinity(0)) if affinity else os.cpu_count() or 1
