@@ -66,7 +66,7 @@ def test_chunks_are_the_poses_that_memory_would_hold(folder: Path) -> None:
     stream = project_stream(read(folder))
     assert stream is not None
     whole = load_dataset(read(folder, PROJECT.replace('"poses"', '"whole.parquet"'))).dataset
-    chunks = [chunk.data for chunk in stream.chunks()]
+    chunks = [stream.chunk(number).data for number in range(stream.count)]
     assert len(chunks) > 5
     assert stream.poses == len(whole) == 250 - 2
     assert [pose for chunk in chunks for pose in chunk.poses] == list(whole.poses)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +10,8 @@ import pytest
 from loopcal import Dataset, Noise, calibrate
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
+from loopcal.estimation.stream_pieces import Chunk
 from loopcal.estimation.streamed import calibrate_stream
-from loopcal.estimation.streaming import Chunk
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.motoman import motoman_ma1400
 from loopcal.mechanisms.planar import planar_two_link
@@ -33,15 +32,22 @@ class Pieces:
     def poses(self) -> int:
         return len(self.data)
 
-    def chunks(self) -> Iterator[Chunk]:
-        for begin in range(0, len(self.data), self.size):
-            part = slice(begin, begin + self.size)
-            entries = {
-                key: value[part] if getattr(value, "ndim", 0) == 3 else value
-                for key, value in self.noise.entries.items()
-            }
-            self.served += 1
-            yield Chunk(self.data.take(part), Noise(entries))
+    @property
+    def count(self) -> int:
+        return -(-len(self.data) // self.size)
+
+    def chunk(self, number: int) -> Chunk:
+        part = slice(number * self.size, (number + 1) * self.size)
+        entries = {
+            key: value[part] if getattr(value, "ndim", 0) == 3 else value
+            for key, value in self.noise.entries.items()
+        }
+        self.served += 1
+        return Chunk(self.data.take(part), Noise(entries, estimate=self.noise.estimate))
+
+
+def whole_result(chunk: Result) -> Result:
+    return chunk
 
 
 def arm_and_data(poses: int = 900, seed: int = 3) -> tuple[Mechanism, Dataset]:
@@ -103,7 +109,7 @@ def test_every_chunk_is_handed_out_with_its_corrections() -> None:
     arm, data = arm_and_data(500)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     seen: list[Result] = []
-    calibrate_stream(arm, Pieces(data, noise), chunk_done=seen.append)
+    calibrate_stream(arm, Pieces(data, noise), part_of=whole_result, part_done=seen.append)
     whole = calibrate(arm, data, noise=noise)
     assert [pose for part in seen for pose in part.dataset.poses] == list(data.poses)
     streamed = np.concatenate([part.corrections["theta_2"] for part in seen])
@@ -131,7 +137,5 @@ def test_what_needs_all_poses_at_once_is_refused() -> None:
     with pytest.raises(InputError, match="as a stream"):
         calibrate_stream(arm, Pieces(data, noise), method="reweighted")
     learnt = Noise(noise.entries, estimate={"xyz": "group"})
-    stream = Pieces(data, noise)
-    stream.chunks = lambda: iter([Chunk(data, learnt)])  # type: ignore[method-assign]
     with pytest.raises(InputError, match="learnt"):
-        calibrate_stream(arm, stream)
+        calibrate_stream(arm, Pieces(data, learnt))

@@ -131,7 +131,7 @@ def dataset_of(
     return Dataset(
         {q: values(c.column, c.unit) for q, c in asked.items()},
         {q: unit(u).si for q, u in stated.items()},
-        tuple(ids[i] for i in keep),
+        tuple(ids) if len(keep) == len(ids) else tuple(ids[i] for i in keep.tolist()),
         {q: values(column, given) for q, (column, given) in with_sd.items()},
         replace(
             source,
