@@ -6,6 +6,7 @@ one value per pose, are those of poses thinned evenly; each chunk's own are hand
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -243,13 +244,13 @@ class _EndPiece:
 class _Distances:
     """Mean, rms, 95th percentile and maximum of distances that are not kept.
 
-    The percentile comes from counts in bins of 0.2 % width.
+    The percentile comes from counts in bins of 0.2 % width, the first up to SMALLEST.
     """
 
-    EDGES = np.geomspace(1e-12, 1e3, 17_500)
+    SMALLEST, WIDTH, BINS = 1e-12, 0.002, 17_500
 
     def __init__(self) -> None:
-        self.counts = np.zeros(len(self.EDGES) + 1, dtype=np.int64)
+        self.counts = np.zeros(self.BINS, dtype=np.int64)
         self.total = self.squares = self.largest = 0.0
         self.unit = "m"
 
@@ -263,8 +264,9 @@ class _Distances:
         self.unit = found.unit
         if not values.size:
             return
-        bins = np.searchsorted(self.EDGES, values)
-        self.counts += np.bincount(bins, minlength=len(self.counts))
+        bins = np.ceil(np.log(np.maximum(values / self.SMALLEST, 1.0)) / self.WIDTH)
+        bins = np.minimum(bins, self.BINS - 1).astype(np.intp)
+        self.counts += np.bincount(bins, minlength=self.BINS)
         self.total += float(values.sum())
         self.squares += float(np.square(values).sum())
         self.largest = max(self.largest, float(values.max()))
@@ -281,7 +283,7 @@ class _Distances:
         if not number:
             return None
         bin_ = int(np.searchsorted(np.cumsum(self.counts), 0.95 * number))
-        p95 = min(float(self.EDGES[min(bin_, len(self.EDGES) - 1)]), self.largest)
+        p95 = min(self.SMALLEST * math.exp(bin_ * self.WIDTH), self.largest)
         rms = float(np.sqrt(self.squares / number))
         return Accuracy(self.unit, self.total / number, rms, p95, self.largest, number)
 

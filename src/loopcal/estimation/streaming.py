@@ -90,7 +90,7 @@ class StreamSweeper(Sweeper):
             SweepPiece(number, parameters, triangular, closing, first=not self.sizes)
             for number in range(self.task.stream.count)
         ]
-        steps, ratios, equations = [0.0], [0.0], 0
+        steps, ratios, begin, equations = [0.0], [0.0], 0, 0
         sizes: list[int] = []
         singular: list[NDArray[np.intp]] = []
         late: list[NDArray[np.intp]] = []
@@ -100,9 +100,10 @@ class StreamSweeper(Sweeper):
                 data.add_other(part.data)
                 steps.append(part.step)
                 ratios.append(part.contraction)
-                singular.append(part.singular + sum(sizes))
-                late.append(part.open_poses + sum(sizes))
+                singular.append(part.singular + begin)
+                late.append(part.open_poses + begin)
                 sizes.append(part.poses)
+                begin += part.poses
                 equations += part.equations
                 self.evaluations += part.evaluations
         if not self.sizes:

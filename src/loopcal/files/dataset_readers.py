@@ -124,7 +124,9 @@ def dataset_of(
     """
 
     def values(column: str | int, given: str | None) -> Array:
-        return to_si(table.numbers(table.position(column), keep), given or "1")
+        numbers = to_si(table.numbers(table.position(column), keep), given or "1")
+        numbers.flags.writeable = False  # is kept then, without another copy
+        return numbers
 
     with_sd = {q: (c.sd_column, c.sd_unit or c.unit) for q, c in asked.items() if c.sd_column}
     stated = {q: c.unit for q, c in asked.items() if c.unit}
