@@ -44,7 +44,8 @@ class Poses:
         """The part of pose i, as gtsam asks for it."""
         if jacobians is not None:
             jacobians[0], jacobians[1] = self.by_joint[i].T, self.by_parameter[i].T
-        return self.misfit[i]
+        misfit: Array = self.misfit[i]
+        return misfit
 
 
 def calibrate(problem: Problem) -> Fit:

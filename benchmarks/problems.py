@@ -29,12 +29,14 @@ JOINT_SD, POINT_SD = 50e-6, 10e-6
 class Fit:
     """What every program finds, and how often it evaluated the model or its derivatives per pose.
 
-    parameters: (n,) [SI].
+    parameters: (n,) [SI]; seconds: of a program that tells them itself, so that its start does not
+    count.
     """
 
     parameters: Array
     chi_squared: float
     evaluations: float
+    seconds: float | None = None
 
 
 @dataclass(frozen=True)

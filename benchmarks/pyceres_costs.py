@@ -21,7 +21,7 @@ TOLERANCE = 1e-11
 """Of chi-squared: the least relative change that is worth another step."""
 
 
-class Point(pyceres.CostFunction):
+class Point(pyceres.CostFunction):  # type: ignore[misc] # has no types
     """The point of one pose beside the one that was measured, (P,), in sds."""
 
     def __init__(self, chain: Chain, measured: Array, sds: Array, sizes: list[int]) -> None:
@@ -46,7 +46,7 @@ class Point(pyceres.CostFunction):
         return True
 
 
-class Enough(pyceres.IterationCallback):
+class Enough(pyceres.IterationCallback):  # type: ignore[misc] # nor has this
     """Ends after a step that changed hardly anything; by its own test Ceres would not take it."""
 
     def __call__(self, summary: Any) -> Any:
