@@ -55,6 +55,7 @@ $(STAMP): pyproject.toml CMakeLists.txt $(wildcard engine/*)
 		echo "creating $(VENV) with $$($(PYTHON) -V)"; \
 		$(PYTHON) -m venv $(VENV); fi
 	$(BIN)/python -m pip install --quiet --editable '.[test]' $(SETTINGS)
+	@$(BIN)/python -m compileall -q src # pip compiles what it copies, not what it links
 	@touch $@
 
 demo: $(STAMP) ## calibrate the examples by both methods, the truth beside them
