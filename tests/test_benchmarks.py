@@ -105,6 +105,18 @@ def test_a_program_that_finds_nothing_ends_the_run(
     assert "lost finds nothing: no convergence" in capsys.readouterr().err
 
 
+def test_a_part_never_replaces_what_a_whole_run_wrote(
+    run: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = run.DOCUMENT.read_bytes()
+    with pytest.raises(SystemExit) as ended:
+        run.main(["--only", "memory", "--document"])
+
+    assert ended.value.code == 2
+    assert "written by whole runs" in capsys.readouterr().err
+    assert run.DOCUMENT.read_bytes() == before
+
+
 def test_long_runs_are_measured_once(run: Any) -> None:
     measuring = import_module("measuring")
     done: list[str] = []
