@@ -51,7 +51,7 @@ def program_of(tape: Tape, varies: Sequence[bool], ends: Sequence[int]) -> Progr
     stage_ends = [
         max((made.get(o, -1) for o in tape.outputs[:end]), default=-1) + 1 for end in ends
     ]
-    return _in_rows(tape, _apart(instructions, stage_ends), stage_ends)
+    return _in_rows(tape, instructions, stage_ends)
 
 
 def _sums(tape: Tape, varies: Sequence[bool]) -> list[Instruction]:
@@ -111,19 +111,6 @@ def _turns(instructions: Iterable[Instruction]) -> tuple[Instruction, ...]:
 def _pairs(factors: Sequence[Position]) -> frozenset[tuple[Position, ...]]:
     """What a sum of two products is made of, in whatever order."""
     return frozenset((tuple(sorted(factors[:2])), tuple(sorted(factors[2:]))))
-
-
-def _apart(
-    instructions: Sequence[Instruction], ends: Sequence[int]
-) -> tuple[Instruction, ...]:
-    """The same, those that wait for each other far apart within each stage, alike ones together."""
-    level: dict[Position, int] = {}
-    order = []
-    for i, one in enumerate(instructions):
-        depth = 1 + max((level.get(a, 0) for a in one.arguments), default=0)
-        level |= {r: depth for r in one.results if r is not None}
-        order.append((sum(i >= end for end in ends), depth, one.name, i))
-    return tuple(instructions[i] for *_, i in sorted(order))
 
 
 def _in_rows(tape: Tape, instructions: Sequence[Instruction], ends: Sequence[int]) -> Program:
