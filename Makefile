@@ -7,12 +7,24 @@ VERSIONS ?= 3.11 3.12 3.13
 # Independent programs that some tests compare with; those tests skip where they are absent.
 PARTNERS ?= casadi distributed example-robot-data-loaders pin playwright pytransform3d rtb-data
 
+# Programs that `make benchmark` compares with, beside those of the tests.
+RIVALS   ?= gtsam pyceres
+
 # Lazily the first interpreter that is new enough; `make PYTHON=/path/to/python3 ...` overrides.
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
 
 BIN   := $(VENV)/bin
 STAMP := $(VENV)/.installed
+
+# $(call try,PACKAGES,CONSEQUENCE): install each that is absent; one that cannot be had is named with what follows.
+define try
+for p in $(1); do \
+	if $(BIN)/python -c "import importlib.metadata as m; m.version('$$p')" 2>/dev/null; then \
+		echo "$$p: already installed"; \
+	elif $(BIN)/python -m pip install --quiet "$$p"; then echo "$$p: installed"; \
+	else echo "$$p: could not be installed; $(2)"; fi; done
+endef
 
 export PIP_CACHE_DIR := $(CURDIR)/.cache/pip
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -43,6 +55,7 @@ $(STAMP): pyproject.toml CMakeLists.txt $(wildcard engine/*)
 		echo "creating $(VENV) with $$($(PYTHON) -V)"; \
 		$(PYTHON) -m venv $(VENV); fi
 	$(BIN)/python -m pip install --quiet --editable '.[test]' $(SETTINGS)
+	@$(BIN)/python -m compileall -q src # pip compiles what it copies, not what it links
 	@touch $@
 
 demo: $(STAMP) ## calibrate the examples by both methods, the truth beside them
@@ -72,11 +85,7 @@ test-pythons: ## the suite on every interpreter of VERSIONS found, each in its o
 	done; exit $$status
 
 partners: chromium $(STAMP) ## install what heavy tests compare with, as far as it can be had
-	@for p in $(PARTNERS); do \
-		if $(BIN)/python -c "import importlib.metadata as m; m.version('$$p')" 2>/dev/null; then \
-			echo "$$p: already installed"; \
-		elif $(BIN)/python -m pip install --quiet "$$p"; then echo "$$p: installed"; \
-		else echo "$$p: could not be installed; tests that need it skip"; fi; done
+	@$(call try,$(PARTNERS),tests that need it skip)
 
 # Playwright drives the system's Chromium; it never fetches a browser of its own.
 chromium:
@@ -107,7 +116,9 @@ sanitize: ## the engine's tests, and a minute of random tapes, under sanitizers 
 fuzz: $(STAMP) ## ten minutes of random tapes through both engines
 	$(BIN)/python analyses/fuzz_engine.py --minutes 10
 
-benchmark: $(STAMP) ## times and memory beside other programs
+benchmark: $(STAMP) ## times and memory beside other programs, as far as those can be had
+	@$(call try,$(RIVALS),it is left out)
+	@command -v octave-cli >/dev/null || echo "GNU Octave: absent; it is left out"
 	$(BIN)/python benchmarks/run.py
 
 clean: ## remove everything that make has made

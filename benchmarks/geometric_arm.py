@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from chain import Chain, Factor
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -91,3 +92,14 @@ def by_parameter(joints: Array, p: Array) -> Array:
         columns += [np.cross(f.before[k][:, :, a], lever), np.cross(f.between[k][:, :, b], lever)]
     columns += [f.last[:, :, i] for i in range(3)]
     return np.stack(columns).transpose(2, 0, 1)
+
+
+def chain() -> Chain:
+    """The same arm as a product: Tx Ty Rx Ry Rz(theta_1), Tx Tz Rx Rz Ry(theta_2), ..."""
+    factors: list[Factor] = []
+    for k, axis in enumerate(AXES):
+        plane = ["xyz".index(letter) for letter in PLANES[axis]]
+        four = [(kind, a) for kind in "tr" for a in plane]
+        factors += [Factor(kind, a, 4 * k + i) for i, (kind, a) in enumerate(four)]
+        factors.append(Factor("r", "xyz".index(axis), None, k, DIRECTIONS[k]))
+    return Chain(tuple(factors), tip=(24, 25, 26))

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import odrpack
 from numpy.typing import NDArray
-from problems import Fit, Model, Problem
+from problems import Fit, Problem
 
 from loopcal.expressions.engine import Stage, engine_for
 
@@ -44,7 +44,8 @@ def on_tape(problem: Problem) -> Problem:
         parameters.at(p)
         return np.array(parameters.evaluate(x).by_parameter.transpose(1, 0, 2))
 
-    return replace(problem, model=Model(point, by_joint, by_parameter))
+    model = replace(problem.model, point=point, by_joint=by_joint, by_parameter=by_parameter)
+    return replace(problem, model=model)
 
 
 def calibrate(problem: Problem) -> Fit:

@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from types import ModuleType
 
 import geometric_arm
 import numpy as np
 import two_link
+from chain import Chain
 from numpy.typing import NDArray
 
 from loopcal import Dataset, Mechanism, Noise, motoman_ma1400, planar_two_link
@@ -27,24 +29,28 @@ JOINT_SD, POINT_SD = 50e-6, 10e-6
 class Fit:
     """What every program finds, and how often it evaluated the model or its derivatives per pose.
 
-    parameters: (n,) [SI].
+    parameters: (n,) [SI]; seconds: of a program that tells them itself, so that its start does not
+    count.
     """
 
     parameters: Array
     chi_squared: float
     evaluations: float
+    seconds: float | None = None
 
 
 @dataclass(frozen=True)
 class Model:
     """Where an arm is, of joints (J, N) and parameters (n,), all poses at once.
 
-    point: (P, N); its derivatives by_joint: (P, J, N), by_parameter: (P, n, N).
+    point: (P, N); its derivatives by_joint: (P, J, N), by_parameter: (P, n, N). chain: the same arm
+    as a product of elementary transforms, for programs that go pose by pose.
     """
 
     point: Callable[[Array, Array], Array]
     by_joint: Callable[[Array, Array], Array]
     by_parameter: Callable[[Array, Array], Array]
+    chain: Chain
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,7 @@ def six_axis(poses: int, seed: int = 1) -> Problem:
     mechanism = motoman_ma1400()
     nominal = np.array([p.nominal for p in mechanism.parameters])
     truth = nominal + 5e-3 * rng.uniform(-1, 1, nominal.size)
-    model = Model(geometric_arm.point, geometric_arm.by_joint, geometric_arm.by_parameter)
+    model = _by_hand(geometric_arm)
     joints = rng.uniform(-1.5, 1.5, (6, poses))
     names = (*(f"theta_{i}" for i in range(1, 7)), "x", "y", "z")
     sds = np.full(6, JOINT_SD), np.full(3, POINT_SD)
@@ -113,10 +119,14 @@ def planar(poses: int, seed: int = 1) -> Problem:
     names = ("phi2", "phi3", "xP", "yP")
     parameters = ("xA", "yA", "l2", "l3", "phi20", "phi30")
     mechanism = planar_two_link(dict(zip(parameters, nominal.tolist(), strict=True)))
-    model = Model(two_link.point, two_link.by_joint, two_link.by_parameter)
+    model = _by_hand(two_link)
     joints = rng.uniform(0.0, np.pi / 2, (2, poses)) + np.array([[0.0], [np.pi / 6]])
     sds = np.array([1e-3, 100e-3]), np.full(2, 0.1e-3)
     return _read("planar", mechanism, model, truth, nominal, names, joints, sds, rng)
+
+
+def _by_hand(arm: ModuleType) -> Model:
+    return Model(arm.point, arm.by_joint, arm.by_parameter, arm.chain())
 
 
 def _read(

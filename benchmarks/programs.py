@@ -69,5 +69,10 @@ PROGRAMS = [
     Program("odrpack, NumPy by hand", 10_000, _module("odrpack_explicit"), demanded=150.0),
     Program("odrpack, loopcal's tape", 100_000, _odrpack_on_tape),
     Program("seed's loop, NumPy", 10_000, _module("seed_program"), demanded=400.0),
+    Program("seed's loop, GNU Octave", 1_000, _module("octave_program"), needs="octave-cli"),
+    Program("scipy least_squares", 10_000, _module("scipy_least_squares")),
+    Program("sparse KKT, SuperLU", 10_000, _module("sparse_kkt")),
+    Program("gtsam, Python factors", 100_000, _module("gtsam_factors"), needs="gtsam"),
+    Program("pyceres, Python costs", 10_000, _module("pyceres_costs"), needs="pyceres"),
 ]
 """The first is the one that all others are compared with."""

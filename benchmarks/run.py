@@ -57,8 +57,8 @@ def programs(found: Found, asked: argparse.Namespace) -> None:
         drawing = f"{asked.document.stem}/{name}.svg" if asked.document else None
         found.texts.append(report.side_by_side(compared, drawing))
         if name == "six-axis":
-            found.texts.append(report.demands(compared))
-    found.texts.append(report.absent())
+            found.texts += filter(None, [report.demands(compared)])
+    found.texts += filter(None, [report.absent()])
 
 
 def engines(found: Found, asked: argparse.Namespace) -> None:
@@ -109,6 +109,8 @@ PARTS: dict[str, Callable[[Found, argparse.Namespace], None]] = {
     "command": commands,
     "platform": platforms,
 }
+CHECKED = {"programs", "engines"}
+"""Parts that compare results: nothing is told before all of them have."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -116,23 +118,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     asked = _asked(arguments)
     machine = this_machine()
     found = Found([f"Measured {machine}."], {"machine": str(machine)})
+    parts = [part for part in PARTS if part in asked.only]
+    told = 0
     try:
-        for part in asked.only:
+        for i, part in enumerate(parts):
             say(part)
             PARTS[part](found, asked)
+            if CHECKED.isdisjoint(parts[i + 1 :]):
+                print("\n\n".join(found.texts[told:]), end="\n\n", flush=True)
+                told = len(found.texts)
     except DisagreementError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    text = "\n\n".join(filter(None, found.texts))
-    print(text)
+    _write(found, asked)
+    return 0
+
+
+def _write(found: Found, asked: argparse.Namespace) -> None:
+    """Into the files that were asked for."""
     if asked.json:
         Path(asked.json).write_text(json.dumps(found.numbers, indent=1) + "\n", encoding="utf-8")
     if asked.document:
-        write_into(asked.document, "measured", text)
+        write_into(asked.document, "measured", "\n\n".join(found.texts))
         for name, svg in found.figures.items():
             asked.document.with_suffix("").mkdir(exist_ok=True)
             (asked.document.with_suffix("") / f"{name}.svg").write_text(svg, encoding="utf-8")
-    return 0
 
 
 def say(words: str) -> None:

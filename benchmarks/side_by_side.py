@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import ours
-from measuring import DisagreementError, Times, in_turns, rounds_for
+from measuring import DisagreementError, Times, in_turns, rounds_for, taken
 from numpy.typing import NDArray
 from problems import Fit, Problem
 from programs import Program, Run
@@ -57,7 +57,7 @@ def compare(problem: Problem, programs: Sequence[Program], most_rounds: int) -> 
 
 
 def _once(runs: Mapping[str, Run]) -> tuple[dict[str, Fit], dict[str, float]]:
-    """What every program finds, and the wall time of its first run [s]."""
+    """What every program finds, and the time of its first run [s]."""
     fits, seconds = {}, {}
     for name, run in runs.items():
         begin = time.perf_counter()
@@ -65,7 +65,7 @@ def _once(runs: Mapping[str, Run]) -> tuple[dict[str, Fit], dict[str, float]]:
             fits[name] = run()
         except RuntimeError as error:
             raise DisagreementError(f"{name} finds nothing: {error}") from error
-        seconds[name] = time.perf_counter() - begin
+        seconds[name] = taken(begin, fits[name])
     return fits, seconds
 
 

@@ -6,6 +6,7 @@ joints (2, N): phi2, phi3; p (6,): xA, yA, l2, l3, phi20, phi30.
 from __future__ import annotations
 
 import numpy as np
+from chain import Chain, Factor
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -42,3 +43,12 @@ def by_parameter(joints: Array, p: Array) -> Array:
     turned = by_joint(joints, p)
     moved = np.broadcast_to(np.eye(2)[:, :, None], (2, 2, joints.shape[1]))
     return np.concatenate([moved, u[:, None], v[:, None], turned], axis=1)
+
+
+def chain() -> Chain:
+    """The same arm as a product: Tx(xA) Ty(yA) Rz(phi20) Rz(phi2) Tx(l2) Rz(phi30) Rz(phi3)."""
+    x, y, z = range(3)
+    foot = (Factor("t", x, 0), Factor("t", y, 1))
+    shoulder = (Factor("r", z, 4), Factor("r", z, None, 0))
+    elbow = (Factor("t", x, 2), Factor("r", z, 5), Factor("r", z, None, 1))
+    return Chain(foot + shoulder + elbow, tip=(3,))

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
+import pickle
+import shutil
+import signal
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +16,9 @@ import pytest
 
 from loopcal import Noise
 from loopcal.errors import InputError
+from loopcal.execution.cluster import Cluster
+from loopcal.execution.executor import Executor
+from loopcal.execution.local import Processes, Threads
 from loopcal.files import parquet_stream
 from loopcal.files.parquet_stream import project_stream
 from loopcal.files.project_data import load_dataset
@@ -19,6 +27,8 @@ from loopcal.mechanisms.planar import planar_two_link
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
 from loopcal.workflow.calibration import run_calibration
+from tests.dask_cluster import dask_cluster
+from tests.execution.pieces import Backwards
 
 PROJECT = """
 schema = 1
@@ -66,7 +76,7 @@ def test_chunks_are_the_poses_that_memory_would_hold(folder: Path) -> None:
     stream = project_stream(read(folder))
     assert stream is not None
     whole = load_dataset(read(folder, PROJECT.replace('"poses"', '"whole.parquet"'))).dataset
-    chunks = [chunk.data for chunk in stream.chunks()]
+    chunks = [stream.chunk(number).data for number in range(stream.count)]
     assert len(chunks) > 5
     assert stream.poses == len(whole) == 250 - 2
     assert [pose for chunk in chunks for pose in chunk.poses] == list(whole.poses)
@@ -116,6 +126,87 @@ def test_an_interrupted_calibration_goes_on_and_leaves_nothing_half_done(folder:
     assert seen[0] < 1000.0  # it began near the end, not at the nominal machine
     assert any("interrupted" in warning for warning in done.result.warnings)
     assert not (result / "unfinished.json").exists()
+
+
+def residuals(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((folder / "residuals").iterdir())}
+
+
+@pytest.mark.parametrize("executor", [Threads(2), Processes(2), Backwards()], ids=str)
+def test_files_are_the_same_whoever_does_the_chunks(folder: Path, executor: Executor) -> None:
+    alone = run_calibration(folder / "project.toml", out=folder / "alone")
+    shared = run_calibration(folder / "project.toml", out=folder / "shared", executor=executor)
+    assert shared.written.document == alone.written.document
+    assert residuals(folder / "shared") == residuals(folder / "alone")
+    assert len(residuals(folder / "shared")) == 9  # 5 of one file, 4 of the other
+
+
+@pytest.mark.parametrize("executor", [Threads(2), Processes(2)], ids=str)
+def test_interrupted_with_workers_it_ends_and_goes_on(folder: Path, executor: Executor) -> None:
+    def interrupt(iteration: int, merit: float, decrement: float) -> None:
+        if iteration == 2:
+            raise KeyboardInterrupt
+
+    project, threads = folder / "project.toml", threading.active_count()
+    with pytest.raises(KeyboardInterrupt):
+        run_calibration(project, executor=executor, progress=interrupt)
+    assert threading.active_count() == threads
+    assert not multiprocessing.active_children()
+    result = folder / "project-result"
+    assert [path.name for path in result.iterdir()] == ["unfinished.json"]
+    shutil.copytree(result, folder / "alone")
+    alone = run_calibration(project, out=folder / "alone")
+    shared = run_calibration(project, executor=executor)
+    assert any("interrupted" in warning for warning in shared.result.warnings)
+    assert shared.written.document == alone.written.document
+    assert residuals(result) == residuals(folder / "alone")
+
+
+def test_a_lost_worker_of_a_cluster_costs_nothing(folder: Path) -> None:
+    alone = run_calibration(folder / "project.toml", out=folder / "alone")
+    (folder / "dask").mkdir()
+    with dask_cluster(folder / "dask") as cluster:
+        cluster.start_workers("")
+        cluster.start_workers("dying", DIES_AT_PIECE="7")  # in the second sweep
+        cluster.start_workers("dying", DIES_AT_PIECE="17")
+        executor = Cluster(cluster.address)
+        shared = run_calibration(folder / "project.toml", out=folder / "shared", executor=executor)
+        for worker in cluster.workers[1:]:
+            assert worker.wait(30) == -signal.SIGKILL
+    assert shared.written.document == alone.written.document
+    assert residuals(folder / "shared") == residuals(folder / "alone")
+    kept = pl.read_parquet(folder / "shared" / "residuals" / "*.parquet")
+    assert kept["pose"].to_list() == list(alone.result.dataset.poses)
+
+
+@pytest.mark.parametrize("what", ["changed", "gone"])
+def test_a_file_that_is_another_one_where_the_work_is_done(folder: Path, what: str) -> None:
+    def meddle(iteration: int, merit: float, decrement: float) -> None:
+        path = folder / "poses" / "part-2.parquet"
+        frame = pl.read_parquet(path)
+        if what == "gone":
+            path.unlink()
+        else:
+            frame.with_columns(phi2=pl.col("phi2").reverse(), xP=1.1 * pl.col("xP")).write_parquet(
+                path
+            )
+
+    words = "is not the one" if what == "changed" else "cannot be read .No such file"
+    with pytest.raises(InputError, match=rf"part-2\.parquet: on the machine .* {words}") as fault:
+        run_calibration(folder / "project.toml", executor=Threads(2), progress=meddle)
+    assert "at this path" in str(fault.value.remedy)
+    assert [path.name for path in (folder / "project-result").iterdir()] == ["unfinished.json"]
+
+
+def test_a_stream_that_is_sent_need_not_look_at_its_files_again(folder: Path) -> None:
+    stream = project_stream(read(folder))
+    assert stream is not None
+    there = pickle.dumps(stream)
+    stream.chunk(0)
+    sent = pickle.loads(pickle.dumps(stream))
+    assert len(there) < 20_000
+    for name in ("sha256", "_parts", "_excluded"):
+        assert sent.__dict__[name] == stream.__dict__[name]
 
 
 def test_what_was_reached_with_other_readings_is_not_gone_on_from(folder: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import threading
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,13 +11,16 @@ import pytest
 from loopcal import Dataset, Noise, calibrate
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
+from loopcal.estimation.stream_pieces import Chunk
 from loopcal.estimation.streamed import calibrate_stream
-from loopcal.estimation.streaming import Chunk
+from loopcal.execution.executor import AHEAD, Executor
+from loopcal.execution.local import Processes, Threads
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.motoman import motoman_ma1400
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
+from tests.execution.pieces import Backwards
 
 
 @dataclass
@@ -33,15 +36,22 @@ class Pieces:
     def poses(self) -> int:
         return len(self.data)
 
-    def chunks(self) -> Iterator[Chunk]:
-        for begin in range(0, len(self.data), self.size):
-            part = slice(begin, begin + self.size)
-            entries = {
-                key: value[part] if getattr(value, "ndim", 0) == 3 else value
-                for key, value in self.noise.entries.items()
-            }
-            self.served += 1
-            yield Chunk(self.data.take(part), Noise(entries))
+    @property
+    def count(self) -> int:
+        return -(-len(self.data) // self.size)
+
+    def chunk(self, number: int) -> Chunk:
+        part = slice(number * self.size, (number + 1) * self.size)
+        entries = {
+            key: value[part] if getattr(value, "ndim", 0) == 3 else value
+            for key, value in self.noise.entries.items()
+        }
+        self.served += 1
+        return Chunk(self.data.take(part), Noise(entries, estimate=self.noise.estimate))
+
+
+def whole_result(chunk: Result) -> Result:
+    return chunk
 
 
 def arm_and_data(poses: int = 900, seed: int = 3) -> tuple[Mechanism, Dataset]:
@@ -103,11 +113,93 @@ def test_every_chunk_is_handed_out_with_its_corrections() -> None:
     arm, data = arm_and_data(500)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     seen: list[Result] = []
-    calibrate_stream(arm, Pieces(data, noise), chunk_done=seen.append)
+    calibrate_stream(arm, Pieces(data, noise), part_of=whole_result, part_done=seen.append)
     whole = calibrate(arm, data, noise=noise)
     assert [pose for part in seen for pose in part.dataset.poses] == list(data.poses)
     streamed = np.concatenate([part.corrections["theta_2"] for part in seen])
     assert streamed == pytest.approx(whole.corrections["theta_2"], abs=1e-5 * 5e-5)
+
+
+def theta_1(chunk: Result) -> list[float]:
+    return [float(value) for value in chunk.corrections["theta_1"]]
+
+
+def told(result: Result) -> list[object]:
+    """All that must be the same to the last bit."""
+    assert result.chi_squared is not None
+    own = [dict(result.value), dict(result.sd), result.accuracy_before, result.accuracy_after]
+    arrays = [result.covariance.tolist(), result.information.total.tolist()]
+    shown = [result.dataset.poses, theta_1(result)]
+    return [*own, *arrays, *shown, result.chi_squared, result.status, result.warnings]
+
+
+@pytest.mark.parametrize("executor", [Threads(2), Threads(5), Processes(2), Backwards()], ids=str)
+def test_whoever_does_the_chunks_the_result_is_the_same_to_the_bit(executor: Executor) -> None:
+    arm, data = arm_and_data(600)
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    here: list[list[float]] = []
+    alone = calibrate_stream(arm, Pieces(data, noise), part_of=theta_1, part_done=here.append)
+    there: list[list[float]] = []
+    shared = calibrate_stream(
+        arm, Pieces(data, noise), executor=executor, part_of=theta_1, part_done=there.append
+    )
+    assert told(shared) == told(alone)
+    assert there == here
+    assert [len(part) for part in there] == [170, 170, 170, 90]
+
+
+def test_angles_that_nobody_reads_are_found_alike_by_all() -> None:
+    arm = planar_two_link()
+    driven = random_poses({"phi2": (0.0, 3.0), "phi3": (0.3, 2.5)}, 300, seed=1)
+    exact = Noise({"phi?": 1e-3, "*": 1e-5})
+    data = simulate(arm, driven, noise=exact, seed=1, truth={"l2": 0.803}).dataset
+    noise = Noise({"phi2": 1e-3, "phi3": np.inf, "*": 1e-5})
+    arm = arm.with_parameters(arm.parameters.with_fixed(["phi30", "l3"]))
+    alone, shared = (
+        calibrate_stream(arm, Pieces(data, noise, 40), executor=executor)
+        for executor in (None, Threads(3))
+    )
+    assert dict(shared.value) == dict(alone.value)
+    assert shared.chi_squared == alone.chi_squared
+
+
+def test_chunks_are_not_worked_on_far_ahead_of_what_is_written() -> None:
+    arm, data = arm_and_data(900)
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    begun, most = threading.Semaphore(0), []
+    written: list[int] = []
+
+    def part_of(chunk: Result) -> int:
+        begun.release()
+        return len(chunk.dataset)
+
+    def write(part: int) -> None:
+        written.append(part)
+        most.append(begun._value - len(written) + 1)
+
+    stream = Pieces(data, noise, size=15)
+    calibrate_stream(arm, stream, executor=Threads(2), part_of=part_of, part_done=write)
+    assert written == [15] * 60
+    assert max(most) <= 2 * AHEAD
+
+
+def test_the_first_chunk_at_fault_is_told_and_ends_the_work() -> None:
+    arm, data = arm_and_data(900)
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    infinite = data.with_readings({"x": np.where(np.arange(900) == 500, 1e200, data["x"])})
+    messages = []
+    for executor in (None, Threads(2), Backwards()):
+        with pytest.raises(InputError) as fault:
+            calibrate_stream(arm, Pieces(infinite, noise), executor=executor, start="nominal")
+        messages.append(str(fault.value))
+    assert len(set(messages)) == 1
+
+
+def test_too_few_equations_are_refused() -> None:
+    arm, data = arm_and_data(8)
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    with pytest.raises(InputError, match=r"24 loop equations \(8 poses\) cannot determine"):
+        calibrate_stream(arm, Pieces(data, noise, 3), start="nominal")
 
 
 def test_what_was_reached_is_where_an_interrupted_run_goes_on() -> None:
@@ -131,7 +223,5 @@ def test_what_needs_all_poses_at_once_is_refused() -> None:
     with pytest.raises(InputError, match="as a stream"):
         calibrate_stream(arm, Pieces(data, noise), method="reweighted")
     learnt = Noise(noise.entries, estimate={"xyz": "group"})
-    stream = Pieces(data, noise)
-    stream.chunks = lambda: iter([Chunk(data, learnt)])  # type: ignore[method-assign]
     with pytest.raises(InputError, match="learnt"):
-        calibrate_stream(arm, stream)
+        calibrate_stream(arm, Pieces(data, learnt))

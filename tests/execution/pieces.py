@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +15,21 @@ from threadpoolctl import threadpool_info
 
 from loopcal.errors import InputError
 from loopcal.estimation.scratch import one_blas_thread
+from loopcal.execution.executor import Crew, Done, Executor, done
 from loopcal.expressions.choice import use_threads
+
+
+@dataclass(frozen=True)
+class Backwards(Executor):
+    """Does the last piece first."""
+
+    @contextmanager
+    def crew(self, work: Callable[[Any, Any], Any], shared: Any) -> Generator[Crew, None, None]:
+        def backwards(pieces: Sequence[Any]) -> Generator[Done[Any], None, None]:
+            for number in reversed(range(len(pieces))):
+                yield done(work, shared, pieces[number], number)
+
+        yield backwards
 
 
 def scaled(shared: float, piece: float) -> float:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pickle
 import threading
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +19,9 @@ from loopcal.estimation.scratch import one_blas_thread
 from loopcal.execution import local
 from loopcal.execution.executor import (
     AHEAD,
-    Crew,
-    Done,
     Executor,
     InProcess,
     Window,
-    done,
     gathered,
     in_order,
 )
@@ -35,22 +31,10 @@ from loopcal.files.new_project import write_new_project
 from loopcal.files.templates import TEMPLATES
 from loopcal.workflow.calibration import run_calibration
 from tests.execution import pieces
+from tests.execution.pieces import Backwards
 from tests.reference.simulated import planar_arm
 
 LOCAL = [InProcess(), Threads(1), Threads(2), Processes(1), Processes(2)]
-
-
-@dataclass(frozen=True)
-class Backwards(Executor):
-    """Does the last piece first."""
-
-    @contextmanager
-    def crew(self, work: Callable[[Any, Any], Any], shared: Any) -> Generator[Crew, None, None]:
-        def backwards(pieces: Sequence[Any]) -> Generator[Done[Any], None, None]:
-            for number in reversed(range(len(pieces))):
-                yield done(work, shared, pieces[number], number)
-
-        yield backwards
 
 
 @pytest.mark.parametrize("executor", [None, *LOCAL, Backwards()], ids=str)

@@ -149,7 +149,7 @@ def build_problem(
         raise InputError(
             "no parameter is left to estimate", remedy="set at least one parameter free"
         )
-    patterns = _patterns(mechanism, np.isinf(np.broadcast_to(uncertainty.sd, raw.shape)))
+    estimated = [p for p in parameters if not p.fixed]
     problem = Problem(
         mechanism,
         _filled(raw, [mechanism.home.get(q, 0.0) for q in quantities]),
@@ -157,10 +157,10 @@ def build_problem(
         uncertainty,
         np.array([values[n] for n in parameters.names]),
         free,
-        np.array([parameters.items[i].nominal for i in free]),
-        np.array([parameters.items[i].prior_sd for i in free]),
+        np.array([p.nominal for p in estimated]),
+        np.array([p.prior_sd for p in estimated]),
         dataset.poses,
-        patterns,
+        _patterns(mechanism, np.isinf(uncertainty.sd)),
     )
     refuse_too_few(problem)
     refuse_without_length(mechanism, problem.readings, known, uncertainty.sd)
@@ -170,7 +170,6 @@ def build_problem(
 def taken(problem: Problem, index: NDArray[np.intp]) -> Problem:
     """The same problem on the poses at these positions, in this order; a pose may come twice."""
     given = problem.uncertainty
-    shape = (len(problem.readings), len(index))
     sd = given.sd if given.sd.shape[1] == 1 else given.sd[:, index]
     blocks = tuple(
         block if block.factor.ndim == 2 else replace(block, factor=block.factor[index])
@@ -182,7 +181,7 @@ def taken(problem: Problem, index: NDArray[np.intp]) -> Problem:
         known=problem.known[:, index],
         uncertainty=replace(given, sd=sd, blocks=blocks),
         poses=tuple(problem.poses[i] for i in index),
-        patterns=_patterns(problem.mechanism, np.isinf(np.broadcast_to(sd, shape))),
+        patterns=_patterns(problem.mechanism, np.isinf(sd)),
     )
 
 
@@ -221,7 +220,7 @@ def held_loops(tape: Tape, loops: tuple[int, ...]) -> Tape:
 
 
 def _patterns(mechanism: Mechanism, unmeasured: NDArray[np.bool_]) -> tuple[Pattern, ...]:
-    """Poses by what is unmeasured in them, (k, N), and by the loops that then hold.
+    """Poses by what is unmeasured in them, (k, N) or (k, 1), and by the loops that then hold.
 
     A family's loops go where all its own readings are unmeasured: eliminating these readings
     would leave nothing of the loops.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,18 +150,24 @@ def _triangle(above: Array, below: Array) -> Array:
     return np.asarray(np.linalg.qr(np.vstack([above, below]), mode="r"), dtype=np.float64)
 
 
-def _scale(lengths: Array, units: Sequence[str]) -> Array:
+def _scale(lengths: Array, units: tuple[str, ...]) -> Array:
     """What makes columns of these lengths alike.
 
     Of a parameter without effect rounding leaves a column where terms should cancel. It is known
     by the columns of other parameters in the same unit, and stays as short beside them.
     """
-    longest = np.where(lengths > 0.0, lengths, 1.0)
-    for unit in {*units} - {"1"}:  # numbers may stand for anything
-        its = [i for i, name in enumerate(units) if name == unit]
-        most = float(lengths[its].max())
-        longest[its] = np.where(lengths[its] > ROUNDING * most, longest[its], most or 1.0)
-    return 1.0 / longest
+    most = np.where(_alike(units, len(lengths)), lengths, 0.0).max(axis=1)
+    return 1.0 / np.where(lengths > ROUNDING * most, lengths, np.where(most > 0.0, most, 1.0))
+
+
+@lru_cache(maxsize=64)
+def _alike(units: tuple[str, ...], n: int) -> NDArray[np.bool_]:
+    """Which of n columns are lengths in the same unit, (n, n); a plain number may be anything."""
+    if not units:
+        return np.eye(n, dtype=bool)
+    names = np.array(units)
+    alike: NDArray[np.bool_] = (names[:, None] == names) & (names != "1")
+    return alike | np.eye(n, dtype=bool)
 
 
 def undetermined(

@@ -11,6 +11,7 @@ that estimate speaks against the step. The end point is always evaluated with cl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -122,7 +123,6 @@ def solve_with(
 
 class _Solver:
     def __init__(self, sweeper: Sweeper, progress: Progress | None) -> None:
-        self.problem = sweeper.problem
         self.sweeper = sweeper
         self.prior_sd = sweeper.prior_sd
         self.progress = progress
@@ -130,6 +130,11 @@ class _Solver:
         self.floor = 0.0
         self.iterations = 0
         self.before = np.inf
+
+    @property
+    def problem(self) -> Problem:
+        """The sweeper's, which may count its equations in the first sweep."""
+        return self.sweeper.problem
 
     def run(self, max_iterations: int) -> Solution:
         current = self._first()
@@ -210,7 +215,7 @@ class _Solver:
         offset = self.problem.nominal - parameters[self.problem.free]
         prior = float(np.square(offset / self.prior_sd).sum())
         merit = sweep.cost + prior
-        bad = not np.isfinite(merit) or bool(sweep.open_poses.size) or bool(sweep.singular.size)
+        bad = not math.isfinite(merit) or bool(sweep.open_poses.size) or bool(sweep.singular.size)
         system = spectrum(sweep.data, offset, self.prior_sd) if sweep.finite else None
         return _Point(parameters, sweep, np.inf if bad else merit, system, closing)
 
@@ -232,7 +237,7 @@ class _Solver:
                 return trial, damping if damping > 1e-3 * weakest else 0.0
             if current.closed in (None, _ONCE):
                 closed = self._evaluate(current.parameters, current.sweep.proposal, _NEAR)
-                if np.isfinite(closed.merit) and closed.spectrum is not None:
+                if math.isfinite(closed.merit) and closed.spectrum is not None:
                     current = closed
                     continue
                 current = replace(current, closed=_NEAR)
@@ -256,7 +261,7 @@ class _Solver:
         return predicted > max(_EXPLAINED * point.merit, _FAR * self.problem.equations)
 
     def _worth(self, current: _Point, trial: _Point, predicted: float) -> bool:
-        if not np.isfinite(trial.merit) or trial.spectrum is None:
+        if not math.isfinite(trial.merit) or trial.spectrum is None:
             return False
         # Each of many residuals E carries a rounding d, so the merit wavers by about 2 |E| |d|.
         wavering = 4 * np.sqrt(current.merit * self.floor) + 1e-13 * current.merit
@@ -270,13 +275,13 @@ class _Solver:
         decrement = point.spectrum.decrement
         if not self._negligible(point):
             return False
-        rate = min(decrement / self.before, 1.0) if np.isfinite(self.before) else 1.0
-        stuck = np.isfinite(self.before) and rate > 0.25
+        rate = min(decrement / self.before, 1.0) if math.isfinite(self.before) else 1.0
+        stuck = math.isfinite(self.before) and rate > 0.25
         return stuck or rate * decrement <= self._limit(point.merit, RELATIVE_STEP)
 
     def _negligible(self, point: _Point) -> bool:
         """Whether the loops close and the next step is too small to matter."""
-        if point.spectrum is None or not np.isfinite(point.merit):
+        if point.spectrum is None or not math.isfinite(point.merit):
             return False
         return point.spectrum.decrement <= self._limit(point.merit, _NEGLIGIBLE_STEP)
 

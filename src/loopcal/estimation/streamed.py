@@ -6,9 +6,11 @@ one value per pose, are those of poses thinned evenly; each chunk's own are hand
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
-from typing import Any
+import math
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,20 +25,17 @@ from loopcal.estimation.result import Accuracy, Result
 from loopcal.estimation.scratch import one_blas_thread
 from loopcal.estimation.solver import Progress, Solution
 from loopcal.estimation.starting import start_corrections
-from loopcal.estimation.streaming import (
-    Chunk,
-    Stream,
-    StreamedProblem,
-    chunk_problem,
-    solve_stream,
-)
-from loopcal.estimation.sweep import NEGLIGIBLE, Sweeper
+from loopcal.estimation.stream_pieces import Chunk, Stream, Task, do
+from loopcal.estimation.streaming import StreamedProblem, StreamSweeper, solve_stream
+from loopcal.estimation.sweep import NEGLIGIBLE
+from loopcal.execution.executor import Crew, Executor, InProcess, in_order
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.prior import Prior
 
 Array = NDArray[np.float64]
+Part = TypeVar("Part")
 METHODS = ("implicit-loop", "least-squares")
 SHOWN = 10_000
 """About so many poses are kept for figures and tests."""
@@ -51,51 +50,68 @@ def calibrate_stream(
     start: str = "auto",
     begin: dict[str, float] | None = None,
     max_iterations: int = 100,
+    executor: Executor | None = None,
     progress: Progress | None = None,
     reached: Callable[[dict[str, float]], None] | None = None,
-    chunk_done: Callable[[Result], None] | None = None,
+    part_of: Callable[[Result], Part] | None = None,
+    part_done: Callable[[Part], None] | None = None,
 ) -> Result:
     """Calibrate from more poses than memory holds; memory does not grow with their number.
 
     stream: its chunks bring data and noise; method, prior and start: as in `calibrate`, with
     methods "implicit-loop" and "least-squares"; begin: parameter values [SI] that an earlier,
-    interrupted run had reached; reached: called with the values that each iteration begins with;
-    chunk_done: called with the result of each chunk at the end, in order, with all its arrays.
+    interrupted run had reached; executor: who reads the chunks and does their part of the work, by
+    default this process, to the same result to the last bit; reached: called with the values that
+    each iteration begins with; part_of: made at the end of the result of each chunk, with all its
+    arrays, where the chunk is read (a function at the top of a module); part_done: called here
+    with what it made, in the order of the chunks.
 
     Raises InputError as `calibrate` does, and for what needs all poses at once.
     """
-    first = next(stream.chunks(), None)
-    if first is None:
+    if not stream.count:
         raise InputError("the stream has no poses", remedy="give one pose at least")
+    first = stream.chunk(0)
     _refuse(method, first.noise)
     if prior is not None:
         mechanism = mechanism.with_parameters(prior.apply(mechanism.parameters))
     exact = method == "least-squares"
     if not exact:
-        bare, stream = mechanism, _Disturbed(mechanism, stream)
-        mechanism, _ = with_model(bare, first.data, first.noise)
-        first = next(stream.chunks())
-    values = {p.name: p.nominal for p in mechanism.parameters}
+        stream = _Disturbed(mechanism, stream)
+        mechanism, data = with_model(mechanism, first.data, first.noise)
+        first = Chunk(data, first.noise)
     with one_blas_thread():
+        task = _task(mechanism, stream, exact=exact)
         if begins_aligned(mechanism, start):
-            mechanism, _ = placed(chunk_problem(mechanism, first, values, exact=exact))
-            values = {p.name: p.nominal for p in mechanism.parameters}
-        names = mechanism.parameters.names
+            mechanism, _ = placed(task.problem(first))
+            task = _task(mechanism, stream, exact=exact)
+        problem = task.problem(first)
+        task = _settled(task, problem)
 
         def told(parameters: Array) -> None:
             if reached:
+                names = task.mechanism.parameters.names
                 reached(dict(zip(names, parameters.tolist(), strict=True)))
 
-        solution = solve_stream(
-            mechanism,
-            stream,
-            start=values | (begin or {}),
-            exact=exact,
-            max_iterations=max_iterations,
-            progress=progress,
-            reached=told,
-        )
-        return _Ending(mechanism, stream, method, values, solution).result(chunk_done)
+        with (executor or InProcess()).crew(do, task) as crew:
+            sweeper = StreamSweeper(task, crew, problem, begin or {})
+            solution = solve_stream(
+                sweeper, max_iterations=max_iterations, progress=progress, reached=told
+            )
+            ending = _Ending(task, method, solution)
+            return ending.result(crew, sweeper, part_of, part_done)
+
+
+def _task(mechanism: Mechanism, stream: Stream, *, exact: bool) -> Task:
+    nominal = {p.name: p.nominal for p in mechanism.parameters}
+    return Task(mechanism, stream, nominal, exact)
+
+
+def _settled(task: Task, first: Problem) -> Task:
+    """The task with the rounding of loop values, from the first chunk in which a loop holds."""
+    task, number = task.settled(first), 1
+    while task.rounding is None and number < task.stream.count:
+        task, number = task.settled(task.problem(task.stream.chunk(number))), number + 1
+    return task
 
 
 def _refuse(method: str, noise: Noise) -> None:
@@ -122,49 +138,55 @@ class _Disturbed:
     def poses(self) -> int:
         return self.stream.poses
 
-    def chunks(self) -> Iterator[Chunk]:
-        for chunk in self.stream.chunks():
-            _, data = with_model(self.mechanism, chunk.data, chunk.noise)
-            yield Chunk(data, chunk.noise)
+    @property
+    def count(self) -> int:
+        return self.stream.count
+
+    def chunk(self, number: int) -> Chunk:
+        chunk = self.stream.chunk(number)
+        _, data = with_model(self.mechanism, chunk.data, chunk.noise)
+        return Chunk(data, chunk.noise)
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Ending:
     """The last pass: what became of every pose, at the parameters found."""
 
-    mechanism: Mechanism
-    stream: Stream
+    task: Task
     method: str
-    nominal: dict[str, float]
     solution: Solution
-    kept: list[Chunk] = field(default_factory=list)
 
-    def result(self, chunk_done: Callable[[Result], None] | None) -> Result:
-        exact = self.method == "least-squares"
-        stride = max(1, self.stream.poses // SHOWN)
+    def result(
+        self,
+        crew: Crew,
+        sweeper: StreamSweeper,
+        part_of: Callable[[Result], Part] | None,
+        part_done: Callable[[Part], None] | None,
+    ) -> Result:
+        poses = sum(sweeper.sizes)
+        stride = max(1, poses // SHOWN)
+        begins = [0, *np.cumsum(sweeper.sizes).tolist()]
+        pieces = [
+            _EndPiece(number, begins[number], stride, self.solution, self.method, part_of)
+            for number in range(self.task.stream.count)
+        ]
         accuracies = _Distances(), _Distances()
-        counted = begin = 0
-        for chunk in self.stream.chunks():
-            problem = chunk_problem(self.mechanism, chunk, self.nominal, exact=exact)
-            counted += problem.equations
-            done = self._closed(problem, chunk.data, converged=False)  # alone it says nothing
-            for into, which in zip(
-                accuracies, (done.differences_before, done.differences_after), strict=True
-            ):
-                into.add(problem, which)
-            if chunk_done:
-                chunk_done(done)
-            number = np.arange(begin, begin + len(chunk.data))
-            index = np.flatnonzero(number % stride == 0)
-            self.kept.append(Chunk(chunk.data.take(index), _some(chunk.noise, index)))
-            begin += len(chunk.data)
-        sample = _together(self.kept)
-        problem = chunk_problem(self.mechanism, sample, self.nominal, exact=exact)
+        kept: list[Chunk] = []
+        with closing(crew(pieces)) as outcomes:
+            for ended in in_order(outcomes):
+                assert isinstance(ended, _Ended)
+                for into, of_chunk in zip(accuracies, ended.distances, strict=True):
+                    into.add_other(of_chunk)
+                kept.append(ended.kept)
+                if part_done:
+                    part_done(ended.part)
+        sample = _together(kept)
+        problem = self.task.problem(sample)
         own = {name: getattr(problem, name) for name in problem.__dataclass_fields__}
-        whole = StreamedProblem(**own, counted=counted, total=self.stream.poses)
-        found = self._closed(whole, sample.data)
+        whole = StreamedProblem(**own, counted=sweeper.problem.equations, total=poses)
+        found = _closed(self.task, self.method, self.solution, whole, sample.data)
         told = (
-            f"Calibrated from a stream of {self.stream.poses} poses; figures, tests of outliers "
+            f"Calibrated from a stream of {poses} poses; figures, tests of outliers "
             f"and residuals.csv show {len(sample.data)} of them.",
         )
         before, after = (distance.accuracy() for distance in accuracies)
@@ -175,28 +197,60 @@ class _Ending:
             warnings=(*found.warnings, *(told if stride > 1 else ())),
         )
 
-    def _closed(self, problem: Problem, data: Dataset, *, converged: bool = True) -> Result:
-        """The arrays of some poses, at the parameters of all."""
-        parameters = self.solution.parameters
-        sweeper = Sweeper(problem, exact=self.method == "least-squares")
-        begun = start_corrections(sweeper, parameters)
-        corrections = sweeper.close(parameters, begun, NEGLIGIBLE, 1.0).corrections
-        status = self.solution.status
-        status = replace(status, converged=status.converged and converged)
-        solution = replace(self.solution, corrections=corrections, status=status)
-        return result_of(self.method, problem, solution, data)
+
+def _closed(task: Task, method: str, solution: Solution, problem: Problem, data: Dataset) -> Result:
+    """The arrays of some poses, at the parameters of all."""
+    sweeper = task.sweeper(problem)
+    begun = start_corrections(sweeper, solution.parameters)
+    corrections = sweeper.close(solution.parameters, begun, NEGLIGIBLE, 1.0).corrections
+    return result_of(method, problem, replace(solution, corrections=corrections), data)
+
+
+@dataclass(frozen=True, eq=False)
+class _Ended:
+    """What the last pass found in one chunk: its part, its poses to be shown, its distances."""
+
+    part: Any
+    kept: Chunk
+    distances: tuple[_Distances, _Distances]
+
+
+@dataclass(frozen=True, eq=False)
+class _EndPiece:
+    """The last pass over the chunk of a number, which begins at a pose; every stride-th is kept."""
+
+    number: int
+    begin: int
+    stride: int
+    solution: Solution
+    method: str
+    part_of: Callable[[Result], Any] | None
+
+    def done(self, task: Task) -> _Ended:
+        chunk = task.stream.chunk(self.number)
+        problem = task.problem(chunk)
+        # that the fit converged says nothing of a chunk alone
+        solution = replace(self.solution, status=replace(self.solution.status, converged=False))
+        result = _closed(task, self.method, solution, problem, chunk.data)
+        found = _Distances(), _Distances()
+        found[0].add(problem, result.differences_before)
+        found[1].add(problem, result.differences_after)
+        number = np.arange(self.begin, self.begin + len(chunk.data))
+        index = np.flatnonzero(number % self.stride == 0)
+        kept = Chunk(chunk.data.take(index), _some(chunk.noise, index))
+        return _Ended(self.part_of(result) if self.part_of else None, kept, found)
 
 
 class _Distances:
     """Mean, rms, 95th percentile and maximum of distances that are not kept.
 
-    The percentile comes from counts in bins of 0.2 % width.
+    The percentile comes from counts in bins of 0.2 % width, the first up to SMALLEST.
     """
 
-    EDGES = np.geomspace(1e-12, 1e3, 17_500)
+    SMALLEST, WIDTH, BINS = 1e-12, 0.002, 17_500
 
     def __init__(self) -> None:
-        self.counts = np.zeros(len(self.EDGES) + 1, dtype=np.int64)
+        self.counts = np.zeros(self.BINS, dtype=np.int64)
         self.total = self.squares = self.largest = 0.0
         self.unit = "m"
 
@@ -210,17 +264,26 @@ class _Distances:
         self.unit = found.unit
         if not values.size:
             return
-        np.add.at(self.counts, np.searchsorted(self.EDGES, values), 1)
+        bins = np.ceil(np.log(np.maximum(values / self.SMALLEST, 1.0)) / self.WIDTH)
+        bins = np.minimum(bins, self.BINS - 1).astype(np.intp)
+        self.counts += np.bincount(bins, minlength=self.BINS)
         self.total += float(values.sum())
         self.squares += float(np.square(values).sum())
         self.largest = max(self.largest, float(values.max()))
+
+    def add_other(self, other: _Distances) -> None:
+        self.counts += other.counts
+        self.total += other.total
+        self.squares += other.squares
+        self.largest = max(self.largest, other.largest)
+        self.unit = other.unit if other.counts.any() else self.unit
 
     def accuracy(self) -> Accuracy | None:
         number = int(self.counts.sum())
         if not number:
             return None
         bin_ = int(np.searchsorted(np.cumsum(self.counts), 0.95 * number))
-        p95 = min(float(self.EDGES[min(bin_, len(self.EDGES) - 1)]), self.largest)
+        p95 = min(self.SMALLEST * math.exp(bin_ * self.WIDTH), self.largest)
         rms = float(np.sqrt(self.squares / number))
         return Accuracy(self.unit, self.total / number, rms, p95, self.largest, number)
 

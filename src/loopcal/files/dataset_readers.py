@@ -124,14 +124,16 @@ def dataset_of(
     """
 
     def values(column: str | int, given: str | None) -> Array:
-        return to_si(table.numbers(table.position(column), keep), given or "1")
+        numbers = to_si(table.numbers(table.position(column), keep), given or "1")
+        numbers.flags.writeable = False  # is kept then, without another copy
+        return numbers
 
     with_sd = {q: (c.sd_column, c.sd_unit or c.unit) for q, c in asked.items() if c.sd_column}
     stated = {q: c.unit for q, c in asked.items() if c.unit}
     return Dataset(
         {q: values(c.column, c.unit) for q, c in asked.items()},
         {q: unit(u).si for q, u in stated.items()},
-        tuple(ids[i] for i in keep),
+        tuple(ids) if len(keep) == len(ids) else tuple(ids[i] for i in keep.tolist()),
         {q: values(column, given) for q, (column, given) in with_sd.items()},
         replace(
             source,

@@ -1,8 +1,13 @@
-"""Readings of a Parquet file, or of a folder of them, that are read chunk by chunk."""
+"""Readings of a Parquet file, or of a folder of them, that are read chunk by chunk.
+
+A chunk is read where it is worked on, be it another process or another machine: a stream that is
+sent there is paths and row numbers, with a mark by which each file is known again.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import platform
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
@@ -12,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.streaming import Chunk
+from loopcal.estimation.stream_pieces import Chunk
 from loopcal.files.columns import Column, refuse_doubles, specified, wanted
 from loopcal.files.dataset_readers import dataset_of
 from loopcal.files.paths import expanded
@@ -34,14 +39,30 @@ ENDINGS = (".parquet", ".pq")
 
 @dataclass(frozen=True)
 class _File:
+    """path: absolute; mark: SHA-256 of the end of the file, where Parquet says what is in it."""
+
     path: Path
     rows: int
     names: tuple[str, ...]
+    mark: str
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Some rows of a file; begin: of them the first among those of all files."""
+
+    file: _File
+    offset: int
+    rows: int
+    begin: int
 
 
 @dataclass(frozen=True, eq=False)
 class ParquetStream:
-    """The poses of a project, in chunks of at most so many rows of one file."""
+    """The poses of a project, in chunks of at most so many rows of one file.
+
+    What is found out about the files as a whole is found once, and travels with it.
+    """
 
     project: Project
     files: tuple[_File, ...]
@@ -63,51 +84,57 @@ class ParquetStream:
     @cached_property
     def warnings(self) -> tuple[DataWarning, ...]:
         """What looks odd about the first chunk; raises InputError as `check_dataset` does."""
-        loaded = next(self._loaded())
+        loaded = self._loaded(self._parts[0])
         mechanism = self.project.mechanism
         return check_dataset(loaded.dataset, {**mechanism.quantities, **mechanism.known})
 
-    def chunks(self) -> Iterator[Chunk]:
-        """All chunks, in order."""
-        for loaded in self._loaded():
-            yield Chunk(loaded.dataset, loaded.noise)
+    @property
+    def count(self) -> int:
+        """How many chunks there are."""
+        return len(self._parts)
 
-    def _loaded(self) -> Iterator[LoadedData]:
+    def chunk(self, number: int) -> Chunk:
+        """The chunk of this number, from 0.
+
+        Raises InputError where its file is not there, or not the one of the beginning.
+        """
+        loaded = self._loaded(self._parts[number])
+        return Chunk(loaded.dataset, loaded.noise)
+
+    @cached_property
+    def _parts(self) -> tuple[_Part, ...]:
+        """All parts with a pose that is used."""
+        return tuple(part for part in _parts(self.files) if self._used(part).any())
+
+    def _used(self, part: _Part) -> NDArray[np.bool_]:
+        """Which rows of a part are used."""
+        used: NDArray[np.bool_] = np.arange(part.begin, part.begin + part.rows) % self._every == 0
+        used[[row - part.begin for row in self._excluded if 0 <= row - part.begin < part.rows]] = (
+            False
+        )
+        return used
+
+    def _loaded(self, part: _Part) -> LoadedData:
         spec = self.project.data
         assert spec is not None
         columns = specified({**spec.columns, **columns_aside(self.project)}, {})
         pose = spec.options["pose"]
-        begin = 0
-        for file in self.files:
-            for offset in range(0, file.rows, CHUNK):
-                table = _rows(file, offset, CHUNK, columns, pose)
-                refuse_doubles(table, columns)
-                number = np.arange(begin, begin + len(table.rows))
-                begin += len(table.rows)
-                used = number % self._every == 0
-                used[[row - int(number[0]) for row in self._excluded if row in _span(number)]] = (
-                    False
-                )
-                if not used.any():
-                    continue
-                ids = (
-                    [str(i + 1) for i in number.tolist()]
-                    if pose is None
-                    else table.ids(table.position(pose))
-                )
-                source = Source(
-                    self.name,
-                    sha256=self.sha256,
-                    rows_read=sum(f.rows for f in self.files),
-                    excluded=tuple(map(pose_id, spec.options["exclude"])),
-                    every=self._every,
-                )
-                read = dataset_of(table, columns, np.flatnonzero(used), ids, source)
-                loaded = loaded_from(self.project, believed(spec, read))
-                if len(self.files) > 1:
-                    its = replace(loaded.dataset.source, part=file.path.name)
-                    loaded = replace(loaded, dataset=replace(loaded.dataset, source=its))
-                yield loaded
+        table = _rows(part, columns, pose)
+        refuse_doubles(table, columns)
+        source = Source(
+            self.name,
+            sha256=self.sha256,
+            rows_read=sum(f.rows for f in self.files),
+            excluded=tuple(map(pose_id, spec.options["exclude"])),
+            every=self._every,
+        )
+        ids = _ids(part, table, pose)
+        read = dataset_of(table, columns, np.flatnonzero(self._used(part)), ids, source)
+        loaded = loaded_from(self.project, believed(spec, read))
+        if len(self.files) > 1:
+            its = replace(loaded.dataset.source, part=part.file.path.name)
+            loaded = replace(loaded, dataset=replace(loaded.dataset, source=its))
+        return loaded
 
     @property
     def _every(self) -> int:
@@ -123,16 +150,9 @@ class ParquetStream:
             return frozenset()
         pose = self.project.data.options["pose"]
         found: dict[str, int] = {}
-        begin = 0
-        for file in self.files:
-            for offset in range(0, file.rows, CHUNK):
-                count = min(CHUNK, file.rows - offset)
-                ids = [str(begin + i + 1) for i in range(count)]
-                if pose is not None:
-                    table = _rows(file, offset, CHUNK, {}, pose)
-                    ids = list(table.ids(table.position(pose)))
-                found |= {p: begin + i for i, p in enumerate(ids) if p in asked}
-                begin += count
+        for part in _parts(self.files):
+            ids = _ids(part, None if pose is None else _rows(part, {}, pose), pose)
+            found |= {p: part.begin + i for i, p in enumerate(ids) if p in asked}
         for missing in sorted(asked - set(found)):
             raise InputError(
                 f"there is no pose {missing!r} to leave out",
@@ -169,7 +189,7 @@ def project_stream(project: Project) -> ParquetStream | None:
             place=str(place.at("file")),
             remedy="put *.parquet files there, or name a file",
         )
-    files = tuple(_File(p, *_shape(p)) for p in paths)
+    files = tuple(_file(p.absolute()) for p in paths)
     if not several and spec.stream is None and files[0].rows < LARGE:
         return None
     if spec.joins:
@@ -188,12 +208,12 @@ def project_stream(project: Project) -> ParquetStream | None:
     return ParquetStream(project, files, path.name)
 
 
-def _shape(path: Path) -> tuple[int, tuple[str, ...]]:
+def _file(path: Path) -> _File:
     import polars as pl
 
     try:
         rows = pl.scan_parquet(path, glob=False).select(pl.len()).collect().item()
-        return int(rows), tuple(pl.read_parquet_schema(path))
+        return _File(path, int(rows), tuple(pl.read_parquet_schema(path)), _mark(path))
     except (pl.exceptions.PolarsError, OSError) as error:
         raise InputError(
             f"this is no Parquet file that can be read ({str(error).splitlines()[0]})",
@@ -202,25 +222,61 @@ def _shape(path: Path) -> tuple[int, tuple[str, ...]]:
         ) from None
 
 
-def _rows(
-    file: _File, offset: int, size: int, columns: dict[str, Column], pose: str | int | None
-) -> Table:
-    """Some rows of a file as a table, only the columns asked for."""
+def _mark(path: Path) -> str:
+    """A Parquet file ends in where its columns lie, their extremes, and the length of all that."""
+    with path.open("rb") as file:
+        file.seek(-8, 2)
+        length = int.from_bytes(file.read(4), "little")
+        file.seek(-8 - length, 2)
+        return sha256(file.read()).hexdigest()
+
+
+def _parts(files: tuple[_File, ...]) -> list[_Part]:
+    begins = np.cumsum([0, *(file.rows for file in files)]).tolist()
+    return [
+        _Part(file, offset, min(CHUNK, file.rows - offset), begin + offset)
+        for file, begin in zip(files, begins, strict=False)
+        for offset in range(0, file.rows, CHUNK)
+    ]
+
+
+def _ids(part: _Part, table: Table | None, pose: str | int | None) -> Sequence[str]:
+    """The ids of a part's rows: those in a column, else their numbers among all rows."""
+    if table is None or pose is None:
+        return [*map(str, range(part.begin + 1, part.begin + 1 + part.rows))]
+    return table.ids(table.position(pose))
+
+
+def _rows(part: _Part, columns: dict[str, Column], pose: str | int | None) -> Table:
+    """The rows of a part as a table, only the columns asked for."""
     import polars as pl
 
+    file = part.file
     asked = wanted(columns, pose)
     place = file.path.name
     positions = sorted({find_column(c, file.names, len(file.names), place) for c in asked})
-    frame = (
-        pl.scan_parquet(file.path, glob=False)
-        .select([file.names[i] for i in positions])
-        .slice(offset, size)
-        .collect()
-    )
-    rows: NDArray[np.int64] = np.arange(offset + 1, offset + 1 + frame.height, dtype=np.int64)
+    try:
+        same = _mark(file.path) == file.mark
+        frame = (
+            pl.scan_parquet(file.path, glob=False)
+            .select([file.names[i] for i in positions] if same else [])
+            .slice(part.offset, part.rows)
+            .collect()
+        )
+    except (pl.exceptions.PolarsError, OSError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise _elsewhere(file, f"cannot be read ({reason})") from None
+    if not same:
+        raise _elsewhere(file, "is not the one there was at the beginning")
+    rows: NDArray[np.int64] = part.offset + 1 + np.arange(frame.height, dtype=np.int64)
     cells = dict(zip(positions, frame.get_columns(), strict=True))
     return Table(place, None, "", file.names, cells, rows)
 
 
-def _span(number: NDArray[np.int64]) -> range:
-    return range(int(number[0]), int(number[-1]) + 1)
+def _elsewhere(file: _File, what: str) -> InputError:
+    return InputError(
+        f"on the machine {platform.node()!r} this file {what}",
+        place=str(file.path),
+        remedy="leave the readings alone while they are worked on; where work is shared out among "
+        "machines, each must find them at this path, on a disk that all can read",
+    )

@@ -14,6 +14,11 @@ from loopcal.files.table_writer import table_bytes
 NAME = "residuals"
 
 
+def residual_part(chunk: Result) -> bytes:
+    """The part of one chunk, made where the chunk is worked on and written by `ResidualParts`."""
+    return table_bytes(residual_columns(chunk), ".parquet")
+
+
 class ResidualParts:
     """residuals/part-00001.parquet and so on, with the columns of residuals.csv.
 
@@ -26,11 +31,10 @@ class ResidualParts:
         self._open = self.folder / f".{NAME}.{secrets.token_hex(6)}.part"
         self._count = 0
 
-    def add(self, chunk: Result) -> None:
-        """Write the next chunk. Raises InputError where it cannot be written."""
+    def add(self, part: bytes) -> None:
+        """Write the part of the next chunk. Raises InputError where it cannot be written."""
         self._count += 1
-        name = f"part-{self._count:05d}.parquet"
-        write_files(self._open, {name: table_bytes(residual_columns(chunk), ".parquet")})
+        write_files(self._open, {f"part-{self._count:05d}.parquet": part})
 
     def finish(self) -> None:
         """Give the folder its name."""

@@ -53,7 +53,7 @@ def _converted(series: pl.Series, keep: NDArray[np.int64]) -> NDArray[np.float64
     import polars as pl
 
     if series.dtype.is_numeric() or series.dtype == pl.Null:
-        return series.cast(pl.Float64).to_numpy().copy()
+        return series.cast(pl.Float64).to_numpy()  # often the column itself, not to be written to
     for i, value in enumerate(series):
         if value is not None:
             raise cells.NotANumber(int(keep[i]), value)

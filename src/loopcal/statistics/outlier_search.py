@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.chi_squared import chi_squared_limit
 from loopcal.estimation.loss import Huber, Loss
 from loopcal.estimation.pose_equations import pose_equations
 from loopcal.estimation.problem import Problem, taken
@@ -80,12 +81,13 @@ class Search:
         return bool(gone.mean() > 0.5)
 
     def _remarkable(self, tests: PoseTests) -> NDArray[np.bool_]:
-        w = np.where(self.readings[:, None], tests.w, np.nan)
-        p = replace(tests, w=w).p_reading
+        w = tests.w[self.readings]
         poses = 0.5 * self.level / max(int((tests.freedom > 0).sum()), 1)
         readings = 0.5 * self.level / max(int(np.isfinite(w).sum()), 1)
-        least = np.where(np.isnan(p), 1.0, p).min(axis=0)
-        remarkable: NDArray[np.bool_] = (tests.p_pose < poses) | (least < readings)
+        limits = [np.inf, *(chi_squared_limit(poses, r + 1) for r in range(tests.freedom.max()))]
+        misfit = ~(tests.t <= np.array(limits)[tests.freedom])  # what is no number is one
+        wrong = np.square(w) > chi_squared_limit(readings, 1)
+        remarkable: NDArray[np.bool_] = misfit | wrong.any(axis=0)
         return remarkable
 
     def _fit(self, problem: Problem, start: Array, loss: Loss | None) -> Solution:
@@ -135,15 +137,13 @@ class Search:
         return replace(fit, factor=factor)
 
     def _factor(self, fit: Fit, gone: NDArray[np.bool_], cleaned: bool) -> float:
-        from scipy.special import chdtri
-
         found = pose_equations(self.problem, fit.parameters, fit.corrections, exact=self.exact)
         ratios, total, equations = [], 0.0, 0
         for block in found:
             r = block.E.shape[1]
             if r:
                 s = np.square(block.E).sum(axis=1)[~gone[block.poses]]
-                ratios.append(s / float(chdtri(r, 0.5)))
+                ratios.append(s / chi_squared_limit(0.5, r))
                 total, equations = total + float(s.sum()), equations + r * len(s)
         middle = float(np.median(np.concatenate(ratios)))
         spare = max(self.problem.equations - len(self.problem.free), 1) / self.problem.equations

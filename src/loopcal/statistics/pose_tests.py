@@ -48,14 +48,6 @@ class PoseTests:
         """Probability of such a t where the pose is good, (N,)."""
         return tail(self.t, self.freedom)
 
-    @property
-    def p_reading(self) -> Array:
-        """Probability of such a |w| where the reading is good, (k, N); NaN if not tested."""
-        from scipy.special import erfc
-
-        p: Array = erfc(np.abs(self.w) / np.sqrt(2.0))
-        return p
-
 
 @dataclass(frozen=True)
 class Fit:

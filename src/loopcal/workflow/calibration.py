@@ -70,7 +70,8 @@ def run_calibration(
     folds: of a validation, instead of the project's; profile: parameters that get a profile
     interval, beside those of the project; compare: whether the project's models are compared,
     and the result is that of the one recommended; report: whether report.html is written as well;
-    executor: who does the fits of the folds and the profiles, by default this process; progress:
+    executor: who does the fits of the folds and the profiles, or the chunks of a stream, by default
+    this process; progress:
     called at every iteration, pieces: when a fold or a profile is done.
 
     The files are written, all or none, also where the fit did not converge: `objection` tells.
@@ -85,11 +86,6 @@ def run_calibration(
     asked = require_identifiable or read.fit.require_identifiable
     asked_for = read.fit.validation if folds is None else ValidationSpec(folds=folds)
     patterns = (*read.fit.profile, *profile)
-    if executor and not (patterns or compare or (asked_for and asked_for.folds)):
-        raise UsageError(
-            "one fit is not shared out, and nothing else is asked for",
-            remedy="add --folds N or --profile GLOB, or leave out --workers and --cluster",
-        )
     stream = project_stream(read)
     if stream is not None:
         from loopcal.workflow.streams import run_stream
@@ -104,6 +100,7 @@ def run_calibration(
                 "a profile interval": patterns,
                 "a comparison of models": compare,
             },
+            executor=executor,
             progress=progress,
         )
         try:
@@ -115,6 +112,11 @@ def run_calibration(
             run.undo()
             raise
         return done
+    if executor and not (patterns or compare or (asked_for and asked_for.folds)):
+        raise UsageError(
+            "one fit of poses in memory is not shared out, and nothing else is asked for",
+            remedy="add --folds N or --profile GLOB, or leave out --workers and --cluster",
+        )
     loaded = load_dataset(read)
     how: dict[str, Any] = {
         "noise": loaded.noise,

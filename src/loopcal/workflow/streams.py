@@ -11,10 +11,11 @@ from loopcal.errors import InputError
 from loopcal.estimation.result import Result
 from loopcal.estimation.solver import Progress
 from loopcal.estimation.streamed import calibrate_stream
+from loopcal.execution.executor import Executor
 from loopcal.files.parquet_stream import ParquetStream
 from loopcal.files.progress_file import ProgressFile
 from loopcal.files.project_file import Project
-from loopcal.files.residual_parts import ResidualParts
+from loopcal.files.residual_parts import ResidualParts, residual_part
 from loopcal.files.versions import versions
 
 
@@ -44,11 +45,13 @@ def run_stream(
     *,
     method: str,
     asked: Mapping[str, Any],
+    executor: Executor | None,
     progress: Progress | None,
 ) -> StreamedRun:
     """Calibrate from readings that come in chunks.
 
-    folder: of the result; asked: what else the user asked for, by the words for it. The
+    folder: of the result; asked: what else the user asked for, by the words for it; executor: who
+    reads the chunks and does their part of the work, whereas files are written here alone. The
     parameters of every iteration are kept there in unfinished.json, and a run that finds those
     of the same project, readings and method goes on from them. The residuals of all poses are
     written as they come. Raises InputError for what needs all poses in memory.
@@ -77,9 +80,11 @@ def run_stream(
             start=project.fit.start,
             begin=begin,
             max_iterations=project.fit.max_iterations,
+            executor=executor,
             progress=progress,
             reached=kept.write,
-            chunk_done=parts.add,
+            part_of=residual_part,
+            part_done=parts.add,
         )
     except BaseException:
         parts.undo()
