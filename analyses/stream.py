@@ -1,8 +1,9 @@
 """Time and memory of a calibration from a stream: `python analyses/stream.py --poses 1e7`.
 
 Simulated readings of the MA1400 go into a folder of Parquet files, half a million poses each;
-`loopcal calibrate` then runs in a process of its own, whose peak memory is taken. --write puts
-what is printed into docs/how-to/large-files.md. The folder is removed at the end.
+`loopcal calibrate` then runs in a process of its own, whose peak memory is taken: alone, and with
+--workers, which must come to the same result to the last digit. --write puts what is printed into
+docs/how-to/large-files.md. The folder is removed at the end.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 from written import write_block
@@ -52,16 +55,37 @@ def write_poses(folder: Path, poses: int) -> None:
         frame.write_parquet(folder / f"part-{seed:04d}.parquet")
 
 
-def calibrated(folder: Path) -> str:
-    """What to tell of one run of the command."""
+@dataclass(frozen=True)
+class Run:
+    """One run of the command: its seconds, its peak memory [bytes], and what it found."""
+
+    took: float
+    peak: float
+    document: dict[str, Any]
+
+    def words(self) -> str:
+        return f"{self.took:,.0f} s, peak memory {self.peak / 1e6:,.0f} MB"
+
+
+def calibrated(folder: Path, *options: str) -> Run:
+    """Run the command in a folder."""
     command = [sys.executable, "-m", "loopcal", "calibrate", "project.toml", "--no-report"]
     begun = time.perf_counter()
-    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen([*command, *options], cwd=folder, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     took = time.perf_counter() - begun
     if status:
         raise SystemExit(f"the calibration ended with {status}")
     document = json.loads((folder / "project-result" / "result.json").read_text("utf-8"))
+    return Run(took, usage.ru_maxrss * 1e3, document)
+
+
+def told(folder: Path, workers: int) -> str:
+    """What to tell of one process, and of as many workers."""
+    alone, shared = calibrated(folder), calibrated(folder, "--workers", str(workers))
+    document = alone.document
+    if document["parameters"] != shared.document["parameters"]:
+        raise SystemExit("the workers found something else")
     poses, chi = document["data"]["used"], document["chi_squared"]
     size = sum(path.stat().st_size for path in (folder / "poses").iterdir())
     worst = max(
@@ -71,9 +95,10 @@ def calibrated(folder: Path) -> str:
     )
     return "\n".join(
         [
-            f"{poses:,} poses, {size / 1e6:,.0f} MB of Parquet",
-            f"{took:,.0f} s, {document['status']['iterations']} iterations, peak memory "
-            f"{usage.ru_maxrss / 1e3:,.0f} MB",
+            f"{poses:,} poses, {size / 1e6:,.0f} MB of Parquet, "
+            f"{document['status']['iterations']} iterations",
+            f"alone: {alone.words()}",
+            f"--workers {workers}: {shared.words()}, the same result to the last digit",
             f"chi-squared per degree of freedom {chi['variance_factor']:.5f}, p = "
             f"{chi['p_value']:.2g}; the true parameters that were moved are found within "
             f"{worst:.1f} sds",
@@ -84,18 +109,19 @@ def calibrated(folder: Path) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--poses", type=float, nargs="+", default=[1e6, 1e7])
+    parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--write", action="store_true")
     asked = parser.parse_args()
-    told = []
+    lines = []
     for poses in asked.poses:
         with tempfile.TemporaryDirectory(dir=Path.cwd()) as name:
             folder = Path(name)
             write_poses(folder / "poses", int(poses))
             (folder / "project.toml").write_text(PROJECT, "utf-8")
-            told.append(calibrated(folder))
-            print(told[-1], flush=True)
+            lines.append(told(folder, asked.workers))
+            print(lines[-1], flush=True)
     if asked.write:
-        write_block(DOCUMENT, "stream", "\n\n".join(told))
+        write_block(DOCUMENT, "stream", "\n\n".join(lines))
 
 
 if __name__ == "__main__":

@@ -6,19 +6,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from math import ceil, floor, log10
+from statistics import fmean
 
 from side_by_side import Comparison
 
-from loopcal.figures.figure import COLOURS
+from loopcal.figures.figure import BEFORE, COLOURS
 
 WIDE, HIGH = 860, 560
-LEFT, RIGHT, TOP, BOTTOM = 88, 176, 24, 56
-INK, GRID, FONT, LETTER = "#24292f", "#e3e5e8", 13, 6.7
-"""LETTER: how wide one is, about [px]."""
-HALO = ' stroke="#ffffff" stroke-width="4" stroke-linejoin="round" paint-order="stroke"'
+LEFT, RIGHT, TOP, BOTTOM = 88, 196, 16, 56
+INK, GRID, FONT = "#24292f", "#e3e5e8", 13
+INKS = (*COLOURS, INK, BEFORE)
+APART, BEYOND = 16.0, 0.1
+"""Of labels [px]; how far the paper goes on beyond the longest and the shortest time [decades]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Line:
     """A program: poses and median times [s], and how its line looks."""
 
@@ -38,7 +40,7 @@ class Scales:
     """From poses and seconds to the paper [px], both by their logarithms."""
 
     poses: tuple[int, int]
-    decades: tuple[int, int]
+    decades: tuple[float, float]
 
     def x(self, poses: float) -> float:
         """From the left."""
@@ -56,8 +58,8 @@ def drawn(found: Sequence[Comparison], words: str) -> str:
     lines = _lines(found)
     every = [point for line in lines for point in line.points]
     poses, times = [n for n, _ in every], [t for _, t in every]
-    decades = floor(log10(min(times))), ceil(log10(max(times)))
-    scales = Scales((min(poses), max(poses)), (decades[0], max(decades[1], decades[0] + 1)))
+    decades = log10(min(times)) - BEYOND, log10(max(times)) + BEYOND
+    scales = Scales((min(poses), max(poses)), decades)
     title = f"Time of a calibration against poses: {found[0].problem}"
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDE} {HIGH}" width="{WIDE}" '
@@ -81,8 +83,8 @@ def _lines(found: Sequence[Comparison]) -> list[Line]:
         Line(
             name,
             [(one.poses, one.times[name].median) for one in found if name in one.times],
-            COLOURS[i % len(COLOURS)],
-            dashed=i >= len(COLOURS),
+            INKS[i % len(INKS)],
+            dashed=i >= len(INKS),
         )
         for i, name in enumerate(names)
     ]
@@ -97,7 +99,7 @@ def _axes(scales: Scales) -> list[str]:
         x = scales.x(10**power)
         parts.append(f'<path d="M{x:.1f},{TOP}V{foot}" stroke="{GRID}"/>')
         parts.append(_text(x, foot + 20, f"{10**power:,}", "middle"))
-    for power in range(scales.decades[0], scales.decades[1] + 1):
+    for power in range(ceil(scales.decades[0]), floor(scales.decades[1]) + 1):
         y = scales.y(10.0**power)
         parts.append(f'<path d="M{LEFT},{y:.1f}H{right}" stroke="{GRID}"/>')
         parts.append(_text(LEFT - 8, y + 4.5, _seconds(power), "end"))
@@ -126,20 +128,31 @@ def _line(line: Line, scales: Scales) -> list[str]:
 
 
 def _labels(lines: Sequence[Line], scales: Scales) -> list[str]:
-    """A name to the right of each line's end, moved as far as it must to keep off the others."""
-    placed: list[tuple[float, float, float]] = []
-    parts = []
-    for line in sorted(lines, key=lambda line: -line.points[-1][1]):
-        n, t = line.points[-1]
-        left, y = scales.x(n) + 9, scales.y(t) + 4.5
-        right = left + LETTER * len(line.program)
-        for a, b, taken in placed:
-            if left < b and a < right and y < taken + FONT + 2:
-                y = taken + FONT + 2
-        placed.append((left, right, y))
+    """A column of names beside the paper, each led to from the end of its line."""
+    ends = {line: (scales.x(line.points[-1][0]), scales.y(line.points[-1][1])) for line in lines}
+    ordered = sorted(lines, key=lambda line: ends[line][1])
+    parts, edge = [], WIDE - RIGHT
+    for line, y in zip(ordered, _spread([ends[line][1] for line in ordered]), strict=True):
+        x, end = ends[line]
+        parts.append(
+            f'<path d="M{x:.1f},{end:.1f}H{edge + 6}L{edge + 18},{y:.1f}" fill="none" '
+            f'stroke="{line.colour}" stroke-dasharray="1.5 3"/>'
+        )
         weight = ' font-weight="bold"' if line.ours else ""
-        parts.append(_text(left, y, line.program, "start", line.colour, HALO + weight))
+        parts.append(_text(edge + 22, y + 4.5, line.program, "start", line.colour, weight))
     return parts
+
+
+def _spread(heights: Sequence[float]) -> list[float]:
+    """Heights from the top in order, moved as little as keeps each off its neighbours."""
+    groups: list[list[float]] = []  # of heights that a label at the group's top would have
+    for i, y in enumerate(heights):
+        groups.append([y - APART * i])
+        while len(groups) > 1 and fmean(groups[-2]) > fmean(groups[-1]):
+            last = groups.pop()
+            groups[-1] += last
+    tops = [fmean(group) for group in groups for _ in group]
+    return [top + APART * i for i, top in enumerate(tops)]
 
 
 def _text(x: float, y: float, text: str, anchor: str, colour: str = INK, more: str = "") -> str:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import platform
+import subprocess
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from shutil import which
 
 import numpy as np
 from threadpoolctl import threadpool_info
@@ -26,7 +29,7 @@ class Machine:
     python: str
     numpy: str
     blas: str
-    odrpack: str
+    others: str
     loopcal: str
     engine: str
     load: float
@@ -35,7 +38,7 @@ class Machine:
     def __str__(self) -> str:
         return (
             f"{self.date}; {self.processor}, {self.cores} cores, {self.system}; "
-            f"Python {self.python}, NumPy {self.numpy}, {self.blas}, odrpack {self.odrpack}, "
+            f"Python {self.python}, NumPy {self.numpy}, {self.blas}, {self.others}, "
             f"loopcal {self.loopcal} ({self.engine}); load before the run {self.load:.1f}"
         )
 
@@ -53,11 +56,24 @@ def this_machine() -> Machine:
         python=platform.python_version(),
         numpy=np.__version__,
         blas=f"{blas['internal_api']} {blas['version']} on one thread",
-        odrpack=version("odrpack"),
+        others=", ".join(_others()),
         loopcal=version("loopcal"),
         engine=in_words(),
         load=os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan"),
     )
+
+
+def _others() -> list[str]:
+    """Other programs that are compared, as far as they are installed."""
+    found = []
+    for name in ("odrpack", "scipy", "gtsam", "pyceres"):
+        with suppress(PackageNotFoundError):
+            found.append(f"{name} {version(name)}")
+    if which("octave-cli"):
+        asked = ["octave-cli", "--version"]
+        told = subprocess.run(asked, capture_output=True, text=True, check=True).stdout
+        found.append(told.splitlines()[0].replace(", version", ""))
+    return found
 
 
 def _processor() -> str:

@@ -41,7 +41,7 @@ FunctionOption = Annotated[
 WorkersOption = Annotated[
     int | None,
     typer.Option(
-        metavar="N", min=1, help="Threads that share folds, models and profiles out among them."
+        metavar="N", min=1, help="Threads that share out folds, models, profiles or chunks."
     ),
 ]
 ClusterOption = Annotated[
