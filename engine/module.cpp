@@ -7,6 +7,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <memory>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -169,8 +170,8 @@ public:
         program_.inputs = inputs[0], program_.known = inputs[1];
         program_.numbers = numbers_.data();
         program_.count = static_cast<int>(numbers_.size());
-        program_.first = program_.count * SUMS;
-        program_.room = static_cast<size_t>(program_.count + 1) / 2 * 2 * SUMS + static_cast<size_t>(rows_) * TILE;
+        program_.first = program_.count * TILE;
+        program_.room = (static_cast<size_t>(program_.count) + rows_) * TILE;
     }
     Engine(const Engine&) = delete;
 
@@ -216,12 +217,12 @@ public:
                             correction.data(), static_cast<ptrdiff_t>(correction.stride(0)), step.data(), singular.data(),
                             rows ? rows->data() : nullptr, static_cast<ptrdiff_t>(poses), room(plain, n)};
         const size_t square = total ? static_cast<size_t>(n + 1) * (n + 1) : 0;
-        std::vector<double> parts(square * jobs_of(poses));
-        struct Context { const Reduction& job; const Width& width; double* parts; size_t square; } context{job, *width, parts.data(), square};
+        const std::unique_ptr<double[]> parts(new double[square * jobs_of(poses)]);
+        struct Context { const Reduction& job; const Width& width; double* parts; size_t square; } context{job, *width, parts.get(), square};
         share<Context>([](Context& c, int begin, int end, int number, double* workspace) {
             c.width.reduce(c.job, begin, end, workspace, c.square ? c.parts + number * c.square : nullptr);
         }, context, poses, job.room);
-        if (total) add_up(parts, jobs_of(poses), n + 1, *total);
+        if (total) add_up(parts.get(), jobs_of(poses), n + 1, *total);
     }
 
     void search(Matrix readings, Matrix corrections, std::optional<Matrix> known, const NoiseOfBlock& noise, Out change) const {
@@ -244,7 +245,7 @@ private:
     struct Once { int code, a, b; double value; };
 
     // in the order of the poses, whichever thread was first
-    static void add_up(const std::vector<double>& parts, int count, int size, Out& total) {
+    static void add_up(const double* parts, int count, int size, Out& total) {
         const size_t square = static_cast<size_t>(size) * size;
         for (int i = 0; i < size; i++)
             for (int j = 0; j <= i; j++) {
@@ -254,7 +255,7 @@ private:
             }
     }
 
-    static size_t rows_of_views(size_t count) { return (count * 2 * sizeof(double) + TILE * sizeof(double) - 1) / (TILE * sizeof(double)); }
+    static size_t rows_of_views(size_t count) { return (count * sizeof(void*) + TILE * sizeof(double) - 1) / (TILE * sizeof(double)); }
 
     // rows that are the same for all poses of a job; n: of the parameters in its outputs
     size_t shared_rows(const Noise& noise, int n) const {
@@ -285,13 +286,13 @@ private:
     }
 
     // number >= 0: that row; -1 - i: number i
-    Operand operand(int32_t place) const {
+    int32_t operand(int32_t place) const {
         if (place < 0) {
             require(static_cast<size_t>(-1 - place) < used_.size(), "there is no such number");
-            return {(-1 - place) * SUMS, 0};
+            return (-1 - place) * TILE;
         }
         require(place < rows_, "there is no such row");
-        return {static_cast<int32_t>(used_.size()) * SUMS + place * TILE, 1};
+        return (static_cast<int32_t>(used_.size()) + place) * TILE;
     }
 
     bool always_zero(int32_t place) const {
@@ -314,7 +315,7 @@ private:
         instruction.code = row[0];
         for (int i = 0; i < 2; i++) {
             require(row[1 + i] >= 0, "results need a row");
-            instruction.out[i] = operand(row[1 + i]).at;
+            instruction.out[i] = operand(row[1 + i]);
         }
         for (int i = 0; i < 4; i++) instruction.in[i] = operand(row[3 + i]);
         instructions_.push_back(instruction);
@@ -324,7 +325,7 @@ private:
     std::vector<double> numbers_;
     std::vector<Once> once_;
     std::vector<Instruction> instructions_;
-    std::vector<Operand> outputs_;
+    std::vector<int32_t> outputs_;
     std::vector<int32_t> loops_of_, ends_of_;
     int rows_ = 0;
     Program program_{};

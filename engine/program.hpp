@@ -26,16 +26,10 @@ enum Code : int32_t {
     CODES,
 };
 
-// Where a value stands in a workspace: a row of TILE poses (step 1), or a number that is the same
-// for all of them, written SUMS times (step 0).
-struct Operand {
-    int32_t at, step;
-};
-
+// Values stand in a workspace in rows of TILE poses; numbers that are the same for all poses too, TILE times.
 struct Instruction {
     int32_t code;
-    int32_t out[2];
-    Operand in[4];
+    int32_t out[2], in[4];  // where the rows begin
 };
 
 // A tape ready to run: instructions in stages, and where its outputs stand afterwards: f, then for
@@ -43,7 +37,7 @@ struct Instruction {
 struct Program {
     const Instruction* instructions;
     int ends[3];
-    const Operand* outputs;
+    const int32_t* outputs;
     // for each quantity and each parameter, the loops in which its derivative is not always zero:
     // loops_of[ends_of[c] .. ends_of[c + 1])
     const int32_t *loops_of, *ends_of;

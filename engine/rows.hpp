@@ -10,17 +10,11 @@ struct Room {
     }
 };
 
-// One row of poses, or one number for all of them (step 0).
+// One row, somewhere.
 struct View {
     const double* at;
-    ptrdiff_t step;
-    vec operator[](int v) const { return load(at + v * step); }
+    vec operator[](int v) const { return load(at + v * LANES); }
 };
-
-INLINE View view(const double* row) { return {row, LANES}; }
-INLINE View view(const double* workspace, Operand operand) {
-    return {workspace + operand.at, operand.step * LANES};
-}
 
 static View* views(Room& room, int count) {
     const int rows = (int)(((size_t)count * sizeof(View) + sizeof(double) * TILE - 1) / (sizeof(double) * TILE));
@@ -46,6 +40,6 @@ struct Linear {
 static Linear linear(const Program& program, const double* workspace, int parameters, Room& room) {
     const int m = program.loops, k = program.quantities, outputs = m * (1 + k + parameters);
     View* const all_views = views(room, outputs);
-    for (int i = 0; i < outputs; i++) all_views[i] = view(workspace, program.outputs[i]);
+    for (int i = 0; i < outputs; i++) all_views[i] = {workspace + program.outputs[i]};
     return {all_views, all_views + m, all_views + m * (1 + k), &program};
 }

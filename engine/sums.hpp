@@ -6,12 +6,13 @@ constexpr int BLOCK = LANES == 8 ? 4 : LANES == 4 ? 2 : 1;
 
 INLINE int padded(int rows) { return (rows + 3) / 4 * 4; }
 
-static void add_block(const double* const* left, const double* const* right, int r, int poses,
+// first: into sums that hold nothing yet
+static void add_block(const double* const* left, const double* const* right, int r, int poses, bool first,
                       double* const* sums) {
     vec total[BLOCK][BLOCK][SV];
     for (int i = 0; i < BLOCK; i++)
         for (int j = 0; j < BLOCK; j++)
-            for (int s = 0; s < SV; s++) total[i][j][s] = load(sums[i] + j * SUMS + s * LANES);
+            for (int s = 0; s < SV; s++) total[i][j][s] = first ? all(0.0) : load(sums[i] + j * SUMS + s * LANES);
     for (int loop = 0; loop < r; loop++)
         for (int p = loop * PIECE; p < loop * PIECE + poses; p += SUMS)
             for (int s = 0; s < SV; s++) {
@@ -28,7 +29,7 @@ static void add_block(const double* const* left, const double* const* right, int
 }
 
 // piece: (width, r, PIECE), of which the first `poses` count; sums: (padded, padded, SUMS)
-static void add_products(const double* piece, int width, int r, int poses, double* sums) {
+static void add_products(const double* piece, int width, int r, int poses, bool first, double* sums) {
     const ptrdiff_t row = (ptrdiff_t)r * PIECE;
     for (int i = 0; i < width; i += BLOCK)
         for (int j = 0; j <= i; j += BLOCK) {
@@ -40,7 +41,7 @@ static void add_products(const double* piece, int width, int r, int poses, doubl
                 to[a] = sums + ((ptrdiff_t)(i + a) * padded(width) + j) * SUMS;
             }
             for (int b = 0; b < BLOCK; b++) right[b] = piece + (j + b < width ? j + b : width - 1) * row;
-            add_block(left, right, r, poses, to);
+            add_block(left, right, r, poses, first, to);
         }
 }
 

@@ -22,13 +22,12 @@ static void fill(double* to, const Rows& from, int rows, int pose, int count) {
 
 static void write_numbers(const Program& program, double* workspace) {
     for (int i = 0; i < program.count; i++)
-        for (int p = 0; p < SUMS; p++) workspace[i * SUMS + p] = program.numbers[i];
+        for (int p = 0; p < TILE; p++) workspace[i * TILE + p] = program.numbers[i];
 }
 
-#define ARGUMENT(i) load(in##i + v * LANES * step##i)
-#define OPEN(i)                                                  \
-    const double* const in##i = workspace + instruction.in[i].at; \
-    const int step##i = instruction.in[i].step;
+#define ARGUMENT(i) load(in##i + v * LANES)
+#define OPEN(i) \
+    const double* const in##i = workspace + instruction.in[i];
 #define RESULT(i, value) store(workspace + instruction.out[i] + v * LANES, value)
 #define UNARY(name, formula)                                \
     case name: {                                            \
@@ -45,7 +44,7 @@ static void write_numbers(const Program& program, double* workspace) {
     case name: {                                                              \
         OPEN(0) double* const out = workspace + instruction.out[0];           \
         for (int p = 0; p < TILE; p++) {                                      \
-            const double a = in0[p * step0];                                  \
+            const double a = in0[p];                                  \
             out[p] = formula;                                                 \
         }                                                                     \
         break;                                                                \
@@ -54,7 +53,7 @@ static void write_numbers(const Program& program, double* workspace) {
     case name: {                                                              \
         OPEN(0) OPEN(1) double* const out = workspace + instruction.out[0];   \
         for (int p = 0; p < TILE; p++) {                                      \
-            const double a = in0[p * step0], b = in1[p * step1];              \
+            const double a = in0[p], b = in1[p];              \
             out[p] = formula;                                                 \
         }                                                                     \
         break;                                                                \

@@ -171,7 +171,7 @@ static const View* combined(const Noise& noise, const Linear& part, const double
         const int q = noise.measured[k];
         double* const rows = room.rows(r);
         combine(left, r, m, part.J + (ptrdiff_t)q * m, part.of_quantity(q), rows);
-        for (int i = 0; i < r; i++) found[q * r + i] = view(rows + i * TILE);
+        for (int i = 0; i < r; i++) found[q * r + i] = {rows + i * TILE};
     }
     return found;
 }
@@ -247,7 +247,7 @@ static void whiten_parameters(const Linear& part, int n, int r, const double* le
     const int m = part.program->loops;
     double* const rows = room.rows(r);
     View* const column = views(room, r);
-    for (int i = 0; i < r; i++) column[i] = view(rows + i * TILE);
+    for (int i = 0; i < r; i++) column[i] = {rows + i * TILE};
     for (int p = 0; p < n; p++) {
         combine_without_rounding(left, r, m, part.D + (ptrdiff_t)p * m, part.of_parameter(p), rows);
         whiten_them(column, 1, r, inverse, out + (ptrdiff_t)p * r * PIECE);
@@ -369,10 +369,9 @@ static void whiten(const Reduction& job, int pose, int count, double* workspace,
     longest(now, correction, uncertainty.inverse, k, most);
     for (int q = 0; q < k; q++)
         take_row(job.correction + q * job.correction_row + pose, correction + q * TILE, count);
-    for (int p = 0; p < count; p++) {
-        job.step[pose + p] = most[p / LANES][p % LANES];
-        job.singular[pose + p] = singular[p / LANES][p % LANES] != 0;
-    }
+    EACH store(now + v * LANES, most[v]);  // its row is free
+    take_row(job.step + pose, now, count);
+    for (int p = 0; p < count; p++) job.singular[pose + p] = singular[p / LANES][p % LANES] != 0;
     if (count < TILE)
         for (int i = 0; i < width * r; i++)
             for (int p = count; p < TILE; p++) out[(ptrdiff_t)i * PIECE + p] = 0.0;
