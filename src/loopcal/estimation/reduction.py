@@ -70,21 +70,14 @@ class Spectrum:
 
     The step dp = scale * (directions @ z) turns it into independent equations
     singular_values * z = components; scale: (n,) [SI], singular_values, components: (n,).
-    kept: which directions data and prior determine, by `tolerance`.
+    kept: which directions data and prior determine; components of the others are 0.
     """
 
     scale: Array
     directions: Array
     singular_values: Array
     components: Array
-    tolerance: float = RANK_TOLERANCE
-
-    @cached_property
-    def kept(self) -> NDArray[np.bool_]:
-        """Directions that data and prior determine."""
-        s = self.singular_values
-        kept: NDArray[np.bool_] = s > self.tolerance * max(float(s.max(initial=0.0)), 1e-300)
-        return kept
+    kept: NDArray[np.bool_]
 
     @property
     def rank(self) -> int:
@@ -100,20 +93,21 @@ class Spectrum:
     @cached_property
     def decrement(self) -> float:
         """How much of chi-squared the full step is predicted to remove."""
-        return float(np.square(self.components[self.kept]).sum())
+        return float(self.components @ self.components)
 
     def step(self, damping: float = 0.0) -> Array:
         """The step dp [SI] damped as Levenberg and Marquardt do; undetermined directions rest."""
-        s, b = self.singular_values, self.components
-        z = np.where(self.kept, s * b / np.where(self.kept, s * s + damping, 1.0), 0.0)
+        s = self.singular_values
+        z = np.zeros(len(s))
+        np.divide(s * self.components, s * s + damping, out=z, where=self.kept)
         result: Array = self.scale * (self.directions @ z)
         return result
 
     def predicted(self, damping: float = 0.0) -> float:
         """How much of chi-squared that step is predicted to remove."""
         s2 = np.square(self.singular_values)
-        share = np.where(self.kept, 1.0 - np.square(damping / np.maximum(s2 + damping, 1e-300)), 0)
-        return float((share * np.square(self.components)).sum())
+        share = 1.0 - np.square(damping / np.maximum(s2 + damping, 1e-300))
+        return float(share @ np.square(self.components))
 
     def covariance(self) -> Array:
         """(sum D^T D + prior)^-1 over the determined directions, (n, n) [SI]; symmetric."""
@@ -132,7 +126,8 @@ def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
         R = _triangle(data.total, np.column_stack([np.diag(precision), known]))
         scale = _scale(np.sqrt(np.square(R[:, :n]).sum(axis=0)), data.units)
         U, s, Vt = np.linalg.svd(R[:n, :n] * scale)
-        return Spectrum(scale, Vt.T, s, U.T @ R[:n, n])
+        kept = _kept(s, RANK_TOLERANCE)
+        return Spectrum(scale, Vt.T, s, np.where(kept, U.T @ R[:n, n], 0.0), kept)
     H = data.total[:n, :n].copy()
     diagonal = H.reshape(-1)[:: n + 1]  # a view
     diagonal += np.square(precision)
@@ -140,9 +135,14 @@ def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
     scale = _scale(np.sqrt(diagonal), data.units)
     values, vectors = np.linalg.eigh(H * scale * scale[:, None])
     s = np.sqrt(np.maximum(values, 0.0))
-    b = vectors.T @ (scale * g)
-    components = np.where(s > 0, b / np.where(s > 0, s, 1.0), 0.0)
-    return Spectrum(scale, vectors, s, components, SUMMED_TOLERANCE)
+    kept = _kept(s, SUMMED_TOLERANCE)
+    components = np.divide(vectors.T @ (scale * g), s, out=np.zeros(n), where=kept)
+    return Spectrum(scale, vectors, s, components, kept)
+
+
+def _kept(s: Array, tolerance: float) -> NDArray[np.bool_]:
+    kept: NDArray[np.bool_] = s > tolerance * max(float(s.max(initial=0.0)), 1e-300)
+    return kept
 
 
 def _triangle(above: Array, below: Array) -> Array:

@@ -213,7 +213,8 @@ class _Solver:
             contraction=contraction,
         )
         offset = self.problem.nominal - parameters[self.problem.free]
-        prior = float(np.square(offset / self.prior_sd).sum())
+        off = offset / self.prior_sd
+        prior = float(off @ off)
         merit = sweep.cost + prior
         bad = not math.isfinite(merit) or bool(sweep.open_poses.size) or bool(sweep.singular.size)
         system = spectrum(sweep.data, offset, self.prior_sd) if sweep.finite else None

@@ -63,7 +63,7 @@ class Sweep:
     @property
     def finite(self) -> bool:
         """Whether every loop could be evaluated."""
-        return bool(np.all(np.isfinite(self.data.total)))
+        return bool(np.isfinite(self.data.total).all())
 
 
 class Sweeper:
@@ -237,7 +237,7 @@ class Sweeper:
         some = slice(0, _SAMPLE)
         given = readings[:, some], corrections[:, some], known[:, some], noise.of(some)
         E = self.kernel(pattern).rounding(*given)
-        return float(np.sqrt(np.square(E).sum(axis=0).mean()))
+        return float(np.sqrt(np.square(E).sum() / E.shape[1]))
 
     def _close(
         self,
