@@ -27,6 +27,7 @@ from loopcal.mechanisms.planar import planar_two_link
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
 from loopcal.workflow.calibration import run_calibration
+from tests.command_line import run
 from tests.dask_cluster import dask_cluster
 from tests.execution.pieces import Backwards
 
@@ -139,6 +140,14 @@ def test_files_are_the_same_whoever_does_the_chunks(folder: Path, executor: Exec
     assert shared.written.document == alone.written.document
     assert residuals(folder / "shared") == residuals(folder / "alone")
     assert len(residuals(folder / "shared")) == 9  # 5 of one file, 4 of the other
+
+
+def test_the_command_takes_workers(folder: Path) -> None:
+    (folder / "project.toml").write_text(PROJECT.replace("every = 2", "every = 3"))
+    done = run("calibrate", folder / "project.toml", "--workers", "2", "--no-report", "--json")
+    alone = run_calibration(folder / "project.toml", out=folder / "alone")
+    found = {p["name"]: p["value"] for p in json.loads(done.stdout)["parameters"]}
+    assert found == pytest.approx(dict(alone.result.value), rel=1e-12)  # other chunks
 
 
 @pytest.mark.parametrize("executor", [Threads(2), Processes(2)], ids=str)

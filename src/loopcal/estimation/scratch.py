@@ -29,6 +29,16 @@ def scratch(name: str, *shape: int) -> NDArray[np.float64]:
     return buffer[:size].reshape(shape)
 
 
+def reuse_memory() -> None:
+    """Let arrays of up to 32 MB take memory that others have left, instead of fresh pages.
+
+    glibc gives an array memory of its own, and takes it back, from a size on that grows to that
+    of the largest such array that was freed (mallopt(3), M_MMAP_THRESHOLD); the array made here is
+    never touched. Elsewhere it changes nothing.
+    """
+    np.empty(4_100_000)
+
+
 class _Blas:
     """The limit on the threads of linear algebra, which is one for all threads of a process."""
 

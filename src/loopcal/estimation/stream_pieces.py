@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.problem import Problem, build_problem
 from loopcal.estimation.reduction import Accumulator
-from loopcal.estimation.scratch import one_blas_thread
+from loopcal.estimation.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.starting import start_corrections
 from loopcal.estimation.sweep import NEAR, Sweeper
 from loopcal.expressions.domain import explain_domain
@@ -96,6 +96,7 @@ class StreamPiece(Protocol):
 
 def do(task: Task, piece: StreamPiece) -> Any:
     """Do a piece: the work of an executor."""
+    reuse_memory()
     with one_blas_thread():
         return piece.done(task)
 
