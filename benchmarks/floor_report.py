@@ -18,7 +18,7 @@ def _head(found: Floor) -> str:
     told = "the system does not tell its clock, so times stand alone"
     if found.hertz:
         told = (
-            f"2 × {found.lanes} x {found.hertz / 1e9:.2f} GHz = "
+            f"2 × {found.lanes} × {found.hertz / 1e9:.2f} GHz = "
             f"{2 * found.lanes * found.hertz / 1e9:.1f} operations in a nanosecond"
         )
     return (
