@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.alignment import begins_aligned, placed
-from loopcal.estimation.chi_squared import chi_squared_tail
 from loopcal.estimation.discrepancy import model_discrepancy
 from loopcal.estimation.distances import distances
 from loopcal.estimation.learning import components, entries, with_model, words
@@ -243,7 +242,9 @@ def _too_small_sds(result: Result) -> bool:
 
 
 def _p_value(chi_squared: float, freedom: int) -> float | None:
-    return chi_squared_tail(chi_squared, freedom) if freedom > 0 else None
+    from scipy.special import chdtrc
+
+    return float(chdtrc(freedom, chi_squared)) if freedom > 0 else None
 
 
 def _ratio(chi_squared: float, freedom: int) -> float | None:

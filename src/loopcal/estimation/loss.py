@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, nearest
-from loopcal.estimation.chi_squared import chi_squared_tail
 
 Array = NDArray[np.float64]
 LOSSES = ("gaussian", "huber", "student-t")
@@ -107,10 +106,12 @@ def huber_constant(r: int) -> float:
 
 def huber_efficiency(k: float, r: int) -> float:
     """Efficiency of Huber's loss with constant k on r whitened gaussian equations."""
+    from scipy.special import chdtr, chdtrc
+
     k2 = k * k
-    slope = 1.0 - chi_squared_tail(k2, r)
+    slope = float(chdtr(r, k2))
     if r > 1:  # E[1/u; u > k], by the chi distribution of one degree less
         ratio = math.exp(math.lgamma(0.5 * (r - 1)) - math.lgamma(0.5 * r)) / math.sqrt(2.0)
-        slope += (r - 1) / r * k * ratio * chi_squared_tail(k2, r - 1)
-    square = 1.0 - chi_squared_tail(k2, r + 2) + k2 / r * chi_squared_tail(k2, r)
+        slope += (r - 1) / r * k * ratio * float(chdtrc(r - 1, k2))
+    square = float(chdtr(r + 2, k2)) + k2 / r * float(chdtrc(r, k2))
     return slope * slope / square

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.chi_squared import chi_squared_tail
 from loopcal.estimation.linear_model import LinearModel, linear_model
 from loopcal.estimation.problem import Problem
 from loopcal.estimation.solver import Solution
@@ -187,6 +186,8 @@ def _change(before: Array, after: Array) -> float:
 def _judged(
     model: LinearModel, found: Estimate, which: int, component: Component, unsure: bool
 ) -> EstimatedSd:
+    from scipy.special import chdtrc
+
     ratio, sd = math.sqrt(float(found.ratios[which])), found.sd_of_root(which)
     upper = None
     if unsure or sd is None or sd > _UNCERTAIN * ratio:
@@ -195,7 +196,7 @@ def _judged(
     without = None if len(found.ratios) == 1 else without_component(model, found, which)
     rise = None if without is None else max(without - found.criterion, 0.0)
     # at the boundary the rise is zero in half of all cases (Self and Liang 1987)
-    p_value = None if rise is None else 0.5 * chi_squared_tail(rise, 1) if rise > 0.0 else 1.0
+    p_value = None if rise is None else 0.5 * float(chdtrc(1, rise)) if rise > 0.0 else 1.0
     return EstimatedSd(component.name, component.quantities, ratio, sd, upper, rise, p_value)
 
 

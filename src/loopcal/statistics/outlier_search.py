@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.chi_squared import chi_squared_limit
 from loopcal.estimation.loss import Huber, Loss
 from loopcal.estimation.pose_equations import pose_equations
 from loopcal.estimation.problem import Problem, taken
@@ -81,12 +80,14 @@ class Search:
         return bool(gone.mean() > 0.5)
 
     def _remarkable(self, tests: PoseTests) -> NDArray[np.bool_]:
+        from scipy.special import chdtri
+
         w = tests.w[self.readings]
         poses = 0.5 * self.level / max(int((tests.freedom > 0).sum()), 1)
         readings = 0.5 * self.level / max(int(np.isfinite(w).sum()), 1)
-        limits = [np.inf, *(chi_squared_limit(poses, r + 1) for r in range(tests.freedom.max()))]
-        misfit = ~(tests.t <= np.array(limits)[tests.freedom])  # what is no number is one
-        wrong = np.square(w) > chi_squared_limit(readings, 1)
+        limits = np.where(tests.freedom > 0, chdtri(np.maximum(tests.freedom, 1), poses), np.inf)
+        misfit = ~(tests.t <= limits)  # what is no number is one
+        wrong = np.square(w) > float(chdtri(1, readings))
         remarkable: NDArray[np.bool_] = misfit | wrong.any(axis=0)
         return remarkable
 
@@ -137,13 +138,15 @@ class Search:
         return replace(fit, factor=factor)
 
     def _factor(self, fit: Fit, gone: NDArray[np.bool_], cleaned: bool) -> float:
+        from scipy.special import chdtri
+
         found = pose_equations(self.problem, fit.parameters, fit.corrections, exact=self.exact)
         ratios, total, equations = [], 0.0, 0
         for block in found:
             r = block.E.shape[1]
             if r:
                 s = np.square(block.E).sum(axis=1)[~gone[block.poses]]
-                ratios.append(s / chi_squared_limit(0.5, r))
+                ratios.append(s / float(chdtri(r, 0.5)))
                 total, equations = total + float(s.sum()), equations + r * len(s)
         middle = float(np.median(np.concatenate(ratios)))
         spare = max(self.problem.equations - len(self.problem.free), 1) / self.problem.equations
