@@ -131,9 +131,10 @@ void share(void (*run)(Context&, int begin, int end, int number, double* workspa
         const Given& g = *static_cast<Given*>(to);
         g.run(g.context, number * g.each, std::min((number + 1) * g.each, g.poses), number, workspace);
     };
+    const int count = threads;  // of use_threads, which needs the lock
     {
         const nb::gil_scoped_release without_lock;
-        run_jobs(job, &given, jobs_of(poses), threads, room, interrupted);
+        run_jobs(job, &given, jobs_of(poses), count, room, interrupted);
     }
     if (PyErr_Occurred()) throw nb::python_error();
 }

@@ -138,10 +138,23 @@ Pool& the_pool() {
     return *found;
 }
 
+// Whether this thread is running jobs; a signal handler that `interrupted` lets run may come here again.
+thread_local bool inside = false;
+
+struct Inside {
+    Inside() { inside = true; }
+    ~Inside() { inside = false; }
+};
+
 }  // namespace
 
 void run_jobs(Job job, void* context, int count, int threads, std::size_t room, bool (*interrupted)()) {
     Task task{job, context, count};
+    if (inside) {  // pool and workspace are in use by the call that was interrupted
+        Workspace other;
+        return task.work(other.at_least(room), interrupted);
+    }
+    const Inside mark;
     threads = threads < count / 2 ? threads : count / 2;  // to wake another pays from two jobs on
     if (threads > 1) {
         Pool& shared = the_pool();

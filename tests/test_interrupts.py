@@ -7,11 +7,21 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
+import numpy as np
 import pytest
 
 from loopcal.expressions.choice import AVAILABLE, ENGINES
+from loopcal.expressions.compiled_engine import CompiledEngine
+from loopcal.expressions.derivative import linearise
+from loopcal.expressions.loop_values import Stage
+from loopcal.expressions.trace import trace
 from tests.command_line import environment, run
+
+if AVAILABLE:
+    from loopcal.expressions import _compiled
 
 PLANAR = Path(__file__).parents[1] / "examples" / "planar" / "project.toml"
 HEARD = 10.0
@@ -114,6 +124,51 @@ def test_one_long_call_of_the_engine_is_interrupted() -> None:
     assert code == -signal.SIGINT
     assert out == ""
     assert error.rstrip().endswith("KeyboardInterrupt")
+
+
+def slow(x: Any, p: Any) -> list[Any]:
+    a = x["a"]
+    for _ in range(300):
+        a = np.exp(-np.arctan(a))
+    return [a]
+
+
+def roomy(x: Any, p: Any) -> list[Any]:
+    sines = [np.sin((1.0 + 0.01 * i) * x["a"]) for i in range(200)]
+    return [sum(one * two for one, two in zip(sines, reversed(sines), strict=True))]
+
+
+@pytest.mark.skipif(not AVAILABLE, reason="the compiled engine was not built")
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_signal_handler_may_evaluate_another_engine_within_a_call(threads: int) -> None:
+    x = np.linspace(-1.0, 1.0, 200_000)[None]
+    outer, inner = (
+        CompiledEngine(linearise(trace(f, quantities="a", parameters=()), (), ()), x.shape[1])
+        for f in (slow, roomy)
+    )
+    before = _compiled.threads()
+    _compiled.use_threads(threads)
+    for engine in (outer, inner):
+        engine.at(np.zeros(0))
+    expected = [one.evaluate(x, None, Stage.VALUES).f.copy() for one in (outer, inner)]
+    begun, heard = False, []
+
+    def handler(number: int, frame: FrameType | None) -> None:
+        heard.append((begun, inner.evaluate(x, None, Stage.VALUES).f.copy()))
+
+    replaced = signal.signal(signal.SIGALRM, handler)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+        begun = True
+        found = outer.evaluate(x, None, Stage.VALUES).f.copy()
+        begun = False
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, replaced)
+        _compiled.use_threads(before)
+    assert [within for within, _ in heard] == [True]
+    assert np.array_equal(heard[0][1], expected[1])
+    assert np.array_equal(found, expected[0])
 
 
 @pytest.mark.parametrize("engine", ENGINE)
