@@ -77,7 +77,7 @@ def calibrated(folder: Path, *options: str) -> Run:
     if status:
         raise SystemExit(f"the calibration ended with {status}")
     document = json.loads((folder / "project-result" / "result.json").read_text("utf-8"))
-    return Run(took, usage.ru_maxrss * 1e3, document)
+    return Run(took, usage.ru_maxrss * 1024, document)
 
 
 def told(folder: Path, workers: int) -> str:
