@@ -35,11 +35,11 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
-.PHONY: help install demo test lint types suite partners chromium test-pythons sanitize fuzz benchmark clean
+.PHONY: help install demo test lint types suite partners chromium test-pythons test-without-compiler sanitize fuzz benchmark clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
-	@sed -n 's/^\([a-z-]*\):.*## /\1	/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## /\1	/p' $(MAKEFILE_LIST) | expand -t 24
 
 install: $(STAMP) ## create the environment and install loopcal into it, editable
 
@@ -83,6 +83,18 @@ test-pythons: ## the suite on every interpreter of VERSIONS found, each in its o
 		echo "Python $$v: $$python"; \
 		$(MAKE) --no-print-directory suite VENV=.venv-$$v PYTHON="$$python" || status=1; \
 	done; exit $$status
+
+# A PATH with everything on it but what builds the engine.
+BARE := $(CURDIR)/.cache/bare
+
+test-without-compiler: ## the suite where no compiler is found, in an environment of its own
+	@rm -rf $(BARE) && mkdir -p $(BARE) && IFS=: && for folder in $$PATH; do for f in "$$folder"/*; do \
+		case "$${f##*/}" in *cmake*|ninja*|cc|c++*|c[89]9*|*g++*|*gcc*|*clang*) ;; \
+		*) [ -e "$(BARE)/$${f##*/}" ] || ln -s "$$f" $(BARE);; esac; done; done
+	@export PATH="$(BARE)" && $(MAKE) --no-print-directory install VENV=.venv-bare \
+			PYTHON="$$($(PYTHON) -c 'import sys; print(sys.executable)')" && \
+		.venv-bare/bin/loopcal --version && .venv-bare/bin/loopcal --version | grep -q 'engine: numpy' && \
+		$(MAKE) --no-print-directory suite VENV=.venv-bare
 
 partners: chromium $(STAMP) ## install what heavy tests compare with, as far as it can be had
 	@$(call try,$(PARTNERS),tests that need it skip)

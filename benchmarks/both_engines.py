@@ -77,7 +77,7 @@ def monte_carlo(draws: int = DRAWS) -> Engines:
         return [_solved(build_problem(problem.mechanism, data, noise)) for data in drawn]
 
     title = f"Monte Carlo: {draws:,} calibrations, six-axis, {DRAWN_POSES} poses"
-    return _compared(title, run, MONTE_CARLO_DEMANDED, rounds=1)
+    return _compared(title, run, MONTE_CARLO_DEMANDED, rounds=3)
 
 
 def elimination(poses: int = STEWART_POSES) -> Engines:

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+TURN = 0.1
+"""How long a turn is at least [s]: what is short runs several times in it, so that the caches the
+program before it left do not decide."""
 LONG = 5.0
 """A run that takes longer [s] is its own measurement: what it sets up once is nothing beside it."""
 
@@ -49,7 +52,7 @@ def rounds_for(seconds: float) -> int:
 def in_turns(
     programs: Mapping[str, Callable[[], object]], rounds: int | Mapping[str, int]
 ) -> dict[str, Times]:
-    """Times of programs run one after the other, so many rounds, or of each so many.
+    """Times of programs that take turns, so many rounds, or of each so many.
 
     Every program must have run once before: what is set up only once does not count.
     """
@@ -59,7 +62,13 @@ def in_turns(
     for turn in range(max(rounds.values(), default=0)):
         for name, program in programs.items():
             if turn < rounds[name]:
-                begin = time.perf_counter()
-                done = program()
-                seconds[name].append(taken(begin, done))
+                seconds[name] += _turn(program)
     return {name: Times(tuple(found)) for name, found in seconds.items()}
+
+
+def _turn(program: Callable[[], object]) -> list[float]:
+    began, seconds = time.perf_counter(), list[float]()
+    while not seconds or time.perf_counter() - began < TURN:
+        begin = time.perf_counter()
+        seconds.append(taken(begin, program()))
+    return seconds

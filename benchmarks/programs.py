@@ -66,8 +66,10 @@ PROGRAMS = [
     *(COMPILED if AVAILABLE else []),
     NUMPY,
     WHOLE,
-    Program("odrpack, NumPy by hand", 10_000, _module("odrpack_explicit"), demanded=150.0),
-    Program("odrpack, loopcal's tape", 100_000, _odrpack_on_tape),
+    Program(
+        "odrpack, NumPy by hand", 10_000, _module("odrpack_explicit"), "odrpack", demanded=150.0
+    ),
+    Program("odrpack, loopcal's tape", 100_000, _odrpack_on_tape, "odrpack"),
     Program("seed's loop, NumPy", 10_000, _module("seed_program"), demanded=400.0),
     Program("seed's loop, GNU Octave", 1_000, _module("octave_program"), needs="octave-cli"),
     Program("scipy least_squares", 10_000, _module("scipy_least_squares")),

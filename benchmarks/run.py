@@ -162,8 +162,10 @@ def _asked(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--json", metavar="FILE", help="write all times there")
     words = f"write into {DOCUMENT.name}, or another file with its markers, and draw figures"
     parser.add_argument("--document", type=Path, nargs="?", const=DOCUMENT, help=words)
-    asked = parser.parse_args(arguments)
-    if asked.document == DOCUMENT and set(asked.only) != set(PARTS):
+    asked, whole = parser.parse_args(arguments), parser.parse_args([])
+    if asked.document == DOCUMENT and {**vars(asked), "document": None, "json": None} != vars(
+        whole
+    ):
         parser.error(f"{DOCUMENT.name} is written by whole runs; name another FILE for parts")
     return asked
 

@@ -69,7 +69,7 @@ def main() -> None:
     texts.append("\n".join(f"| {' | '.join(line)} |" for line in lines))
     print("\n\n".join(texts))
     if asked.document:
-        write_into(DOCUMENT, "\n\n".join(texts))
+        write_into(DOCUMENT, "measured", "\n\n".join(texts))
 
 
 def in_turns(

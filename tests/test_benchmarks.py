@@ -105,20 +105,34 @@ def test_a_program_that_finds_nothing_ends_the_run(
     assert "lost finds nothing: no convergence" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("part", ["--only memory", "--problems planar", "--rounds 1"])
 def test_a_part_never_replaces_what_a_whole_run_wrote(
-    run: Any, capsys: pytest.CaptureFixture[str]
+    run: Any, capsys: pytest.CaptureFixture[str], part: str
 ) -> None:
     before = run.DOCUMENT.read_bytes()
     with pytest.raises(SystemExit) as ended:
-        run.main(["--only", "memory", "--document"])
+        run.main([*part.split(), "--document"])
 
     assert ended.value.code == 2
     assert "written by whole runs" in capsys.readouterr().err
     assert run.DOCUMENT.read_bytes() == before
 
 
-def test_long_runs_are_measured_once(run: Any) -> None:
+def test_short_runs_fill_their_turn(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     measuring = import_module("measuring")
+    now = iter(range(1_000))
+    monkeypatch.setattr(measuring.time, "perf_counter", lambda: 0.01 * next(now))
+    done: list[str] = []
+
+    times = measuring.in_turns({name: partial(done.append, name) for name in "ab"}, 2)
+
+    assert done == [*"aaaa", *"bbbb"] * 2
+    assert {len(t.seconds) for t in times.values()} == {8}
+
+
+def test_long_runs_are_measured_once(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    measuring = import_module("measuring")
+    monkeypatch.setattr(measuring, "TURN", 0.0)
     done: list[str] = []
     programs = {name: partial(done.append, name) for name in "abc"}
 

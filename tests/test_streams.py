@@ -23,6 +23,7 @@ from loopcal.files import parquet_stream
 from loopcal.files.parquet_stream import project_stream
 from loopcal.files.project_data import load_dataset
 from loopcal.files.project_file import Project, read_project
+from loopcal.files.residual_parts import ResidualParts
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
@@ -129,6 +130,31 @@ def test_an_interrupted_calibration_goes_on_and_leaves_nothing_half_done(folder:
     assert not (result / "unfinished.json").exists()
 
 
+def test_what_a_killed_run_left_goes_with_the_next(folder: Path) -> None:
+    result = folder / "project-result"
+    killed = ResidualParts(result)
+    killed.add(b"half of the poses")
+    (result / "residuals").mkdir()
+    (result / "residuals").rename(result / ".residuals.0123456789ab.old")
+    run_calibration(folder / "project.toml")
+    assert (result / "residuals" / "part-00001.parquet").exists()
+    assert not list(result.glob(".*"))
+
+
+@pytest.mark.parametrize("ending", [False, True])
+def test_two_runs_into_one_folder_do_not_mix_their_residuals(tmp_path: Path, ending: bool) -> None:
+    one, other = ResidualParts(tmp_path), ResidualParts(tmp_path)
+    one.add(b"one, 1")
+    other.begin()
+    with pytest.raises(InputError, match="another calibration that writes here") as refused:
+        one.finish() if ending else one.add(b"one, 2")
+    assert refused.value.remedy
+    other.add(b"other, 1")
+    one.undo()
+    other.finish()
+    assert residuals(tmp_path) == {"part-00001.parquet": b"other, 1"}
+
+
 def residuals(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted((folder / "residuals").iterdir())}
 
@@ -159,7 +185,7 @@ def test_interrupted_with_workers_it_ends_and_goes_on(folder: Path, executor: Ex
     project, threads = folder / "project.toml", threading.active_count()
     with pytest.raises(KeyboardInterrupt):
         run_calibration(project, executor=executor, progress=interrupt)
-    assert threading.active_count() == threads
+    assert threading.active_count() <= threads  # one of an earlier test may have ended
     assert not multiprocessing.active_children()
     result = folder / "project-result"
     assert [path.name for path in result.iterdir()] == ["unfinished.json"]
@@ -177,7 +203,7 @@ def test_a_lost_worker_of_a_cluster_costs_nothing(folder: Path) -> None:
     with dask_cluster(folder / "dask") as cluster:
         cluster.start_workers("")
         cluster.start_workers("dying", DIES_AT_PIECE="7")  # in the second sweep
-        cluster.start_workers("dying", DIES_AT_PIECE="17")
+        cluster.start_workers("dying", DIES_AT_PIECE="10")
         executor = Cluster(cluster.address)
         shared = run_calibration(folder / "project.toml", out=folder / "shared", executor=executor)
         for worker in cluster.workers[1:]:

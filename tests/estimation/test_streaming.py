@@ -120,6 +120,36 @@ def test_every_chunk_is_handed_out_with_its_corrections() -> None:
     assert streamed == pytest.approx(whole.corrections["theta_2"], abs=1e-5 * 5e-5)
 
 
+def test_a_chunk_may_hold_no_pose_to_be_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of every 50 poses the first is shown, and the last chunk has the last 41."""
+    monkeypatch.setattr("loopcal.estimation.streamed.SHOWN", 10)
+    arm = planar_two_link()
+    driven = random_poses({"phi2": (0.0, 3.0), "phi3": (0.3, 2.5)}, 500, seed=1)
+    noise = Noise({"phi?": 1e-4, "*": 2e-5})
+    data = simulate(arm, driven, noise=noise, seed=1, truth={"l2": 0.803}).dataset
+    found = calibrate_stream(arm, Pieces(data, noise, 51))
+    alike(found, calibrate(arm, data, noise=noise))
+    assert found.dataset.poses == data.poses[::50]
+
+
+@pytest.mark.parametrize("method", ["implicit-loop", "least-squares"])
+def test_a_parameter_whose_terms_cancel_has_no_effect_here_either(method: str) -> None:
+    """What rounding leaves of its column shows beside the other length."""
+    machine = Mechanism.from_function(
+        lambda x, p: (x.b - p.k * np.sin(x.a) - p.c * (np.sin(x.a) ** 2 + np.cos(x.a) ** 2 - 1.0),),
+        {"a": "rad", "b": "m"},
+        {"k": (1.0, "m"), "c": (1.0, "m")},
+    )
+    a = np.linspace(0.2, 2.0, 400)
+    b = 1.1 * np.sin(a) + 1e-3 * np.random.default_rng(1).normal(size=400)
+    data, noise = Dataset.from_arrays({"a": a, "b": b}), Noise({"a": 1e-4, "b": 1e-3})
+    whole = calibrate(machine, data, noise=noise, method=method)
+    found = calibrate_stream(machine, Pieces(data, noise), method=method)
+    assert [list(u.combination) for u in whole.identifiability.not_identifiable] == [["c"]]
+    assert found.identifiability.not_identifiable == whole.identifiability.not_identifiable
+    assert found.value["k"] == pytest.approx(whole.value["k"], rel=1e-9)
+
+
 def theta_1(chunk: Result) -> list[float]:
     return [float(value) for value in chunk.corrections["theta_1"]]
 

@@ -177,7 +177,8 @@ class _Ending:
                 assert isinstance(ended, _Ended)
                 for into, of_chunk in zip(accuracies, ended.distances, strict=True):
                     into.add_other(of_chunk)
-                kept.append(ended.kept)
+                if ended.kept:
+                    kept.append(ended.kept)
                 if part_done:
                     part_done(ended.part)
         sample = _together(kept)
@@ -208,10 +209,13 @@ def _closed(task: Task, method: str, solution: Solution, problem: Problem, data:
 
 @dataclass(frozen=True, eq=False)
 class _Ended:
-    """What the last pass found in one chunk: its part, its poses to be shown, its distances."""
+    """What the last pass found in one chunk: its part, its poses to be shown, its distances.
+
+    kept: None where none of its poses is to be shown.
+    """
 
     part: Any
-    kept: Chunk
+    kept: Chunk | None
     distances: tuple[_Distances, _Distances]
 
 
@@ -237,7 +241,7 @@ class _EndPiece:
         found[1].add(problem, result.differences_after)
         number = np.arange(self.begin, self.begin + len(chunk.data))
         index = np.flatnonzero(number % self.stride == 0)
-        kept = Chunk(chunk.data.take(index), _some(chunk.noise, index))
+        kept = Chunk(chunk.data.take(index), _some(chunk.noise, index)) if index.size else None
         return _Ended(self.part_of(result) if self.part_of else None, kept, found)
 
 

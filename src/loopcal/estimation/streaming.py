@@ -85,7 +85,7 @@ class StreamSweeper(Sweeper):
         """
         if closing is None and corrections is CLOSED:
             closing = NEAR
-        data = Accumulator(len(self.problem.free), triangular)
+        data = Accumulator(len(self.problem.free), triangular, self._units)
         parts = [
             SweepPiece(number, parameters, triangular, closing, first=not self.sizes)
             for number in range(self.task.stream.count)

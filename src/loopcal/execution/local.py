@@ -50,7 +50,7 @@ class _Local(Executor):
 
     @property
     def _share(self) -> int:
-        """Threads for the engine of each worker, so that all of them together fill the cores."""
+        """Engine threads of a worker: processes together fill the cores; threads share one pool."""
         return max(1, cores() // self.workers)
 
 

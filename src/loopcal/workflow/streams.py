@@ -72,6 +72,7 @@ def run_stream(
     kept = ProgressFile(folder, task)
     begin = kept.read()
     parts = ResidualParts(folder)
+    parts.begin()
     try:
         result = calibrate_stream(
             project.mechanism,
