@@ -67,8 +67,9 @@ lint: $(STAMP) ## ruff: rules and format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(STAMP) ## mypy
+types: $(STAMP) ## mypy; the modules of benchmarks import each other as scripts do
 	$(BIN)/mypy
+	cd benchmarks && $(abspath $(BIN))/mypy --config-file ../pyproject.toml --cache-dir ../.cache/mypy *.py
 
 suite: $(STAMP) ## pytest alone
 	@mkdir -p $(TMPDIR)
@@ -123,10 +124,10 @@ sanitize: ## the engine's tests, and a minute of random tapes, under sanitizers 
 		tests/expressions/test_engine.py tests/expressions/test_compiled_engine.py \
 		tests/estimation/test_block_kernel.py tests/test_interrupts.py
 	LD_PRELOAD="$(SANITIZER)" ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
-		LOOPCAL_THREADS=2 $(SANITIZED)/bin/python analyses/fuzz_engine.py --minutes 1
+		LOOPCAL_THREADS=2 $(SANITIZED)/bin/python -m analyses.fuzz_engine --minutes 1
 
 fuzz: $(STAMP) ## ten minutes of random tapes through both engines
-	$(BIN)/python analyses/fuzz_engine.py --minutes 10
+	$(BIN)/python -m analyses.fuzz_engine --minutes 10
 
 benchmark: $(STAMP) ## times and memory beside other programs, as far as those can be had
 	@$(call try,$(RIVALS),it is left out)

@@ -7,7 +7,7 @@ p-values of chi-squared are uniform (Kolmogorov-Smirnov), and how often a gear e
 is seen. Beside a coverage pooled over parameters or coordinates stands its Monte Carlo standard
 error: intervals of one draw share its errors, so a draw counts once, by the share it held.
 
-    python analyses/coverage.py [--draws 2000] [--first 0] [--processes 2] [--only WORD ...]
+    python -m analyses.coverage [--draws 2000] [--first 0] [--processes 2] [--only WORD ...]
 
 `--only planar low` runs the cases named by all these words, `--first` draws others than before.
 """

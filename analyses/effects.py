@@ -6,7 +6,7 @@ the 95 % interval of an effect's parameter and of any parameter holds the truth,
 chi-squared with its degrees of freedom. Second, recommendation: geometric truth, or one true
 effect, and how often comparing models names which.
 
-    python analyses/effects.py [--draws 500] [--choices 200] [--processes 2] [--only WORD ...]
+    python -m analyses.effects [--draws 500] [--choices 200] [--processes 2] [--only WORD ...]
 """
 
 from __future__ import annotations

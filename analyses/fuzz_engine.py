@@ -1,6 +1,6 @@
 """Random tapes, readings and noise through both engines, for so many minutes.
 
-    python analyses/fuzz_engine.py --minutes 10
+    python -m analyses.fuzz_engine --minutes 10
 
 Each round draws loops (some of them absent), a number of poses, how the noise is told and what is
 unmeasured, and compares values, derivatives, whitened equations, their sums and corrections of the
@@ -21,13 +21,10 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from loopcal.estimation.block_kernel import BlockKernel, CompiledKernel, NumpyKernel
 from loopcal.estimation.kernel import BlockNoise, unweighted, whiten

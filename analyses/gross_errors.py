@@ -5,7 +5,7 @@ of end points predicted for clean poses that took no part, against the truth. Of
 also: how often the 95 % intervals of the parameters hold the truth, with the standard error of
 that figure, in which a draw counts once.
 
-    python analyses/gross_errors.py [DRAWS]
+    python -m analyses.gross_errors [DRAWS]
 """
 
 from __future__ import annotations
@@ -13,11 +13,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import loopcal as lc
 from loopcal.estimation.prediction import predict_outputs

@@ -4,7 +4,7 @@ Every chain of three or more joints, none of them mimicking, from the root of a 
 last links, in all URDFs of the test partners rtb-data and example-robot-data (`make partners`),
 seen as a point and as a pose. Printed are those whose identifiable set has another size.
 
-    python analyses/robots.py
+    python -m analyses.robots
 """
 
 from __future__ import annotations

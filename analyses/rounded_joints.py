@@ -5,7 +5,7 @@ from their priors, and the true joints are read three ways: with normal noise of
 and rounded where the joints behind the second take eight positions only, as in the measured file:
 then fifteen poses share one error of rounding. Coverage of 95 % intervals, and chi-squared.
 
-    python analyses/rounded_joints.py [--draws 200] [--processes 2]
+    python -m analyses.rounded_joints [--draws 200] [--processes 2]
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Time and memory of a calibration from a stream: `python analyses/stream.py --poses 1e7`.
+"""Time and memory of a calibration from a stream: `python -m analyses.stream --poses 1e7`.
 
 Simulated readings of the MA1400 go into a folder of Parquet files, half a million poses each;
 `loopcal calibrate` then runs in a process of its own, whose peak memory is taken: alone, and with
@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import polars as pl
-from written import write_block
 
+from analyses.written import write_block
 from loopcal import Noise
 from loopcal.mechanisms.motoman import motoman_ma1400
 from loopcal.simulation.poses import random_poses

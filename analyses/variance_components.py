@@ -1,6 +1,6 @@
 """Monte Carlo proof of the learnt sds: mean, stated against actual spread, bounds, tables 5 and 7.
 
-python analyses/variance_components.py [--draws 300]
+python -m analyses.variance_components [--draws 300]
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 By random folds, by folds of neighbouring poses, and where poses are unlike those that were fitted.
 
-    LOOPCAL_DATA=... python analyses/workspace.py [--svg FILE]
+    LOOPCAL_DATA=... python -m analyses.workspace [--svg FILE]
 """
 
 from __future__ import annotations

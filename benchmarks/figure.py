@@ -39,7 +39,7 @@ class Line:
 class Scales:
     """From poses and seconds to the paper [px], both by their logarithms."""
 
-    poses: tuple[int, int]
+    poses: tuple[float, float]
     decades: tuple[float, float]
 
     def x(self, poses: float) -> float:

@@ -48,6 +48,15 @@ def test_the_links_lead_to_files(page: Path) -> None:
     assert [target for target in targets if not (page.parent / target).exists()] == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_named_analyses_can_be_run(page: Path) -> None:
+    """Only as modules: some import their neighbours, and tests' references."""
+    text = page.read_text("utf-8")
+    assert "python analyses/" not in text
+    named = re.findall(r"python -m analyses\.(\w+)", text)
+    assert [name for name in named if not (ROOT / "analyses" / f"{name}.py").exists()] == []
+
+
 @pytest.mark.parametrize(
     "text",
     [
