@@ -28,6 +28,7 @@ from loopcal.mechanisms.planar import planar_two_link
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
 from loopcal.workflow.calibration import run_calibration
+from loopcal.workflow.checking import run_check
 from tests.command_line import run
 from tests.dask_cluster import dask_cluster
 from tests.execution.pieces import Backwards
@@ -261,6 +262,82 @@ def test_a_large_file_is_read_in_chunks_by_itself_or_when_asked(
     monkeypatch.setattr(parquet_stream, "LARGE", 400)
     assert project_stream(read(folder, text)) is not None
     assert project_stream(read(folder, text.replace("every", "stream = false\nevery"))) is None
+
+
+def test_a_folder_is_read_into_memory_when_asked(folder: Path) -> None:
+    text = PROJECT.replace("every", "stream = false\nevery")
+    data = load_dataset(read(folder, text)).dataset
+    whole = load_dataset(read(folder, text.replace('"poses"', '"whole.parquet"'))).dataset
+    assert data.poses == whole.poses
+    for quantity in whole.quantities:
+        assert np.array_equal(data[quantity], whole[quantity])
+    stream = project_stream(read(folder))
+    assert stream is not None
+    assert data.source.sha256 == stream.sha256
+    read(folder, text)
+    done = run("calibrate", folder / "project.toml", "--folds", "3", "--no-report")
+    assert "on poses not used" in done.stdout
+    predicted = run("predict", folder / "project-result", folder / "poses")
+    assert len(predicted.stdout.splitlines()) == 1 + 500
+
+
+def test_files_of_a_folder_are_joined_by_pose(folder: Path) -> None:
+    (folder / "seen").mkdir()
+    for path in (folder / "poses").iterdir():
+        frame = pl.read_parquet(path)
+        frame.select("id", "phi2", "phi3").write_parquet(path)
+        frame.select("xP", "id", "yP").write_parquet(folder / "seen" / path.name)
+    join = '[[data.join]]\nfile = "seen"\npose = "id"\nunits = { length = "mm" }\n[noise]'
+    text = PROJECT.replace("every", "stream = false\nevery").replace("[noise]", join)
+    data = load_dataset(read(folder, text)).dataset
+    whole = load_dataset(read(folder, PROJECT.replace('"poses"', '"whole.parquet"'))).dataset
+    assert data.poses == whole.poses
+    assert np.array_equal(data["xP"], whole["xP"])
+
+
+def test_a_check_looks_at_some_poses_of_a_stream(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parquet_stream, "SHOWN", 50)
+    checked = run_check(folder / "project.toml")
+    assert checked.check.poses == 63  # every fourth, none of them left out
+    assert "63 of 248 poses" in checked.warnings[0]
+    assert "up to 2 times smaller" in checked.warnings[0]
+    read(folder, PROJECT.replace("every", "stream = false\nevery"))
+    whole = run_check(folder / "project.toml")
+    assert whole.check.poses == 248
+    assert not whole.warnings
+    for name, sd in whole.check.expected_sd.items():
+        assert sd is not None
+        assert checked.check.expected_sd[name] == pytest.approx(2 * sd, rel=0.2)
+
+
+def test_a_file_that_is_there_twice_is_told(folder: Path) -> None:
+    poses = folder / "poses"
+    shutil.copy(poses / "part-1.parquet", poses / "part-3.parquet")
+    stream = project_stream(read(folder))
+    assert stream is not None
+    told = [str(warning) for warning in stream.warnings]
+    assert len(told) == 1
+    assert "part-3.parquet holds the same as part-1.parquet" in told[0]
+
+
+def test_columns_of_the_files_may_come_in_any_order(folder: Path) -> None:
+    alone = run_calibration(folder / "project.toml", out=folder / "alone")
+    path = folder / "poses" / "part-2.parquet"
+    frame = pl.read_parquet(path)
+    frame.select(sorted(frame.columns)).write_parquet(path)
+    again = run_calibration(folder / "project.toml", out=folder / "again")
+    assert dict(again.result.value) == dict(alone.result.value)
+
+
+def test_an_infinite_reading_is_told_with_its_file(folder: Path) -> None:
+    path = folder / "poses" / "part-2.parquet"
+    frame = pl.read_parquet(path).with_row_index()
+    odd = pl.when(pl.col("index") == 78).then(np.inf).otherwise(pl.col("xP"))
+    frame.with_columns(xP=odd).drop("index").write_parquet(path)
+    with pytest.raises(InputError, match=r"poses, part-2.parquet, row 79, column 'xP'"):
+        run_calibration(folder / "project.toml")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from loopcal.errors import InputError
-from loopcal.files.dataset_readers import read_dataset
+from loopcal.files import parquet
+from loopcal.files.columns import Column
+from loopcal.files.dataset_readers import column_labels, read_dataset
 from loopcal.files.parquet import read_parquet
 
 
@@ -103,3 +105,81 @@ def test_a_file_without_rows(tmp_path):
     pl.DataFrame({"x": []}, schema={"x": pl.Float64}).write_parquet(path)
     with pytest.raises(InputError, match=r"none.parquet: the file is empty"):
         read_dataset(path)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Three files of one table, columns in another order in one, read three rows at a time."""
+    monkeypatch.setattr(parquet, "BLOCK", 3)
+    whole = pl.DataFrame({"id": [*"abcdefghij"], "x": np.arange(10.0), "n": range(10)})
+    whole = whole.with_columns(u=0.1 + pl.col("x"))
+    whole.write_parquet(tmp_path / "whole.parquet")
+    folder = tmp_path / "poses"
+    folder.mkdir()
+    whole[:4].write_parquet(folder / "a.parquet")
+    whole[4:9].select("u", "n", "x", "id").write_parquet(folder / "b.PQ")
+    whole[9:].cast({"n": pl.Float32}).write_parquet(folder / "c.parquet")
+    (folder / ".hidden.parquet").write_text("no Parquet")
+    (folder / "notes.txt").write_text("windy")
+    return folder
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {},
+        {"pose": "id"},
+        {"pose": "id", "every": 2, "exclude": ["b", "g"]},
+        {"every": 4, "exclude": 5},
+        {"every": 100},
+    ],
+    ids=str,
+)
+def test_a_folder_is_its_files_one_after_the_other(folder, how):
+    columns = {"x": Column("x", "mm", sd_column="u"), "n": Column(3)}
+    data = read_dataset(folder, columns, **how)
+    whole = read_dataset(folder.with_name("whole.parquet"), columns, **how)
+    assert data.poses == whole.poses
+    assert data.source.excluded == whole.source.excluded
+    assert data.source.rows_read == whole.source.rows_read == 10
+    for quantity in ("x", "n"):
+        np.testing.assert_array_equal(data[quantity], whole[quantity])
+    np.testing.assert_array_equal(data.sds["x"], whole.sds["x"])
+    assert column_labels(folder) == ("id", "x", "n", "u")
+
+
+def test_in_a_folder_a_value_has_its_file_and_its_row_there(folder):
+    data = read_dataset(folder, {"x": "x"}, every=2, exclude=["1"])
+    places = [data.place(i, "x") for i in range(len(data))]
+    assert places[0] == "poses, a.parquet, row 3, column 'x'"
+    assert places[1] == "poses, b.PQ, row 1, column 'x'"
+    frame = pl.read_parquet(folder / "b.PQ")
+    frame.with_columns(x=pl.Series([0.0, 1.0, np.inf, 2.0, 3.0])).write_parquet(folder / "b.PQ")
+    with pytest.raises(InputError, match=r"poses, b.PQ, row 3, column 'x': the reading of 'x'"):
+        read_dataset(folder, {"x": "x"})
+    with pytest.raises(InputError, match=r"poses, a.parquet, row 1, column 'id': 'a' is not"):
+        read_dataset(folder, {"x": "id"})
+
+
+@pytest.mark.parametrize(
+    ("frame", "words"),
+    [
+        ({"id": ["k"], "x": [1.0], "n": [1]}, r"d.parquet: its columns are not those of a.parq"),
+        ({"id": ["k"], "x": ["1"], "n": [1], "u": [1.0]}, r"poses: the column 'x' is Float64 and"),
+    ],
+)
+def test_files_that_do_not_go_together(folder, frame, words):
+    pl.DataFrame(frame).write_parquet(folder / "d.parquet")
+    with pytest.raises(InputError, match=words) as refused:
+        read_dataset(folder, {"x": "x"})
+    assert refused.value.remedy
+
+
+def test_a_folder_without_poses(folder):
+    for path in folder.iterdir():
+        path.unlink()
+    with pytest.raises(InputError, match=r"this is a folder, and it holds no Parquet file"):
+        read_dataset(folder)
+    pl.DataFrame({"x": []}, schema={"x": pl.Float64}).write_parquet(folder / "a.parquet")
+    with pytest.raises(InputError, match=r"poses: the file is empty"):
+        read_dataset(folder)

@@ -21,12 +21,12 @@ from loopcal.files.columns import (
 )
 from loopcal.files.delimited import read_delimited
 from loopcal.files.matlab import read_matlab
-from loopcal.files.parquet import read_parquet
+from loopcal.files.parquet import parquet_files, read_parquet
 from loopcal.files.raw import read_text
 from loopcal.files.spreadsheet import read_spreadsheet
 from loopcal.files.table import Table
 from loopcal.measurements.dataset import Array, Dataset, checked_every
-from loopcal.measurements.poses import counted, positions_of
+from loopcal.measurements.poses import asked_ids, positions_of
 from loopcal.measurements.source import Source
 from loopcal.units import to_si, unit
 
@@ -73,6 +73,7 @@ def read_dataset(
 ) -> Dataset:
     """Readings from CSV, TSV or other text, XLSX, Parquet or MATLAB (by the ending of the name).
 
+    A folder is read as its Parquet files one after the other.
     `columns` maps quantity -> column: its name, its number counted from 1, or a mapping with the
     keys of `Column` (column, unit, sd_column, sd_unit, check). None takes every column of
     numbers under its own name ("column_1" ... without a header). `units` maps quantity -> unit
@@ -89,22 +90,27 @@ def read_dataset(
     """
     how = _How(sheet, header, delimiter, decimal, encoding, variable)
     asked = None if columns is None else specified(columns, units or {})
-    table = _table(path, how, None if asked is None else wanted(asked, pose))
+    step, gone = checked_every(every), asked_ids(exclude)
     if asked is None:
+        table = _table(path, how, None)
         asked = all_numeric(table, pose, units or {})
+    else:
+        table = _table(path, how, wanted(asked, pose), every=step, pose=pose, also=gone)
     refuse_doubles(table, asked)
 
-    number = len(table.rows)
-    ids = counted(number) if pose is None else table.ids(table.position(pose))
-    excluded = positions_of(exclude, ids, table.name)
-    step = checked_every(every)
-    used = np.arange(number) % step == 0
+    number = np.arange(len(table.rows)) if table.total is None else table.rows - 1
+    if pose is None:
+        ids = tuple(map(str, (number + 1).tolist()))
+    else:
+        ids = table.ids(table.position(pose))
+    excluded = positions_of(gone, ids, table.name)
+    used = number % step == 0
     used[excluded] = False
     source = Source(
         file=table.file,
         part=table.part,
         sha256=table.sha256,
-        rows_read=number,
+        rows_read=len(number) if table.total is None else table.total,
         excluded=tuple(dict.fromkeys(ids[i] for i in excluded)),
         every=step,
     )
@@ -138,6 +144,7 @@ def dataset_of(
         replace(
             source,
             rows=table.rows[keep],
+            begins=table.begins,
             columns={q: table.label(table.position(c.column)) for q, c in asked.items()},
             sd_columns={q: table.label(table.position(c)) for q, (c, _) in with_sd.items()},
             stated=stated,
@@ -150,7 +157,9 @@ def read_poses(path: str | Path, pose: str | int, **how: Any) -> Dataset:
     """The ids of the poses of a file, without readings; read as `read_dataset` reads it."""
     table = _table(path, _How(**{f.name: how.get(f.name) for f in fields(_How)}), None)
     ids = table.ids(table.position(pose))
-    source = Source(table.file, table.part, table.sha256, len(ids), rows=table.rows)
+    source = Source(
+        table.file, table.part, table.sha256, len(ids), rows=table.rows, begins=table.begins
+    )
     return Dataset({}, {}, tuple(ids), source=source)
 
 
@@ -165,29 +174,22 @@ def column_labels(
     variable: str | None = None,
 ) -> tuple[str, ...]:
     """Names of the columns of a file, read as `read_dataset` reads it; none without a header."""
-    table = _table(path, _How(sheet, header, delimiter, decimal, encoding, variable), None)
-    return tuple(table.names or ())
+    how = _How(sheet, header, delimiter, decimal, encoding, variable)
+    if isinstance(path, str | Path) and _kind(path, how) == "Parquet":
+        return parquet_files(path)[0].names
+    return _table(path, how, None).names
 
 
-def _table(path: str | Path | BinaryIO, how: _How, asked: frozenset[str | int] | None) -> Table:
-    ending = Path(path).suffix.lower() if isinstance(path, str | Path) else ""
-    if ending in (".xls", ".xlsb", ".ods"):
-        raise InputError(
-            "only XLSX workbooks are read", place=str(path), remedy="save it as XLSX or CSV"
-        )
-    kind = _ENDINGS.get(ending, "text")
-    for option in fields(how):
-        if getattr(how, option.name) is not None and option.name not in _MEANT_FOR[kind]:
-            raise InputError(
-                f"{option.name} is stated, which means nothing for {kind} files",
-                place=str(path),
-                remedy=f"leave {option.name} out, or give the file the ending of its kind",
-            )
+def _table(
+    path: str | Path | BinaryIO, how: _How, asked: frozenset[str | int] | None, **rows: Any
+) -> Table:
+    """The columns asked for; rows: which of them to read from Parquet, others are read whole."""
+    kind = _kind(path, how)
     if isinstance(path, str | Path):
         if kind == "XLSX":
             return read_spreadsheet(path, sheet=how.sheet, header=how.header, decimal=how.decimal)
         if kind == "Parquet":
-            return read_parquet(path, wanted=asked)
+            return read_parquet(path, wanted=asked, **rows)
         if kind == "MATLAB":
             return read_matlab(path, variable=how.variable, wanted=asked)
     return read_delimited(
@@ -196,3 +198,23 @@ def _table(path: str | Path | BinaryIO, how: _How, asked: frozenset[str | int] |
         decimal=how.decimal,
         header=how.header,
     )
+
+
+def _kind(path: str | Path | BinaryIO, how: _How) -> str:
+    """What kind of file this is. Raises InputError for others, and for options of others."""
+    ending = Path(path).suffix.lower() if isinstance(path, str | Path) else ""
+    if ending in (".xls", ".xlsb", ".ods"):
+        raise InputError(
+            "only XLSX workbooks are read", place=str(path), remedy="save it as XLSX or CSV"
+        )
+    kind = _ENDINGS.get(ending, "text")
+    if isinstance(path, str | Path) and Path(path).is_dir():
+        kind = "Parquet"
+    for option in fields(how):
+        if getattr(how, option.name) is not None and option.name not in _MEANT_FOR[kind]:
+            raise InputError(
+                f"{option.name} is stated, which means nothing for {kind} files",
+                place=str(path),
+                remedy=f"leave {option.name} out, or give the file the ending of its kind",
+            )
+    return kind

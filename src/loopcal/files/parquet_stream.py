@@ -6,23 +6,37 @@ sent there is paths and row numbers, with a mark by which each file is known aga
 
 from __future__ import annotations
 
+import math
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from hashlib import sha256
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.stream_pieces import Chunk
+from loopcal.estimation.streamed import SHOWN
 from loopcal.files.columns import Column, refuse_doubles, specified, wanted
 from loopcal.files.dataset_readers import dataset_of
+from loopcal.files.parquet import (
+    ENDINGS,
+    ParquetFile,
+    begins_of,
+    mark_of,
+    parquet_files,
+    sha256_of_all,
+)
 from loopcal.files.paths import expanded
 from loopcal.files.place import Place
-from loopcal.files.project_data import LoadedData, believed, columns_aside, loaded_from
+from loopcal.files.project_data import (
+    LoadedData,
+    believed,
+    columns_aside,
+    load_dataset,
+    loaded_from,
+)
 from loopcal.files.project_file import Project
 from loopcal.files.raw import sha256_of
 from loopcal.files.table import Table, find_column
@@ -34,24 +48,13 @@ from loopcal.measurements.source import Source
 LARGE = 2_000_000
 """Rows from which on a file is read in chunks unless the project says otherwise."""
 CHUNK = 65_536
-ENDINGS = (".parquet", ".pq")
-
-
-@dataclass(frozen=True)
-class _File:
-    """path: absolute; mark: SHA-256 of the end of the file, where Parquet says what is in it."""
-
-    path: Path
-    rows: int
-    names: tuple[str, ...]
-    mark: str
 
 
 @dataclass(frozen=True)
 class _Part:
     """Some rows of a file; begin: of them the first among those of all files."""
 
-    file: _File
+    file: ParquetFile
     offset: int
     rows: int
     begin: int
@@ -65,14 +68,18 @@ class ParquetStream:
     """
 
     project: Project
-    files: tuple[_File, ...]
+    files: tuple[ParquetFile, ...]
     name: str
 
     @cached_property
     def sha256(self) -> str:
         """Of the file, or of the list of all files' own."""
-        own = [sha256_of(file.path) for file in self.files]
-        return own[0] if len(own) == 1 else sha256("\n".join(own).encode()).hexdigest()
+        return sha256_of_all(self._own)
+
+    @cached_property
+    def _own(self) -> tuple[str, ...]:
+        """SHA-256 of each file."""
+        return tuple(sha256_of(file.path) for file in self.files)
 
     @cached_property
     def poses(self) -> int:
@@ -83,10 +90,26 @@ class ParquetStream:
 
     @cached_property
     def warnings(self) -> tuple[DataWarning, ...]:
-        """What looks odd about the first chunk; raises InputError as `check_dataset` does."""
+        """What looks odd about the first chunk, and files that are there twice.
+
+        Raises InputError as `check_dataset` does.
+        """
         loaded = self._loaded(self._parts[0])
         mechanism = self.project.mechanism
-        return check_dataset(loaded.dataset, {**mechanism.quantities, **mechanism.known})
+        odd = check_dataset(loaded.dataset, {**mechanism.quantities, **mechanism.known})
+        return (*odd, *self._repeated_files())
+
+    def _repeated_files(self) -> Iterator[DataWarning]:
+        seen: dict[str, str] = {}
+        for file, own in zip(self.files, self._own, strict=True):
+            name = file.path.name
+            first = seen.setdefault(own, name)
+            if first != name:
+                yield DataWarning(
+                    None,
+                    f"{self.name}: {name} holds the same as {first}, and every pose in it counts "
+                    "twice; take one of them out of the folder",
+                )
 
     @property
     def count(self) -> int:
@@ -123,6 +146,7 @@ class ParquetStream:
         refuse_doubles(table, columns)
         source = Source(
             self.name,
+            part.file.path.name if len(self.files) > 1 else None,
             sha256=self.sha256,
             rows_read=sum(f.rows for f in self.files),
             excluded=tuple(map(pose_id, spec.options["exclude"])),
@@ -130,11 +154,7 @@ class ParquetStream:
         )
         ids = _ids(part, table, pose)
         read = dataset_of(table, columns, np.flatnonzero(self._used(part)), ids, source)
-        loaded = loaded_from(self.project, believed(spec, read))
-        if len(self.files) > 1:
-            its = replace(loaded.dataset.source, part=part.file.path.name)
-            loaded = replace(loaded, dataset=replace(loaded.dataset, source=its))
-        return loaded
+        return loaded_from(self.project, believed(spec, read))
 
     @property
     def _every(self) -> int:
@@ -182,14 +202,7 @@ def project_stream(project: Project) -> ParquetStream | None:
                 remedy="save it as Parquet, or leave stream out",
             )
         return None
-    paths = sorted(p for p in path.iterdir() if p.suffix.lower() in ENDINGS) if several else [path]
-    if not paths:
-        raise InputError(
-            f"the folder {path.name!r} holds no Parquet file",
-            place=str(place.at("file")),
-            remedy="put *.parquet files there, or name a file",
-        )
-    files = tuple(_file(p.absolute()) for p in paths)
+    files = parquet_files(path)
     if not several and spec.stream is None and files[0].rows < LARGE:
         return None
     if spec.joins:
@@ -198,44 +211,35 @@ def project_stream(project: Project) -> ParquetStream | None:
             place=str(place.at("join")),
             remedy="join the files beforehand, or say stream = false",
         )
-    for file in files[1:]:
-        if file.names != files[0].names:
-            raise InputError(
-                f"its columns are not those of {files[0].path.name}",
-                place=file.path.name,
-                remedy="give all files of the folder the same columns in the same order",
-            )
     return ParquetStream(project, files, path.name)
 
 
-def _file(path: Path) -> _File:
-    import polars as pl
+def load_sample(project: Project) -> LoadedData:
+    """The readings of a project; of a stream about ten thousand poses, evenly thinned.
 
-    try:
-        rows = pl.scan_parquet(path, glob=False).select(pl.len()).collect().item()
-        return _File(path, int(rows), tuple(pl.read_parquet_schema(path)), _mark(path))
-    except (pl.exceptions.PolarsError, OSError) as error:
-        raise InputError(
-            f"this is no Parquet file that can be read ({str(error).splitlines()[0]})",
-            place=path.name,
-            remedy="write it again",
-        ) from None
-
-
-def _mark(path: Path) -> str:
-    """A Parquet file ends in where its columns lie, their extremes, and the length of all that."""
-    with path.open("rb") as file:
-        file.seek(-8, 2)
-        length = int.from_bytes(file.read(4), "little")
-        file.seek(-8 - length, 2)
-        return sha256(file.read()).hexdigest()
+    The first warning then says so. Raises InputError as `load_dataset` and `project_stream` do.
+    """
+    stream = project_stream(project)
+    if stream is None or stream.poses < 2 * SHOWN:
+        return load_dataset(project)
+    assert project.data is not None
+    step = stream.poses // SHOWN
+    every = project.data.options["every"] * step
+    data = replace(project.data, options={**project.data.options, "every": every})
+    loaded = load_dataset(replace(project, data=data))
+    told = DataWarning(
+        None,
+        f"{stream.name}: only {len(loaded.dataset)} of {stream.poses} poses are looked at, evenly "
+        f"thinned (every = {every}); sds of all are up to {math.sqrt(step):.2g} times smaller",
+    )
+    return replace(loaded, warnings=(told, *loaded.warnings))
 
 
-def _parts(files: tuple[_File, ...]) -> list[_Part]:
-    begins = np.cumsum([0, *(file.rows for file in files)]).tolist()
+def _parts(files: tuple[ParquetFile, ...]) -> list[_Part]:
+    begins = begins_of(files)
     return [
-        _Part(file, offset, min(CHUNK, file.rows - offset), begin + offset)
-        for file, begin in zip(files, begins, strict=False)
+        _Part(file, offset, min(CHUNK, file.rows - offset), begins[file.path.name] + offset)
+        for file in files
         for offset in range(0, file.rows, CHUNK)
     ]
 
@@ -256,7 +260,7 @@ def _rows(part: _Part, columns: dict[str, Column], pose: str | int | None) -> Ta
     place = file.path.name
     positions = sorted({find_column(c, file.names, len(file.names), place) for c in asked})
     try:
-        same = _mark(file.path) == file.mark
+        same = mark_of(file.path) == file.mark
         frame = (
             pl.scan_parquet(file.path, glob=False)
             .select([file.names[i] for i in positions] if same else [])
@@ -273,7 +277,7 @@ def _rows(part: _Part, columns: dict[str, Column], pose: str | int | None) -> Ta
     return Table(place, None, "", file.names, cells, rows)
 
 
-def _elsewhere(file: _File, what: str) -> InputError:
+def _elsewhere(file: ParquetFile, what: str) -> InputError:
     return InputError(
         f"on the machine {platform.node()!r} this file {what}",
         place=str(file.path),

@@ -83,8 +83,8 @@ class FileEntry(Model):
     """A file of readings, and which of its columns is which quantity."""
 
     file: str = Field(
-        description="CSV, TSV or other text, XLSX, Parquet, MATLAB v5; relative to the project; "
-        "${NAME} is replaced by the environment variable NAME.",
+        description="CSV, TSV or other text, XLSX, Parquet (or a folder of it), MATLAB v5; "
+        "relative to the project; ${NAME} is replaced by the environment variable NAME.",
         examples=["poses.csv", "${LOOPCAL_DATA}/left_arm.csv"],
     )
     pose: NameOrNumber | None = Field(default=None, description="Column of the pose ids.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, nearest
 from loopcal.files import cells as cell_rules
 from loopcal.files.cells import Cells, NotANumber
-from loopcal.measurements.source import file_name
+from loopcal.measurements.source import file_name, row_name
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +30,10 @@ class Table:
     rows: NDArray[np.int64]
     """(N,) row of each pose in the file, counted from 1."""
     decimal: str = "."
+    total: int | None = None
+    """Rows of the file where only some are here, of which `rows` tells which; None: all are."""
+    begins: Mapping[str, int] = field(default_factory=dict)
+    """Of a folder: file -> rows in the files before it; `rows` count through all of them."""
 
     @property
     def name(self) -> str:
@@ -52,9 +56,10 @@ class Table:
         except NotANumber as wrong:
             text = str(wrong.cell)
             shown = text if len(text) <= 60 else text[:57] + "..."
+            row = row_name(int(self.rows[wrong.index]), self.begins)
             raise InputError(
                 f"{shown!r} is not a number",
-                place=f"{self.name}, row {self.rows[wrong.index]}, column {self.label(position)!r}",
+                place=f"{self.name}, {row}, column {self.label(position)!r}",
                 remedy=_remedy(text, self.decimal),
             ) from None
 

@@ -28,6 +28,13 @@ def counted(number: int) -> tuple[str, ...]:
     return tuple(map(str, range(1, number + 1)))
 
 
+def asked_ids(asked: Iterable[object] | object) -> frozenset[str]:
+    """The ids asked for, one or several."""
+    if isinstance(asked, str | numbers.Real) or not isinstance(asked, Iterable):
+        asked = (asked,)
+    return frozenset(map(pose_id, asked))
+
+
 def positions_of(
     asked: Iterable[object] | object, poses: Sequence[str], place: str | None
 ) -> NDArray[np.int64]:
@@ -35,9 +42,7 @@ def positions_of(
 
     Raises InputError naming the nearest id when an id belongs to no pose.
     """
-    if isinstance(asked, str | numbers.Real) or not isinstance(asked, Iterable):
-        asked = (asked,)
-    wanted = {pose_id(value) for value in asked}
+    wanted = asked_ids(asked)
     if not wanted:
         return np.empty(0, dtype=np.int64)
     found = np.array([i for i, name in enumerate(poses) if name in wanted], dtype=np.int64)

@@ -27,6 +27,8 @@ class Source:
     """Thinning: the 1st, (every + 1)th, ... row was kept."""
     rows: NDArray[np.int64] | None = None
     """(N,) row of each pose in the file, counted from 1 as an editor or a spreadsheet does."""
+    begins: Mapping[str, int] = field(default_factory=dict)
+    """Of a folder: file -> rows in the files before it; `rows` count through all of them."""
     columns: Mapping[str, str] = field(default_factory=dict)
     """Quantity -> name (or number) of its column in the file."""
     sd_columns: Mapping[str, str] = field(default_factory=dict)
@@ -55,13 +57,25 @@ class Source:
                 return part.place(index, pose, quantity, sd=sd)
         words = [self.name] if self.name else []
         row = 0 if self.rows is None else int(self.rows[index])
-        words.append(f"row {row}" if row else f"pose {pose!r}")
+        words.append(row_name(row, self.begins) if row else f"pose {pose!r}")
         column = (self.sd_columns if sd else self.columns).get(quantity or "")
         if column is not None:
             words.append(f"column {column!r}")
         elif quantity is not None:
             words.append(f"sd of {quantity!r}" if sd else f"quantity {quantity!r}")
         return ", ".join(words)
+
+
+def row_name(row: int, begins: Mapping[str, int]) -> str:
+    """How messages call a row; in a folder by its file, and its row there.
+
+    >>> row_name(25, {"a.parquet": 0, "b.parquet": 20})
+    'b.parquet, row 5'
+    """
+    for file, begin in reversed([*begins.items()]):
+        if row > begin:
+            return f"{file}, row {row - begin}"
+    return f"row {row}"
 
 
 def file_name(file: str, part: str | None = None) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_files
 from loopcal.files.new_readings import read_new_readings
-from loopcal.files.project_data import load_dataset
+from loopcal.files.parquet_stream import load_sample
 from loopcal.files.python_function import load_function
 from loopcal.files.result_folder import read_result_folder
 from loopcal.files.table_writer import check_ending, table_bytes
@@ -36,10 +36,11 @@ class Checked:
 def run_check(project: str | Path, *, function: str | None = None) -> Checked:
     """What a project's readings can determine; nothing is fitted and nothing written.
 
+    Of a stream some are looked at, as a warning says.
     Raises InputError for what cannot be used.
     """
     read = named_project(project, function)
-    loaded = load_dataset(read)
+    loaded = load_sample(read)
     noise: Noise | None = loaded.noise
     if read.fit.method == "least-squares" and not loaded.noise.entries:
         noise = None

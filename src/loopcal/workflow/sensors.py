@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError
-from loopcal.files.project_data import load_dataset
+from loopcal.files.parquet_stream import load_sample
 from loopcal.files.project_file import Project
 from loopcal.measurements.dataset import Dataset
 
@@ -51,7 +51,7 @@ def sensor_noise(
     found = repeated_readings(series)
     if read is not None and _all_read(read, series):
         try:
-            elsewhere = load_dataset(read).dataset if read.fit.start != "nominal" else None
+            elsewhere = load_sample(read).dataset if read.fit.start != "nominal" else None
         except InputError:
             elsewhere = None  # its readings are not here; the series may place the machine
         raw = {sensor.name: sensor.about_mean.sd for sensor in found.sensors}
