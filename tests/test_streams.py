@@ -98,6 +98,7 @@ def test_a_calibration_from_a_stream_is_that_from_memory(folder: Path) -> None:
         sd = whole.result.sd[name]
         assert sd is not None
         assert streamed.result.value[name] == pytest.approx(value, abs=1e-7 * sd)
+    assert streamed.written.files == (*whole.written.files, "residuals/")
     document = streamed.written.document
     assert document["data"]["used"] == 248
     assert document["data"]["poses"] == 500
@@ -123,11 +124,15 @@ def test_an_interrupted_calibration_goes_on_and_leaves_nothing_half_done(folder:
     reached = json.loads((result / "unfinished.json").read_text())["parameters"]
     assert reached["l2"] == pytest.approx(0.803, abs=1e-3)
     seen: list[float] = []
+    told: list[str] = []
     done = run_calibration(
-        folder / "project.toml", progress=lambda i, merit, decrement: seen.append(merit)
+        folder / "project.toml",
+        progress=lambda i, merit, decrement: seen.append(merit),
+        notice=told.append,
     )
+    assert told == [f"{result / 'unfinished.json'}: goes on from the parameters in it"]
     assert seen[0] < 1000.0  # it began near the end, not at the nominal machine
-    assert any("interrupted" in warning for warning in done.result.warnings)
+    assert any("earlier run" in warning for warning in done.result.warnings)
     assert not (result / "unfinished.json").exists()
 
 
@@ -140,6 +145,16 @@ def test_what_a_killed_run_left_goes_with_the_next(folder: Path) -> None:
     run_calibration(folder / "project.toml")
     assert (result / "residuals" / "part-00001.parquet").exists()
     assert not list(result.glob(".*"))
+
+
+def test_a_file_in_place_of_the_residuals_stays(folder: Path) -> None:
+    result = folder / "project-result"
+    result.mkdir()
+    (result / "residuals").write_text("mine")
+    with pytest.raises(InputError, match="a file of this name"):
+        run_calibration(folder / "project.toml")
+    assert [path.name for path in result.iterdir()] == ["residuals"]
+    assert (result / "residuals").read_text() == "mine"
 
 
 @pytest.mark.parametrize("ending", [False, True])
@@ -193,7 +208,7 @@ def test_interrupted_with_workers_it_ends_and_goes_on(folder: Path, executor: Ex
     shutil.copytree(result, folder / "alone")
     alone = run_calibration(project, out=folder / "alone")
     shared = run_calibration(project, executor=executor)
-    assert any("interrupted" in warning for warning in shared.result.warnings)
+    assert any("earlier run" in warning for warning in shared.result.warnings)
     assert shared.written.document == alone.written.document
     assert residuals(result) == residuals(folder / "alone")
 
@@ -249,8 +264,12 @@ def test_what_was_reached_with_other_readings_is_not_gone_on_from(folder: Path) 
     (folder / "project-result").mkdir()
     stale = {"task": "another", "parameters": {"l2": 7.0}}
     (folder / "project-result" / "unfinished.json").write_text(json.dumps(stale))
-    done = run_calibration(folder / "project.toml")
-    assert not any("interrupted" in warning for warning in done.result.warnings)
+    told: list[str] = []
+    done = run_calibration(folder / "project.toml", notice=told.append)
+    assert not any("earlier run" in warning for warning in done.result.warnings)
+    assert [line.endswith("begins anew") for line in told] == [True]
+    run_calibration(folder / "project.toml", notice=told.append)
+    assert len(told) == 1  # nothing was left
 
 
 def test_a_large_file_is_read_in_chunks_by_itself_or_when_asked(

@@ -161,6 +161,7 @@ def calibrate(
             executor=executor,
             progress=progress,
             pieces=progress.pieces,
+            notice=log,
         )
     for warning in done.warnings:
         log(f"warning: {warning}")
@@ -385,9 +386,8 @@ def new(
     from loopcal.workflow.projects import new_project
 
     made = new_project(name, mechanism)
-    lines = [f"written: {', '.join(map(str, made.files))}", ""]
-    lines += ["To simulate readings and calibrate:", *(f"  {line}" for line in made.commands)]
-    print_out("\n".join(lines))
+    lines = ["", "To simulate readings and calibrate:", *(f"  {line}" for line in made.commands)]
+    print_out("\n".join([f"written: {', '.join(map(str, made.files))}", *lines]))
 
 
 @app.command()

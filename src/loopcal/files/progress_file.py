@@ -34,6 +34,10 @@ class ProgressFile:
         usable = found.get("task") == self.key and all(map(math.isfinite, values.values()))
         return values if usable else None
 
+    def there(self) -> bool:
+        """Whether there is such a file, of whatever calibration."""
+        return self.path.is_file()
+
     def write(self, parameters: Mapping[str, float]) -> None:
         """Keep these values. Raises InputError where they cannot be written."""
         document = {"task": self.key, "parameters": dict(parameters)}

@@ -38,7 +38,16 @@ class ResidualParts:
         self._count = 0
 
     def begin(self) -> None:
-        """Remove what killed runs have left here."""
+        """Remove what killed runs have left here.
+
+        Raises InputError where a file stands in the way of the residuals.
+        """
+        if (self.folder / NAME).is_file():
+            raise InputError(
+                "a file of this name is where the folder of the residuals belongs",
+                place=str(self.folder / NAME),
+                remedy="move it, or choose another folder for the result",
+            )
         for end in ("part", "old"):
             for left in self.folder.glob(f".{NAME}.*.{end}"):
                 if left.is_dir():

@@ -18,6 +18,7 @@ from loopcal.files import result_file
 from loopcal.files.parquet_stream import project_stream
 from loopcal.files.project_data import LoadedData, load_dataset
 from loopcal.files.project_file import Project
+from loopcal.files.residual_parts import NAME as RESIDUALS
 from loopcal.files.result_file import WrittenResult
 from loopcal.files.truth_file import read_truth
 from loopcal.files.validation_entries import ValidationSpec, validation_arguments
@@ -60,6 +61,7 @@ def run_calibration(
     executor: Executor | None = None,
     progress: Progress | None = None,
     pieces: Pieces | None = None,
+    notice: Callable[[str], None] | None = None,
 ) -> Calibration:
     """Calibrate as a project file says, and write result.json, residuals.csv, mechanism.toml.
 
@@ -72,7 +74,8 @@ def run_calibration(
     and the result is that of the one recommended; report: whether report.html is written as well;
     executor: who does the fits of the folds and the profiles, or the chunks of a stream, by default
     this process; progress:
-    called at every iteration, pieces: when a fold or a profile is done.
+    called at every iteration, pieces: when a fold or a profile is done, notice: with what an
+    earlier run has left to go on from.
 
     The files are written, all or none, also where the fit did not converge: `objection` tells.
     Raises InputError for what cannot be used and UsageError for a method that is none, or for an
@@ -102,6 +105,7 @@ def run_calibration(
             },
             executor=executor,
             progress=progress,
+            notice=notice,
         )
         try:
             done = _written(
@@ -111,7 +115,8 @@ def run_calibration(
         except BaseException:
             run.undo()
             raise
-        return done
+        files = (*done.written.files, f"{RESIDUALS}/")
+        return replace(done, written=replace(done.written, files=files))
     if executor and not (patterns or compare or (asked_for and asked_for.folds)):
         raise UsageError(
             "one fit of poses in memory is not shared out, and nothing else is asked for",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,8 @@ from loopcal.files.progress_file import ProgressFile
 from loopcal.files.project_file import Project
 from loopcal.files.residual_parts import ResidualParts, residual_part
 from loopcal.files.versions import versions
+
+DROPPED = "left by a run with another project, readings, method or version; begins anew"
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,14 +49,16 @@ def run_stream(
     asked: Mapping[str, Any],
     executor: Executor | None,
     progress: Progress | None,
+    notice: Callable[[str], None] | None,
 ) -> StreamedRun:
     """Calibrate from readings that come in chunks.
 
     folder: of the result; asked: what else the user asked for, by the words for it; executor: who
-    reads the chunks and does their part of the work, whereas files are written here alone. The
-    parameters of every iteration are kept there in unfinished.json, and a run that finds those
-    of the same project, readings and method goes on from them. The residuals of all poses are
-    written as they come. Raises InputError for what needs all poses in memory.
+    reads the chunks and does their part of the work, whereas files are written here alone; notice:
+    told where the run begins. The parameters of every iteration are kept there in unfinished.json,
+    and a run that finds those of the same project, readings and method goes on from them. The
+    residuals of all poses are written as they come. Raises InputError for what needs all poses in
+    memory.
     """
     for words, wanted in {**asked, f"the loss {project.fit.loss!r}": _robust(project)}.items():
         if wanted:
@@ -71,6 +75,8 @@ def run_stream(
     }
     kept = ProgressFile(folder, task)
     begin = kept.read()
+    if notice and kept.there():
+        notice(f"{kept.path}: {DROPPED if begin is None else 'goes on from the parameters in it'}")
     parts = ResidualParts(folder)
     parts.begin()
     try:
@@ -91,7 +97,7 @@ def run_stream(
         parts.undo()
         raise
     if begin is not None:
-        told = "Begun from where an interrupted run of the same calibration had come."
+        told = "Begun from the parameters that an earlier run of the same calibration had reached."
         result = replace(result, warnings=(*result.warnings, told))
     return StreamedRun(result, parts, kept, begin is not None)
 
