@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from loopcal.errors import InputError
-from loopcal.estimation.alignment import align, can_be_placed
+from loopcal.estimation.alignment import align, align_most, can_be_placed
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.measurements.dataset import Dataset
@@ -50,6 +50,21 @@ def test_so_it_is_in_the_plane(angle: float, shift: Any) -> None:
     found = align(POINTS[:2], rotation @ POINTS[:2] + shift[:2, None])
     assert found.rotation == pytest.approx(rotation, abs=1e-13)
     assert found.shift == pytest.approx(shift[:2], abs=1e-13)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e3, 1e9, 1e200])
+def test_gross_errors_do_not_place_the_instrument(size: float) -> None:
+    rotation = Rotation.from_euler("xyz", [0.4, -1.0, 2.0]).as_matrix()
+    targets = rotation @ POINTS + 1.0
+    targets[1, 3] += size
+    found = align_most(POINTS, targets)
+    assert found.rotation == pytest.approx(rotation, abs=1e-12)
+    assert found.shift == pytest.approx(np.ones(3), abs=1e-12)
+
+
+def test_scatter_as_of_noise_counts_in_full() -> None:
+    targets = POINTS + 0.01 * np.random.default_rng(2).normal(size=POINTS.shape)
+    assert align_most(POINTS, targets).rms == align(POINTS, targets).rms
 
 
 def test_points_not_measured_do_not_count() -> None:

@@ -20,6 +20,7 @@ from loopcal.mechanisms.motoman import motoman_ma1400
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
+from loopcal.statistics.outliers import find_outliers
 from tests.execution.pieces import Backwards
 
 
@@ -130,6 +131,71 @@ def test_a_chunk_may_hold_no_pose_to_be_shown(monkeypatch: pytest.MonkeyPatch) -
     found = calibrate_stream(arm, Pieces(data, noise, 51))
     alike(found, calibrate(arm, data, noise=noise))
     assert found.dataset.poses == data.poses[::50]
+
+
+def with_y(data: Dataset, pose: str, y: float) -> Dataset:
+    """The data with another y in one pose."""
+    return data.with_readings({"y": np.where(np.array(data.poses) == pose, y, data["y"])})
+
+
+def test_a_pose_that_fits_badly_is_shown_and_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 900 poses 90 are shown, and one that none of them tells of."""
+    monkeypatch.setattr("loopcal.estimation.streamed.SHOWN", 90)
+    arm, data = arm_and_data()
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    good = calibrate_stream(arm, Pieces(data, noise))
+    assert len(good.dataset) <= 91
+    assert find_outliers(good).found == ()
+    wrong = with_y(data, "424", float(data["y"][423]) + 5e-4)
+    found = calibrate_stream(arm, Pieces(wrong, noise))
+    assert "424" in found.dataset.poses
+    assert list(map(int, found.dataset.poses)) == sorted(map(int, found.dataset.poses))
+    outliers = find_outliers(found)
+    assert (outliers.found[0].pose, outliers.found[0].quantity) == ("424", "y")
+    assert outliers.tested == 900
+    whole = find_outliers(calibrate(arm, wrong, noise=noise))
+    assert [outlier.pose for outlier in whole.found] == ["424"]
+
+
+def test_those_shown_besides_say_nothing_of_all_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("loopcal.estimation.streamed.SHOWN", 90)
+    arm, data = arm_and_data()
+    wrong = with_y(data, "424", float(data["y"][423]) + 0.1)
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    found = calibrate_stream(arm, Pieces(wrong, noise))
+    assert "424" in found.dataset.poses
+    words = " ".join(found.warnings)
+    assert "cannot be right" in words
+    assert "would explain it" not in words
+    assert "more that fit badly" in words
+
+
+@pytest.mark.parametrize("size", [1e3, 1e9])
+def test_a_point_out_of_reach_is_refused_wherever_it_is_read(size: float) -> None:
+    """As a stand-in for what is missing would be: a fit would be about this pose alone."""
+    arm, data = arm_and_data()
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    wrong = with_y(data, "424", size)
+    with pytest.raises(InputError, match="pose '424'") as of_stream:
+        calibrate_stream(arm, Pieces(wrong, noise))
+    with pytest.raises(InputError, match="pose '424'") as of_memory:
+        calibrate(arm, wrong, noise=noise)
+    assert "x, y, z" in str(of_stream.value)
+    assert "data.exclude" in str(of_memory.value)
+
+
+def test_poses_that_cannot_be_closed_are_named() -> None:
+    """Far off, but not out of all reach: by its id, not by where it is in a chunk."""
+    arm, data = arm_and_data()
+    ids = tuple(f"p{pose}" for pose in data.poses)
+    data = Dataset(data.readings, data.units, ids, data.sds, data.source)
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    wrong = with_y(data, "p424", 30.0)
+    found = calibrate_stream(arm, Pieces(wrong, noise), max_iterations=20)
+    assert found.status.reason == "cannot_close"
+    assert "p424" in found.status.message
 
 
 @pytest.mark.parametrize("method", ["implicit-loop", "least-squares"])

@@ -17,6 +17,8 @@ from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 Array = NDArray[np.float64]
 ASIDE = 10.0
 """Where a station that reads angles is thought to stand until it is placed [m]."""
+_GROSS, _ROUNDS = 10.0, 10
+"""Points so many times as far off as the middle one say nothing of where an instrument stands."""
 
 
 @dataclass(frozen=True)
@@ -34,28 +36,56 @@ def align(points: Array, targets: Array) -> RigidMotion:
     Least squares by singular values; columns with NaN are left out. Source: Kabsch (1976),
     Umeyama (1991). Raises InputError if fewer than d points are left, or they coincide.
     """
-    good = np.isfinite(points).all(axis=0) & np.isfinite(targets).all(axis=0)
-    P, T = points[:, good], targets[:, good]
+    P, T = _known(points, targets)
     d = len(points)
     if P.shape[1] < d:
         raise InputError(
             f"{P.shape[1]} measured points are too few to place the instrument",
             remedy=f"measure at least {d} points, or start from the nominal placement",
         )
-    centre_p, centre_t = P.mean(axis=1), T.mean(axis=1)
-    U, s, Vt = np.linalg.svd((T - centre_t[:, None]) @ (P - centre_p[:, None]).T)
+    R, shift, s = _nearest(P, T)
     if s[d - 2] <= 1e-9 * max(float(s[0]), 1e-300):
         raise InputError(
             "the measured points lie on a line or coincide, so they do not show how the "
             "instrument stands",
             remedy="measure poses that spread in space, or start from the nominal placement",
         )
-    signs = np.ones(d)
-    signs[-1] = np.sign(np.linalg.det(U @ Vt))  # a rotation, not a reflection
-    R = (U * signs) @ Vt
-    shift = centre_t - R @ centre_p
     left = R @ P + shift[:, None] - T
     return RigidMotion(R, shift, float(np.sqrt(np.square(left).sum(axis=0).mean())))
+
+
+def align_most(points: Array, targets: Array) -> RigidMotion:
+    """`align` without gross errors: points that are then far off beside the middle one.
+
+    They are found by repetition, as one of them may turn and shift all others.
+    """
+    P, T = _known(points, targets)
+    for _ in range(_ROUNDS):
+        if P.shape[1] < len(points):
+            break
+        R, shift, _ = _nearest(P, T)
+        off = np.abs(R @ P + shift[:, None] - T).max(axis=0)
+        good = off <= _GROSS * np.median(off)
+        if good.all():
+            break
+        P, T = P[:, good], T[:, good]
+    return align(P, T)
+
+
+def _known(points: Array, targets: Array) -> tuple[Array, Array]:
+    """Both without the columns in which a number is missing."""
+    good = np.isfinite(points).all(axis=0) & np.isfinite(targets).all(axis=0)
+    return points[:, good], targets[:, good]
+
+
+def _nearest(P: Array, T: Array) -> tuple[Array, Array, Array]:
+    """Rotation and shift that bring P nearest to T, and the singular values that tell of it."""
+    centre_p, centre_t = P.mean(axis=1), T.mean(axis=1)
+    U, s, Vt = np.linalg.svd((T - centre_t[:, None]) @ (P - centre_p[:, None]).T)
+    signs = np.ones(len(P))
+    signs[-1] = np.sign(np.linalg.det(U @ Vt))  # a rotation, not a reflection
+    R = (U * signs) @ Vt
+    return R, centre_t - R @ centre_p, s
 
 
 def can_be_placed(mechanism: Mechanism) -> bool:
@@ -78,8 +108,8 @@ def begins_aligned(mechanism: Mechanism, start: str) -> bool:
 def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
     """The nominal machine moved to where each instrument that reads points sees it.
 
-    The motion is that of the last of them. Raises InputError if the mechanism cannot say how its
-    parameters change with its placement.
+    Gross errors take no part. The motion is that of the last of them. Raises InputError if the
+    mechanism cannot say how its parameters change with its placement.
     """
     mechanism = problem.mechanism
     stations = _stations(mechanism)
@@ -93,22 +123,17 @@ def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
         if family.form in POLAR:  # angles to a machine that stands over its station are none
             aside = np.full(len(family.readings), ASIDE)
             values = placement.moved(values, np.eye(len(aside)), aside)
-    start = np.array(list(values.values()))
-    differences = output_differences(problem, start)
     alike: dict[tuple[str, ...], list[tuple[Array, Array, Placement]]] = {}
-    for family, placement in stations:
-        outputs = point_outputs(mechanism, family)
-        rows = [mechanism.tape.quantities.index(q) for q in outputs]
-        measured = problem.readings[rows]
-        computed = measured + differences[[mechanism.outputs.index(q) for q in outputs]]
-        both = points(family, computed), points(family, measured)
-        alike.setdefault(placement.parameters, []).append((*both, placement))
+    for family, computed, measured in seen_points(problem, np.array(list(values.values()))):
+        stands = _placement(mechanism, family)
+        assert stands is not None
+        alike.setdefault(stands.parameters, []).append((computed, measured, stands))
     if all(_lost(computed, measured) for s in alike.values() for computed, measured, _ in s):
         reason = open_loops(problem)
         if reason is not None:
             raise reason
     for seen in alike.values():
-        motion = align(np.hstack([s[0] for s in seen]), np.hstack([s[1] for s in seen]))
+        motion = align_most(np.hstack([s[0] for s in seen]), np.hstack([s[1] for s in seen]))
         values = seen[0][2].moved(values, motion.rotation, motion.shift)
     return mechanism.with_nominal(values), motion
 
@@ -119,12 +144,33 @@ def _lost(computed: Array, measured: Array) -> bool:
     return bool(found < len(computed) <= there)
 
 
+def seen_points(problem: Problem, parameters: Array) -> list[tuple[Family, Array, Array]]:
+    """Points (d, N) [m] computed at parameters (n_all,) and measured, by instrument that can be
+    placed; NaN where one of them is not known."""
+    mechanism = problem.mechanism
+    stations = _stations(mechanism)
+    if not stations:
+        return []
+    differences = output_differences(problem, parameters)
+    found = []
+    for family, _ in stations:
+        outputs = point_outputs(mechanism, family)
+        measured = problem.readings[[mechanism.tape.quantities.index(q) for q in outputs]]
+        computed = measured + differences[[mechanism.outputs.index(q) for q in outputs]]
+        found.append((family, points(family, computed), points(family, measured)))
+    return found
+
+
 def _stations(mechanism: Mechanism) -> list[tuple[Family, Placement]]:
     """The instruments that read points, with what tells where they stand."""
     if not mechanism.families:
         if mechanism.placement is None or len(mechanism.outputs) not in (2, 3):
             return []
         return [(Family("", mechanism.tape.loops, mechanism.outputs), mechanism.placement)]
-    alone = mechanism.placement if len(mechanism.families) == 1 else None
-    found = [(family, alone or family.placement) for family in mechanism.families]
+    found = [(family, _placement(mechanism, family)) for family in mechanism.families]
     return [(f, p) for f, p in found if p is not None and point_outputs(mechanism, f)]
+
+
+def _placement(mechanism: Mechanism, family: Family) -> Placement | None:
+    """What tells where an instrument stands: the machine's own, where there is no other."""
+    return (mechanism.placement if len(mechanism.families) <= 1 else None) or family.placement

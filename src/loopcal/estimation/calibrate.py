@@ -35,6 +35,7 @@ from loopcal.estimation.scratch import one_blas_thread
 from loopcal.estimation.seed_iteration import iterate_undamped
 from loopcal.estimation.solver import Progress, Solution, solve
 from loopcal.estimation.sweep import Sweeper
+from loopcal.estimation.unreachable import refuse_unreachable
 from loopcal.expressions.engine import Stage
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
@@ -158,7 +159,8 @@ def _started(
     problem = build_problem(mechanism, data, noise)
     if begins_aligned(mechanism, start):
         moved, _ = placed(problem)
-        return build_problem(moved, data, noise)
+        problem = build_problem(moved, data, noise)
+    refuse_unreachable(problem, problem.start)
     return problem
 
 
@@ -170,7 +172,10 @@ def result_of(
     stated: Problem | None = None,
     estimate: NoiseEstimate | None = None,
     loss: str = "gaussian",
+    alike: bool = True,
 ) -> Result:
+    """The result of a fit; alike: whether its poses misfit as all do, so that one error of the
+    model may explain it."""
     mechanism, exact = problem.mechanism, method == "least-squares"
     robust = loss_named(loss)
     names = mechanism.parameters.names
@@ -189,7 +194,7 @@ def result_of(
     for i, name in enumerate(problem.names):
         sd[name] = math.inf if name in loose else math.sqrt(max(float(covariance[i, i]), 0.0))
     chi = None
-    if not exact and robust is None:
+    if not exact and robust is None and math.isfinite(merit):
         chi = ChiSquared(merit, freedom, _p_value(merit, freedom), _ratio(merit, freedom))
     quantities = mechanism.tape.quantities
     corrections = solution.corrections
@@ -223,7 +228,7 @@ def result_of(
         information=solution.sweep.data,
         loss=loss,
     )
-    if result.status.converged and _too_small_sds(result):
+    if result.status.converged and alike and _too_small_sds(result):
         result = replace(result, model_discrepancy=model_discrepancy(problem, solution))
     learnt = () if estimate is None else words(estimate, result.noise, result.chi_squared_shares)
     return replace(
@@ -341,7 +346,7 @@ def _too_large(chi: ChiSquared, discrepancy: float | None, result: Result) -> st
     text = f"{factor:.0f}" if factor >= 10 else f"{factor:.2g}"
     times = math.sqrt(factor)
     explained = ""
-    if discrepancy is not None:
+    if discrepancy:
         unit = result.mechanism.quantities[result.mechanism.outputs[0]]
         explained = (
             f" Besides the sensors as stated, an error of about {discrepancy:.2g} {unit} in each "

@@ -12,7 +12,7 @@ that estimate speaks against the step. The end point is always evaluated with cl
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -316,33 +316,39 @@ class _Solver:
 
     def _give_up(self, first: _Start, current: _Point, reason: str) -> Solution:
         end = self._evaluate(current.parameters, current.sweep.proposal, _CLOSED)
-        if end.sweep.open_poses.size or end.spectrum is None:
+        open_poses = end.sweep.open_poses
+        if open_poses.size or end.spectrum is None:
             end = replace(current, closed=None)
             reason = "cannot_close"
         if not end.merit <= first.merit:
             start = self._evaluate(first.parameters, first.corrections, _CLOSED)
             end = start if start.merit <= end.merit else end
-        return self._solution(end, reason)
+        return self._solution(end, reason, open_poses=open_poses)
 
-    def _solution(self, end: _Point, reason: str, corrections: Array | None = None) -> Solution:
+    def _solution(
+        self,
+        end: _Point,
+        reason: str,
+        corrections: Array | None = None,
+        open_poses: Sequence[int] | NDArray[np.intp] = (),
+    ) -> Solution:
         detail = ""
-        if reason == "cannot_close" and end.sweep.open_poses.size:
-            some = [self.problem.pose(int(i)) for i in end.sweep.open_poses[:5]]
+        if reason == "cannot_close" and len(open_poses):
+            some = [self.problem.pose(int(i)) for i in open_poses[:5]]
             detail = f"Poses: {', '.join(some)}."
         assert end.spectrum is not None
         if reason in ("max_iterations", "stalled"):
             detail = _weakness(hardly_determined(end.spectrum, self.problem.names))
-        prior = end.merit - end.sweep.cost
+        off = (self.problem.nominal - end.parameters[self.problem.free]) / self.prior_sd
         status = Status.of(
             reason, self.iterations, self.sweeper.evaluations / self.problem.count, detail
         )
         if corrections is None:
             near = end.sweep.step <= 1.0  # a longer step may lead anywhere
             corrections = end.sweep.proposal if near else end.sweep.corrections
-        prior = max(prior, 0.0)
         # arrays by pose are large: of those on the way nothing is kept
         sweep = replace(end.sweep, corrections=corrections, proposal=corrections)
-        return Solution(end.parameters, corrections, sweep, end.spectrum, prior, status)
+        return Solution(end.parameters, corrections, sweep, end.spectrum, float(off @ off), status)
 
 
 def _weakness(names: tuple[str, ...]) -> str:

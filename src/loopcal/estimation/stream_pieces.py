@@ -18,12 +18,15 @@ from loopcal.estimation.reduction import Accumulator
 from loopcal.estimation.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.starting import start_corrections
 from loopcal.estimation.sweep import NEAR, Sweeper
+from loopcal.estimation.unreachable import refuse_unreachable
 from loopcal.expressions.domain import explain_domain
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 
 Array = NDArray[np.float64]
+NAMED = 5
+"""Of the poses whose loops cannot close, so many are named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +108,7 @@ def do(task: Task, piece: StreamPiece) -> Any:
 class Swept:
     """What a sweep found in one chunk, as in `Sweep`; positions count from its first pose.
 
-    poses, equations, evaluations: how many.
+    named: ids of the first of these poses; poses, equations, evaluations: how many.
     """
 
     data: Accumulator
@@ -113,6 +116,7 @@ class Swept:
     contraction: float
     singular: NDArray[np.intp]
     open_poses: NDArray[np.intp]
+    named: Mapping[int, str]
     poses: int
     equations: int
     evaluations: int
@@ -120,7 +124,7 @@ class Swept:
 
 @dataclass(frozen=True, eq=False)
 class SweepPiece:
-    """One sweep over the chunk of a number; first: of all, where loops may have no value."""
+    """One sweep over the chunk of a number; first: of all, where readings are looked at."""
 
     number: int
     parameters: Array
@@ -129,8 +133,14 @@ class SweepPiece:
     first: bool
 
     def done(self, task: Task) -> Swept:
-        """The chunk's sums. Raises DomainError where the first sweep meets no number."""
+        """The chunk's sums.
+
+        Raises InputError where the first sweep meets what the machine cannot have read, or, as
+        DomainError, no number.
+        """
         problem = task.problem(task.stream.chunk(self.number))
+        if self.first:
+            refuse_unreachable(problem, problem.start)
         sweeper = task.sweeper(problem)
         start = start_corrections(sweeper, self.parameters)
         wanted = NEAR if self.closing is None and start.any() else self.closing
@@ -144,12 +154,14 @@ class SweepPiece:
                 problem.poses,
                 problem.mechanism.remedies,
             )
+        bad = np.concatenate([found.singular[:NAMED], found.open_poses[:NAMED]])
         return Swept(
             found.data,
             found.step,
             found.contraction,
             found.singular,
             found.open_poses,
+            {int(i): problem.pose(int(i)) for i in bad},
             len(problem.poses),
             problem.equations,
             sweeper.evaluations,

@@ -37,8 +37,9 @@ from loopcal.mechanisms.prior import Prior
 Array = NDArray[np.float64]
 Part = TypeVar("Part")
 METHODS = ("implicit-loop", "least-squares")
-SHOWN = 10_000
-"""About so many poses are kept for figures and tests."""
+SHOWN, WORST = 10_000, 100
+"""About so many poses are kept for figures and tests, and at most so many that fit badly."""
+_ALIKE = 0.5
 
 
 def calibrate_stream(
@@ -167,11 +168,12 @@ class _Ending:
         stride = max(1, poses // SHOWN)
         begins = [0, *np.cumsum(sweeper.sizes).tolist()]
         pieces = [
-            _EndPiece(number, begins[number], stride, self.solution, self.method, part_of)
+            _EndPiece(number, begins[number], poses, stride, self.solution, self.method, part_of)
             for number in range(self.task.stream.count)
         ]
         accuracies = _Distances(), _Distances()
-        kept: list[Chunk] = []
+        kept: list[_Shown] = []
+        worst: _Shown | None = None
         with closing(crew(pieces)) as outcomes:
             for ended in in_order(outcomes):
                 assert isinstance(ended, _Ended)
@@ -179,52 +181,114 @@ class _Ending:
                     into.add_other(of_chunk)
                 if ended.kept:
                     kept.append(ended.kept)
+                if ended.worst:
+                    worst = _joined([worst, ended.worst] if worst else [ended.worst]).worst()
                 if part_done:
                     part_done(ended.part)
-        sample = _together(kept)
-        problem = self.task.problem(sample)
-        own = {name: getattr(problem, name) for name in problem.__dataclass_fields__}
-        whole = StreamedProblem(**own, counted=sweeper.problem.equations, total=poses)
-        found = _closed(self.task, self.method, self.solution, whole, sample.data)
-        told = (
-            f"Calibrated from a stream of {poses} poses; figures, tests of outliers "
-            f"and residuals.csv show {len(sample.data)} of them.",
-        )
+        sample, equations = _joined(kept), sweeper.problem.equations
+        # else a few poses make chi-squared what it is
+        alike = bool(sample.square.mean() > _ALIKE * self.solution.sweep.cost / poses)
+        found = self._shown(sample, equations, poses, alike)
+        words = "figures and residuals.csv show"
+        told = f"Calibrated from a stream of {poses} poses; {words} {len(found.dataset)} of them"
+        if worst:
+            everything = self._shown(_joined([sample, worst]).in_order(), equations, poses, alike)
+            # those that fit badly say nothing of all the others
+            found = replace(
+                everything, model_discrepancy=found.model_discrepancy, warnings=found.warnings
+            )
+            told += f", and {len(worst.number)} more that fit badly"
         before, after = (distance.accuracy() for distance in accuracies)
         return replace(
             found,
             accuracy_before=before,
             accuracy_after=after,
-            warnings=(*found.warnings, *(told if stride > 1 else ())),
+            warnings=(*found.warnings, *([f"{told}."] if stride > 1 else ())),
         )
 
+    def _shown(self, shown: _Shown, equations: int, poses: int, alike: bool) -> Result:
+        """The result with the arrays of some poses; alike: whether they misfit as all do."""
+        problem = self.task.problem(shown.chunk)
+        own = {name: getattr(problem, name) for name in problem.__dataclass_fields__}
+        whole = StreamedProblem(**own, counted=equations, total=poses)
+        return _closed(self.task, self.method, self.solution, whole, shown.chunk.data, alike)
 
-def _closed(task: Task, method: str, solution: Solution, problem: Problem, data: Dataset) -> Result:
+
+def _closed(
+    task: Task,
+    method: str,
+    solution: Solution,
+    problem: Problem,
+    data: Dataset,
+    alike: bool = False,
+) -> Result:
     """The arrays of some poses, at the parameters of all."""
     sweeper = task.sweeper(problem)
     begun = start_corrections(sweeper, solution.parameters)
     corrections = sweeper.close(solution.parameters, begun, NEGLIGIBLE, 1.0).corrections
-    return result_of(method, problem, replace(solution, corrections=corrections), data)
+    found = replace(solution, corrections=corrections)
+    return result_of(method, problem, found, data, alike=alike)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """Poses to be shown.
+
+    number: in the stream; square: the weighted square of their corrections; misfit: how badly
+    they fit (see `_misfits`).
+    """
+
+    number: NDArray[np.intp]
+    square: Array
+    misfit: Array
+    chunk: Chunk
+
+    def at(self, index: NDArray[np.intp]) -> _Shown:
+        """Some of them, in this order."""
+        chunk = Chunk(self.chunk.data.take(index), _some(self.chunk.noise, index))
+        return _Shown(self.number[index], self.square[index], self.misfit[index], chunk)
+
+    def in_order(self) -> _Shown:
+        """In the order of the stream."""
+        return self.at(np.argsort(self.number, kind="stable"))
+
+    def worst(self) -> _Shown:
+        """At most WORST of them."""
+        return self.at(np.argsort(-self.misfit, kind="stable")[:WORST])
+
+
+def _joined(parts: list[_Shown]) -> _Shown:
+    return _Shown(
+        np.concatenate([part.number for part in parts]),
+        np.concatenate([part.square for part in parts]),
+        np.concatenate([part.misfit for part in parts]),
+        _together([part.chunk for part in parts]),
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class _Ended:
     """What the last pass found in one chunk: its part, its poses to be shown, its distances.
 
-    kept: None where none of its poses is to be shown.
+    kept, worst: None where none of its poses is to be shown, or fits badly.
     """
 
     part: Any
-    kept: Chunk | None
+    kept: _Shown | None
+    worst: _Shown | None
     distances: tuple[_Distances, _Distances]
 
 
 @dataclass(frozen=True, eq=False)
 class _EndPiece:
-    """The last pass over the chunk of a number, which begins at a pose; every stride-th is kept."""
+    """The last pass over the chunk of a number, which begins at a pose; every stride-th is kept.
+
+    poses: of the whole stream.
+    """
 
     number: int
     begin: int
+    poses: int
     stride: int
     solution: Solution
     method: str
@@ -239,10 +303,44 @@ class _EndPiece:
         found = _Distances(), _Distances()
         found[0].add(problem, result.differences_before)
         found[1].add(problem, result.differences_after)
+        corrections = np.array(list(result.corrections.values()))
+        square, misfit = _misfits(task, problem, self.solution.parameters, corrections, self.poses)
         number = np.arange(self.begin, self.begin + len(chunk.data))
-        index = np.flatnonzero(number % self.stride == 0)
-        kept = Chunk(chunk.data.take(index), _some(chunk.noise, index)) if index.size else None
-        return _Ended(self.part_of(result) if self.part_of else None, kept, found)
+        shown = _Shown(number, square, misfit, chunk)
+        every = number % self.stride == 0
+        index, bad = np.flatnonzero(every), np.flatnonzero(~every & (misfit > 1.0))
+        return _Ended(
+            self.part_of(result) if self.part_of else None,
+            shown.at(index) if index.size else None,
+            shown.at(bad).worst() if bad.size else None,
+            found,
+        )
+
+
+def _misfits(
+    task: Task, problem: Problem, parameters: Array, corrections: Array, poses: int
+) -> tuple[Array, Array]:
+    """The weighted squares (N,) of the corrections; and over what one of so many poses exceeds.
+
+    The scale of these is the stated one, or that of the middle pose where it is larger; the
+    method of exact sensors has no other.
+    """
+    from scipy.special import chdtri
+
+    sweeper = task.sweeper(problem)
+    sweeper.at(parameters)
+    count = len(problem.poses)
+    whole, ratio, middle = np.zeros(count), np.zeros(count), np.full(count, np.nan)
+    for pattern, some in problem.blocks():
+        freedom = len(pattern.loops) - len(pattern.unmeasured)
+        if freedom > 0:
+            whole[some] = sweeper.misfit(corrections[:, some], pattern, some)
+            ratio[some] = whole[some] / float(chdtri(freedom, 1.0 / poses))
+            middle[some] = whole[some] / float(chdtri(freedom, 0.5))
+    known = np.isfinite(middle)
+    scale = float(np.median(middle[known])) if known.any() else 0.0
+    scale = scale if task.exact else max(scale, 1.0)
+    return whole, ratio / max(scale, 1e-300)
 
 
 class _Distances:

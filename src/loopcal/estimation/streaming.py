@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +32,12 @@ AT_READINGS, CLOSED = np.zeros((1, 0)), np.zeros((2, 0))
 class StreamedProblem(Problem):
     """A stream as the solver and statistics see it: with some of its poses in memory, or none.
 
-    counted: loop equations of the whole stream; total: its poses.
+    counted: loop equations of the whole stream; total: its poses; named: the ids of some.
     """
 
     counted: int = 0
     total: int = 0
+    named: Mapping[int, str] = field(default_factory=dict)
 
     @property
     def equations(self) -> int:
@@ -49,8 +50,8 @@ class StreamedProblem(Problem):
         return self.total
 
     def pose(self, number: int) -> str:
-        """The number of a pose, from 1."""
-        return str(number + 1)
+        """The id of a pose, where it is known, else its number from 1."""
+        return self.named.get(number, str(number + 1))
 
 
 class StreamSweeper(Sweeper):
@@ -92,6 +93,7 @@ class StreamSweeper(Sweeper):
         ]
         steps, ratios, begin, equations = [0.0], [0.0], 0, 0
         sizes: list[int] = []
+        named: dict[int, str] = {}
         singular: list[NDArray[np.intp]] = []
         late: list[NDArray[np.intp]] = []
         with contextlib.closing(self.crew(parts)) as outcomes:
@@ -102,12 +104,16 @@ class StreamSweeper(Sweeper):
                 ratios.append(part.contraction)
                 singular.append(part.singular + begin)
                 late.append(part.open_poses + begin)
+                named |= {number + begin: pose for number, pose in part.named.items()}
                 sizes.append(part.poses)
                 begin += part.poses
                 equations += part.equations
                 self.evaluations += part.evaluations
         if not self.sizes:
             self._count(sizes, equations)
+        if named:
+            assert isinstance(self.problem, StreamedProblem)
+            self.problem = replace(self.problem, named=named)
         found = Sweep(
             data,
             AT_READINGS if closing is None else CLOSED,

@@ -76,6 +76,14 @@ class Search:
             gone = now
         return fit, self._remarkable(tests), tests
 
+    def tested(self, tests: PoseTests) -> int:
+        """How many poses the tests speak of: of a stream all, for what fits badly is here."""
+        return round(float((tests.freedom > 0).sum()) * self._share)
+
+    @property
+    def _share(self) -> float:
+        return self.problem.count / len(self.problem.poses)
+
     def _too_few(self, gone: NDArray[np.bool_]) -> bool:
         return bool(gone.mean() > 0.5)
 
@@ -83,8 +91,8 @@ class Search:
         from scipy.special import chdtri
 
         w = tests.w[self.readings]
-        poses = 0.5 * self.level / max(int((tests.freedom > 0).sum()), 1)
-        readings = 0.5 * self.level / max(int(np.isfinite(w).sum()), 1)
+        poses = 0.5 * self.level / max(self.tested(tests), 1)
+        readings = 0.5 * self.level / max(float(np.isfinite(w).sum()) * self._share, 1)
         limits = np.where(tests.freedom > 0, chdtri(np.maximum(tests.freedom, 1), poses), np.inf)
         misfit = ~(tests.t <= limits)  # what is no number is one
         wrong = np.square(w) > float(chdtri(1, readings))

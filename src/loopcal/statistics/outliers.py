@@ -180,8 +180,7 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
         fit, gone, tests = search.run()
         found = _named(search, fit, gone, tests)
     root = float(np.sqrt(fit.factor))
-    total = int((tests.freedom > 0).sum())
-    return Outliers(found, level, total, root, fit.factor != 1.0)
+    return Outliers(found, level, search.tested(tests), root, fit.factor != 1.0)
 
 
 def _named(
