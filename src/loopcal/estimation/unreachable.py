@@ -23,9 +23,9 @@ def refuse_unreachable(problem: Problem, parameters: Array) -> None:
     """Raise InputError for points measured where the machine cannot be.
 
     That is 30 times as far from the computed point, in some coordinate, as half of all points are
-    from the instrument's origin. Where this holds of more than a tenth of the poses, it is the machine or a
-    unit that is wrong, which others tell better. parameters: (n_all,) where the machine stands
-    as measured, at least roughly.
+    from the instrument's origin. Where this holds of more than a tenth of the poses, it is the
+    machine or a unit that is wrong, which others tell better. parameters: (n_all,) where the
+    machine stands as measured, at least roughly.
     """
     for family, computed, measured in seen_points(problem, parameters):
         known = np.isfinite(computed).all(axis=0) & np.isfinite(measured).all(axis=0)

@@ -24,6 +24,7 @@ from loopcal.estimation.scratch import one_blas_thread
 from loopcal.estimation.starting import start_corrections
 from loopcal.estimation.summary import SHOWN, columns
 from loopcal.estimation.sweep import NEAR, Sweeper
+from loopcal.estimation.unreachable import refuse_unreachable
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -174,7 +175,8 @@ def check(
 
 def _placed(problem: Problem, data: Dataset, noise: Noise | None, start: str) -> Problem:
     if begins_aligned(problem.mechanism, start):
-        return build_problem(placed(problem)[0], data, noise)
+        problem = build_problem(placed(problem)[0], data, noise)
+    refuse_unreachable(problem, problem.start)
     return problem
 
 
