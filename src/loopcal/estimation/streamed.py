@@ -1,8 +1,8 @@
 """The result of a calibration from a stream: its parameters from all poses, its arrays from some.
 
 Parameters, covariance, chi-squared and accuracy are those of every pose. The arrays of a result,
-one value per pose, are those of poses thinned evenly and of those that fit worst; the arrays of each
-chunk are handed out on the way.
+one value per pose, are those of poses thinned evenly and of those that fit worst; the arrays of
+each chunk are handed out on the way.
 """
 
 from __future__ import annotations
