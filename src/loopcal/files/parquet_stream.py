@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.stream_ending import SHOWN
 from loopcal.estimation.stream_pieces import Chunk
-from loopcal.estimation.streamed import SHOWN
 from loopcal.files.columns import Column, refuse_doubles, specified, wanted
 from loopcal.files.dataset_readers import dataset_of
 from loopcal.files.parquet import (
