@@ -111,13 +111,14 @@ def _refuse(method: str, noise: Noise) -> None:
     if method not in METHODS:
         raise InputError(
             f"the method {method!r} needs all poses in memory, and these come as a stream",
-            remedy=f"use {' or '.join(map(repr, METHODS))}, or thin the poses (data.every) and say stream = false",
+            remedy=f"use {' or '.join(map(repr, METHODS))}, or thin the poses (data.every) and say "
+            "stream = false",
         )
     if noise.estimate and method != "least-squares":
         raise InputError(
             "sds are learnt from poses in memory, and these come as a stream",
-            remedy="learn them from a part of the poses (data.every, stream = false) and state them "
-            "here",
+            remedy="learn them from a part of the poses (data.every, stream = false), and state "
+            "them here",
         )
 
 
