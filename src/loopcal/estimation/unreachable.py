@@ -16,7 +16,7 @@ from loopcal.estimation.problem import Problem
 from loopcal.estimation.rounding import significant
 
 Array = NDArray[np.float64]
-_FAR, _FEW, _NAMED = 30.0, 0.1, 5
+_FAR, _LONG, _FEW, _NAMED = 30.0, 10.0, 0.1, 5
 
 
 def refuse_unreachable(problem: Problem, parameters: Array) -> None:
@@ -27,6 +27,8 @@ def refuse_unreachable(problem: Problem, parameters: Array) -> None:
     machine or a unit that is wrong, which others tell better. parameters: (n_all,) where the
     machine stands as measured, at least roughly.
     """
+    if not _long(problem):
+        return
     for family, computed, measured in seen_points(problem, parameters):
         known = np.isfinite(computed).all(axis=0) & np.isfinite(measured).all(axis=0)
         if not known.any():
@@ -49,3 +51,11 @@ def refuse_unreachable(problem: Problem, parameters: Array) -> None:
             remedy="correct the readings of these poses, leave single ones blank, or leave the "
             "poses out (data.exclude)",
         )
+
+
+def _long(problem: Problem) -> bool:
+    """Whether any length read is so large that points are worth computing to be compared."""
+    units = problem.mechanism.quantities
+    lengths = [i for i, q in enumerate(problem.mechanism.tape.quantities) if units[q] == "m"]
+    longest = np.fmax.reduce(np.abs(problem.readings[lengths]), axis=0, initial=0.0)
+    return bool(longest.max(initial=0.0) > _LONG * np.median(longest))
