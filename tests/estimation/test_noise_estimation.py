@@ -14,8 +14,8 @@ from scipy.special import chdtri
 import loopcal as lc
 from analyses.variance_components import SMALL, SmallNoise
 from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.linear_model import LinearModel, ModelBlock, linear_model
 from loopcal.estimation.linear_model import fit as mixed_fit
-from loopcal.estimation.linear_model import linear_model
 from loopcal.estimation.problem import build_problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.variance_components import estimate_ratios, upper_bound
@@ -51,6 +51,28 @@ def test_the_criterion_s_slope_is_its_score() -> None:
         assert down is not None
         slope = (up.criterion - down.criterion) / 2e-5
         assert slope == pytest.approx(-2 * found.score[j], rel=1e-5, abs=1e-5)
+
+
+def test_parameters_that_are_hardly_told_apart_cost_the_criterion_no_digits() -> None:
+    """J A dp' describes the same poses as J dp: the criterion changes by 2 log |det A| at most."""
+    rng = np.random.default_rng(2)
+    e, J = rng.normal(size=(100, 3)), rng.normal(size=(100, 3, 8))
+    parts = np.array([rng.uniform(1, 2, (100, 1, 1)) * np.diag(d) for d in ([1, 1, 0], [0, 1, 1])])
+    A = np.eye(8)
+    A[0, 1], A[1, 1] = 1.0, 1e-6
+    at = np.array([1.0, 1.0])
+    flat = np.zeros(8)
+    changes = []
+    for ratios in (at, 1.1 * at):
+        found = [
+            mixed_fit(LinearModel((ModelBlock(e, D, np.zeros((100, 3, 3)), parts),), flat, flat), r)
+            for D, r in ((J, ratios), (J @ A, ratios))
+        ]
+        assert found[0] is not None
+        assert found[1] is not None
+        changes.append(found[1].criterion - found[0].criterion)
+    assert changes[0] == pytest.approx(2 * math.log(1e-6), abs=1e-7)
+    assert changes[1] == pytest.approx(changes[0], abs=1e-8)
 
 
 @pytest.mark.parametrize("method", ["implicit-loop", "reweighted"])

@@ -121,7 +121,8 @@ def fit(model: LinearModel, ratios: Array) -> MixedFit | None:
     Thompson 1971); score_j = (r^T P V_j P r - tr P V_j) / 2, information_jk = tr(P V_j P V_k)/2.
     """
     n, count = len(model.precision), model.components
-    H, g, square = np.diag(model.precision), model.precision * model.offset, 0.0
+    prior = np.sqrt(model.precision)
+    R = np.column_stack([np.diag(prior), prior * model.offset])
     log_V, whitened = 0.0, []
     for block in model.blocks:
         V = block.fixed + np.tensordot(ratios, block.parts, axes=1)
@@ -134,16 +135,17 @@ def fit(model: LinearModel, ratios: Array) -> MixedFit | None:
         parts = np.linalg.solve(L, block.parts)  # L^-1 V_j L^-T, from both sides
         parts = np.linalg.solve(L, np.swapaxes(parts, -1, -2))
         whitened.append((rows[:, :, :n], rows[:, :, n], parts))
-        D, E = rows[:, :, :n].reshape(-1, n), rows[:, :, n].reshape(-1)
-        H, g, square = H + D.T @ D, g + D.T @ E, square + float(E @ E)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-    values, vectors = np.linalg.eigh(H * scale * scale[:, None])
-    kept = values > 1e-14 * values[-1]
-    root = scale[:, None] * vectors[:, kept] / np.sqrt(values[kept])  # H^-1 = root root^T
-    dp = root @ (root.T @ g)
-    own = float(model.precision @ np.square(model.offset))
-    log_H = float(np.log(values[kept]).sum() - 2.0 * np.log(scale).sum())
-    criterion = log_V + log_H + square + own - float(g @ dp)
+        R = np.linalg.qr(np.concatenate([R, rows.reshape(-1, n + 1)]), mode="r")
+    # R, not R^T R = H: squaring the condition would leave the criterion some seven digits
+    scale = 1.0 / np.maximum(np.linalg.norm(R[:, :n], axis=0), 1e-150)
+    U, values, Vt = np.linalg.svd(R[:, :n] * scale, full_matrices=False)
+    kept = values > 1e-7 * values[0]
+    root = scale[:, None] * Vt[kept].T / values[kept]  # H^-1 = root root^T
+    along = U[:, kept].T @ R[:, n]
+    dp = root @ along
+    log_H = 2.0 * float(np.log(values[kept]).sum() - np.log(scale).sum())
+    residual = np.linalg.norm(R[:, n] - U[:, kept] @ along)
+    criterion = log_V + log_H + float(residual) ** 2
     quadratic, trace = np.zeros(count), np.zeros(count)
     inner = np.zeros((count, root.shape[1], root.shape[1]))
     pairs = np.zeros((count, count))

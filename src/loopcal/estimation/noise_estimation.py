@@ -27,7 +27,9 @@ from loopcal.estimation.variance_components import (
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
 Array = NDArray[np.float64]
-_MOST, _SETTLED, _BETTER = 60, 1e-4, 1e-6
+_MOST, _SETTLED, _BETTER = 60, 1e-5, 1e-6
+"""Rounds; what logarithms of ratios still change by, and the criterion, where a search has ended:
+near enough that searches which come to the same end do not seem better than each other."""
 _FAR = 100.0
 """A variance so many times the stated one, or less than it by as much, is checked again."""
 _ROUGHLY, _SLOWLY = 0.1, 100.0
