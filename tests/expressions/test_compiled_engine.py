@@ -15,6 +15,7 @@ from loopcal.errors import UsageError
 from loopcal.expressions import choice
 from loopcal.expressions.compiled_engine import CompiledEngine, program_for
 from loopcal.expressions.derivative import linearise
+from loopcal.expressions.engine import engine_for
 from loopcal.expressions.loop_values import LoopValues, Stage
 from loopcal.expressions.numpy_engine import NumpyEngine
 from loopcal.expressions.rewriting import varying
@@ -185,7 +186,7 @@ def test_the_environment_chooses_the_engine(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setenv("LOOPCAL_ENGINE", "nunpy")
     with pytest.raises(UsageError, match="did you mean 'numpy'"):
         choice.chosen_engine()
-    monkeypatch.delenv("LOOPCAL_ENGINE")
+    monkeypatch.setenv("LOOPCAL_ENGINE", "")
     monkeypatch.setattr(choice, "AVAILABLE", False)
     assert choice.chosen_engine() == "numpy"
     monkeypatch.setenv("LOOPCAL_ENGINE", "compiled")
@@ -199,7 +200,19 @@ def test_the_environment_sets_the_threads(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setenv("LOOPCAL_ENGINE", "compiled")
     monkeypatch.setenv("LOOPCAL_THREADS", "3")
     assert choice.in_words() == f"compiled, {_compiled.width()}, 3 threads"
-    for wrong in ("0", "two", "-1", ""):
-        monkeypatch.setenv("LOOPCAL_THREADS", wrong)
-        with pytest.raises(UsageError, match="LOOPCAL_THREADS"):
-            choice.use_threads()
+    monkeypatch.setenv("LOOPCAL_THREADS", "1024")
+    assert choice.use_threads() == 1024
+    monkeypatch.setenv("LOOPCAL_THREADS", "")
+    assert choice.use_threads() == choice.cores()
+
+
+@pytest.mark.usefixtures("each_engine")
+@pytest.mark.parametrize("wrong", ["0", "two", "-1", "1025", "2147483648", "1" + 5000 * "0"])
+def test_a_number_of_threads_that_is_none_is_told(
+    wrong: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LOOPCAL_THREADS", wrong)
+    with pytest.raises(UsageError, match="LOOPCAL_THREADS"):
+        choice.in_words()
+    with pytest.raises(UsageError, match="LOOPCAL_THREADS"):
+        engine_for(trace(lambda x, p: [x["a"]], quantities="a", parameters=()), (), 1)

@@ -23,6 +23,8 @@ except ImportError:  # installed without a compiler
 else:
     AVAILABLE = True
 ENGINES = ("numpy", "compiled")
+MOST = 1024
+"""Threads of an engine: more than any machine has cores that share a block with gain."""
 
 _held = threading.local()
 
@@ -33,7 +35,7 @@ def chosen_engine() -> str:
     Raises UsageError where LOOPCAL_ENGINE is neither, or asks for what was not built.
     """
     name = os.environ.get("LOOPCAL_ENGINE")
-    if name is None:
+    if not name:
         return "compiled" if AVAILABLE else "numpy"
     if name not in ENGINES:
         raise UsageError(f"LOOPCAL_ENGINE is {name!r}", remedy=nearest(name, ENGINES))
@@ -47,14 +49,10 @@ def chosen_engine() -> str:
 
 def in_words() -> str:
     """The engine that runs, with what it makes use of."""
-    name = chosen_engine()
-    return f"{name}, {_described()}" if name == "compiled" else name
-
-
-def _described() -> str:
-    """The width of the vectors and the number of threads, in words."""
-    count = use_threads()
-    return f"{_compiled.width()}, {count} thread{'s' if count > 1 else ''}"
+    name, count = chosen_engine(), use_threads()
+    if name == "numpy":
+        return name
+    return f"{name}, {_compiled.width()}, {count} thread{'s' if count > 1 else ''}"
 
 
 def use_threads() -> int:
@@ -62,18 +60,20 @@ def use_threads() -> int:
 
     Inside `engine_threads` it is those; a process that shares the cores with its siblings uses one.
 
-    Raises UsageError where LOOPCAL_THREADS is no whole number above zero.
+    Raises UsageError where LOOPCAL_THREADS is no whole number from 1 to MOST.
     """
     text = os.environ.get("LOOPCAL_THREADS")
-    if text is None:
+    if not text:
         count = getattr(_held, "count", None) or (1 if _among_siblings() else cores())
-    elif text.isdecimal() and int(text) > 0:
+    elif text.isdecimal() and len(text) < 10 and 0 < int(text) <= MOST:
         count = int(text)
     else:
         raise UsageError(
-            f"LOOPCAL_THREADS is {text!r}", remedy="give a whole number of threads, 1 or more"
+            f"LOOPCAL_THREADS is {text!r}",
+            remedy=f"give a whole number of threads from 1 to {MOST}, or unset it",
         )
-    _compiled.use_threads(count)
+    if AVAILABLE:
+        _compiled.use_threads(count)
     return count
 
 

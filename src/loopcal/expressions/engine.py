@@ -35,8 +35,7 @@ def engine_for(
     kept: dict[Any, Engine] = _engines.__dict__.setdefault("kept", {})
     quantities = tape.quantities if quantities is None else quantities
     kind = engine_class()
-    if kind is CompiledEngine:
-        use_threads()
+    use_threads()
     key = (kind, tape, parameters, size, quantities)
     if key not in kept:
         if len(kept) > 32:
