@@ -171,6 +171,13 @@ def test_a_signal_handler_may_evaluate_another_engine_within_a_call(threads: int
     assert np.array_equal(found, expected[0])
 
 
+def test_the_command_is_interrupted_while_it_is_loaded(tmp_path: Path) -> None:
+    (tmp_path / "typer.py").write_text("raise KeyboardInterrupt", "utf-8")
+    done = run("--version", env={"PYTHONPATH": str(tmp_path)})
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "loopcal: interrupted\n"
+
+
 @pytest.mark.parametrize("engine", ENGINE)
 def test_solves_are_interrupted_and_can_begin_anew(engine: str) -> None:
     code, out, error = interrupted(SOLVES, engine=engine)
