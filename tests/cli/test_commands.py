@@ -353,6 +353,18 @@ def test_elsewhere_progress_is_plain_lines_now_and_then(monkeypatch: pytest.Monk
     assert "\r" not in stream.getvalue()
 
 
+def test_what_is_waited_for_gets_a_line_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    ticking(monkeypatch, 3.0)
+    stream = Terminal(True)
+    monkeypatch.setattr("sys.stderr", stream)
+    with Progress() as progress:
+        progress.pieces("folds", 1, 10)
+        progress.waiting()
+    shown, blank, line = stream.getvalue().split("\r")[1:]
+    assert (shown, blank.strip()) == ("1 of 10 folds", "")
+    assert line == "loopcal: waiting for the pieces that are being done\n"
+
+
 def test_counted_work_says_what_time_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     ticking(monkeypatch, 1.0)
     stream = Terminal(False)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +19,11 @@ import polars as pl
 import pytest
 
 import loopcal as lc
-from loopcal.cli.working import executor_of
+from loopcal.cli.working import executor_of, try_cluster
 from loopcal.errors import InputError, LoopcalError, UsageError
 from loopcal.execution.cluster import Cluster, _Opening, versions
 from loopcal.execution.executor import InProcess, gathered
-from loopcal.execution.local import Threads
+from loopcal.execution.local import Processes, Threads
 from loopcal.expressions import choice
 from loopcal.files import study_parts
 from loopcal.studies.run import run_study
@@ -139,7 +142,7 @@ def test_a_piece_that_ends_every_worker_is_a_message(tmp_path: Path) -> None:
     with dask_cluster(tmp_path, DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES="0") as cluster:
         cluster.start_workers("", "")
         with pytest.raises(InputError, match="ended all of the 1 workers"):
-            gathered(Cluster(cluster.address), pieces.killing, None, [1])
+            gathered(Cluster(cluster.address), pieces.killing, 0, [1])
 
 
 def test_an_interrupted_study_keeps_what_was_done(
@@ -161,8 +164,9 @@ def test_an_interrupted_study_keeps_what_was_done(
         interrupted.send_signal(signal.SIGINT)
         _, error = interrupted.communicate()
     assert interrupted.returncode == 130
-    first, *_, last = error.decode().splitlines()
-    assert first == f"loopcal: 1 workers with 1 threads at {cluster.address}"
+    connecting, found_there, *_, last = error.decode().splitlines()
+    assert connecting == f"loopcal: connecting to {cluster.address}"
+    assert found_there == f"loopcal: 1 worker with 1 thread at {cluster.address}"
     assert last == "loopcal: interrupted"
     assert b"Traceback" not in error
     kept = {part: part.stat().st_mtime_ns for part in out.glob("parts/*.parquet")}
@@ -181,6 +185,24 @@ def test_a_lost_scheduler_is_a_message(cluster: DaskCluster, study: Path, tmp_pa
 
     with pytest.raises(InputError, match="connection to the scheduler was lost"):
         run_study(study, executor=Cluster(cluster.address), out=tmp_path / "out", progress=lose)
+
+
+def test_a_scheduler_that_is_gone_is_not_asked(
+    cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Dask would try for half a minute to reach it."""
+    from distributed import Client
+
+    cluster.start_workers("")
+
+    def lose(done: int, of: int) -> None:
+        cluster.scheduler.kill()
+        while any(client.status == "running" for client in Client._instances):
+            time.sleep(0.01)
+        monkeypatch.delattr(Client, "nthreads")
+
+    with pytest.raises(InputError, match="connection to the scheduler was lost"):
+        gathered(Cluster(cluster.address), pieces.scaled, 1.0, [1.0, 2.0], lose)
 
 
 def test_workers_must_be_as_we_are(cluster: DaskCluster) -> None:
@@ -210,7 +232,7 @@ def test_workers_must_have_our_engine(
     with pytest.raises(InputError, match="a worker has engine numpy"):
         gathered(executor, pieces.scaled, 1.0, [1.0])
     monkeypatch.setenv("LOOPCAL_ENGINE", "numpy")
-    assert executor.ready().startswith("1 workers")
+    assert executor.ready().startswith("1 worker ")
     assert gathered(executor, pieces.scaled, 1.0, [1.0]) == [1.0]
 
 
@@ -235,14 +257,61 @@ def test_a_worker_that_came_later_is_looked_at_too() -> None:
         ("foo://host:1", UsageError, "unknown address scheme"),
         ("somewhere", UsageError, "missing port number"),
         ("tls://127.0.0.1:1", UsageError, "no certificate"),
+        (" ", UsageError, "names no scheduler"),
         ("nowhere.json", InputError, "no file of a scheduler .No such file or directory"),
     ],
 )
 def test_where_no_scheduler_can_be(address: str, kind: type[LoopcalError], message: str) -> None:
     pytest.importorskip("distributed", reason="make partners")
+
+    def tried() -> None:
+        executor = executor_of(None, address)
+        assert executor is not None
+        try_cluster(executor)
+
     with pytest.raises(kind, match=message) as told:
-        executor_of(None, address, Threads)
+        tried()
     assert told.value.remedy
+
+
+@pytest.mark.parametrize("greeting", [b"", b"SSH-2.0-OpenSSH_9.2", b"\x05" + bytes(7) + b"hello"])
+def test_who_answers_may_be_no_scheduler(
+    greeting: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("distributed", reason="make partners")
+    import dask
+
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+
+        def answer() -> None:
+            with suppress(OSError):
+                client, _ = server.accept()
+                with client:
+                    client.sendall(greeting)
+                    while client.recv(1 << 20):  # until it gives up
+                        pass
+
+        answering = threading.Thread(target=answer)
+        answering.start()
+        with (
+            dask.config.set({"distributed.comm.timeouts.connect": "100ms"}),
+            pytest.raises(InputError, match="something answers there that is no scheduler") as told,
+        ):
+            try_cluster(Cluster(address))
+        answering.join()
+    assert "8786" in str(told.value.remedy)
+    assert capsys.readouterr().err == f"loopcal: connecting to {address}\n"
+
+
+def test_a_worker_is_no_scheduler(cluster: DaskCluster) -> None:
+    from distributed import Client
+
+    cluster.start_workers("")
+    with Client(cluster.address, set_as_default=False) as client:
+        (worker,) = client.nthreads()
+    with pytest.raises(InputError, match="that is no scheduler"):
+        Cluster(worker).ready()
 
 
 def test_where_no_scheduler_is(study: Path) -> None:
@@ -250,7 +319,8 @@ def test_where_no_scheduler_is(study: Path) -> None:
     impatient = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "500ms"}
     done = run("study", study, "--cluster", "127.0.0.1:1", env=impatient)
     assert done.returncode == 3
-    first, remedy = done.stderr.splitlines()
+    connecting, first, remedy = done.stderr.splitlines()
+    assert connecting == "loopcal: connecting to 127.0.0.1:1"
     assert first.startswith("loopcal: 127.0.0.1:1: no scheduler answers")
     assert remedy.startswith("  What to do: start one")
     assert not (study.parent / "s-study").exists()
@@ -258,9 +328,10 @@ def test_where_no_scheduler_is(study: Path) -> None:
 
 def test_options_that_do_not_go_together() -> None:
     with pytest.raises(UsageError, match="give one of the two"):
-        executor_of(2, "tcp://127.0.0.1:1", Threads)
-    assert executor_of(None, None, Threads) is None
-    assert executor_of(2, None, Threads) == Threads(2)
+        executor_of(2, "tcp://127.0.0.1:1")
+    assert executor_of(None, None) is None
+    assert executor_of(2, None) == Processes(2)
+    assert executor_of(2, None, waiting=print) == Threads(2)
 
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import subprocess
+import sys
 import threading
 from collections.abc import Mapping
 from contextlib import closing
@@ -74,8 +76,35 @@ def test_work_may_be_left_before_its_end(executor: Executor) -> None:
 
 
 def test_a_process_that_dies_is_a_message() -> None:
-    with pytest.raises(InputError, match="a worker ended"):
-        gathered(Processes(2), pieces.killing, None, [1, 2])
+    with pytest.raises(InputError, match="before any work was done"):
+        gathered(Processes(2), pieces.killing, 0, [1, 2])
+    with pytest.raises(InputError, match="before its work was done") as told:
+        gathered(Processes(2), pieces.killing, 2 * AHEAD, range(2 * AHEAD + 1))
+    assert "fewer workers" in str(told.value.remedy)
+
+
+def test_a_script_that_starts_processes_unguarded_is_told_of_the_guard(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import loopcal as lc\nfrom loopcal.execution.executor import gathered\n"
+        "gathered(lc.Processes(2), pow, 2, [1, 2])\n",
+        "utf-8",
+    )
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert "do the work under if __name__ ==" in done.stderr
+
+
+def test_threads_tell_that_they_are_waited_for() -> None:
+    told: list[str] = []
+    executor = Threads(2, waiting=lambda: told.append("waiting"))
+    with executor.crew(pieces.scaled, 1.0) as done_by:
+        list(done_by([1.0]))
+    assert not told
+    with pytest.raises(KeyboardInterrupt), executor.crew(pieces.scaled, 1.0):
+        raise KeyboardInterrupt
+    assert told == ["waiting"]
 
 
 @pytest.mark.parametrize("executor", [InProcess(), Threads(2), Processes(2)], ids=str)
@@ -179,6 +208,7 @@ def test_profiles_are_the_same_to_the_bit(method: str) -> None:
 def test_a_calibration_is_the_same_whoever_does_its_pieces(tmp_path: Path) -> None:
     project = Path(__file__).resolve().parents[2] / "examples" / "planar" / "project.toml"
     told: list[tuple[str, int, int]] = []
+    shared: list[Executor] = []
 
     def calibrated(name: str, executor: Executor | None) -> Mapping[str, Any]:
         done = run_calibration(
@@ -187,6 +217,7 @@ def test_a_calibration_is_the_same_whoever_does_its_pieces(tmp_path: Path) -> No
             folds=5,
             profile=["l?"],
             executor=executor,
+            sharing=shared.append,
             pieces=lambda *seen: told.append(seen),
         )
         return done.written.document
@@ -194,8 +225,10 @@ def test_a_calibration_is_the_same_whoever_does_its_pieces(tmp_path: Path) -> No
     assert calibrated("there", Backwards()) == calibrated("here", None)
     once = [("folds", i + 1, 5) for i in range(5)] + [("intervals", i + 1, 2) for i in range(2)]
     assert told == once + once
+    assert shared == [Backwards()]
     with pytest.raises(UsageError, match="nothing else is asked for"):
-        run_calibration(project, out=tmp_path / "alone", executor=Threads(2))
+        run_calibration(project, out=tmp_path / "alone", executor=Threads(2), sharing=shared.append)
+    assert shared == [Backwards()]
 
 
 def test_compared_models_are_the_same_whoever_fits_them() -> None:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from loopcal.cli.output import log, print_json, print_out
 from loopcal.errors import NoTrustworthyResult
 from loopcal.files.templates import TEMPLATES
-
-if TYPE_CHECKING:
-    from loopcal.execution.executor import Executor
 
 app = typer.Typer(
     name="loopcal",
@@ -59,15 +56,6 @@ def _version(asked: bool) -> None:
 
         print_out(version_and_engine())
         raise typer.Exit
-
-
-def _executor(workers: int | None, cluster: str | None, *, threads: bool) -> Executor | None:
-    if workers is None and cluster is None:
-        return None
-    from loopcal.cli.working import executor_of
-    from loopcal.execution.local import Processes, Threads
-
-    return executor_of(workers, cluster, Threads if threads else Processes)
 
 
 @app.callback()
@@ -143,10 +131,11 @@ def calibrate(
 ) -> None:
     """Fit; write result.json, residuals.csv, mechanism.toml and report.html; print a summary."""
     from loopcal.cli.progress import Progress
+    from loopcal.cli.working import executor_of, try_cluster
     from loopcal.workflow.calibration import run_calibration
 
-    executor = _executor(workers, cluster, threads=True)
     with Progress() as progress:
+        executor = executor_of(workers, cluster, waiting=progress.waiting)
         done = run_calibration(
             project,
             method=method,
@@ -159,6 +148,7 @@ def calibrate(
             compare=compare,
             report=not no_report,
             executor=executor,
+            sharing=try_cluster,
             progress=progress,
             pieces=progress.pieces,
             notice=log,
@@ -358,13 +348,20 @@ def study(
 ) -> None:
     """Monte Carlo: the errors of one or more methods over many draws of each scenario."""
     from loopcal.cli.progress import Counted
+    from loopcal.cli.working import executor_of, try_cluster
     from loopcal.report.study_page import PAGE, write_study_page
     from loopcal.studies.run import run_study
 
-    executor = _executor(workers, cluster, threads=False)
+    executor = executor_of(workers, cluster)
     with Counted() as progress:
         done = run_study(
-            study, draws=draws, executor=executor, out=out, function=mechanism, progress=progress
+            study,
+            draws=draws,
+            executor=executor,
+            sharing=try_cluster,
+            out=out,
+            function=mechanism,
+            progress=progress,
         )
     write_study_page(done)
     where = f"written to {done.folder}: draws.parquet, summary.json, summary.txt, {PAGE}"

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self, TextIO
 
+from loopcal.cli.output import log
+
 AFTER, ON_TERMINAL, ELSEWHERE = 2.0, 0.2, 10.0
 """Seconds until the first line, and between lines."""
 
@@ -36,6 +38,18 @@ class _Line:
             self.stream.write(text + "\n")
         self.stream.flush()
 
+    def waiting(self) -> None:
+        """Say what is waited for after an interrupt."""
+        self.clear()
+        log("waiting for the pieces that are being done")
+
+    def clear(self) -> None:
+        """Leave the line empty."""
+        if self.shown:
+            self.stream.write("\r" + " " * self.shown + "\r")
+            self.stream.flush()
+            self.shown = 0
+
     def __enter__(self) -> Self:
         return self
 
@@ -45,9 +59,7 @@ class _Line:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self.shown:
-            self.stream.write("\r" + " " * self.shown + "\r")
-            self.stream.flush()
+        self.clear()
 
 
 class Progress(_Line):

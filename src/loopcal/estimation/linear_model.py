@@ -135,7 +135,8 @@ def fit(model: LinearModel, ratios: Array) -> MixedFit | None:
         parts = np.linalg.solve(L, block.parts)  # L^-1 V_j L^-T, from both sides
         parts = np.linalg.solve(L, np.swapaxes(parts, -1, -2))
         whitened.append((rows[:, :, :n], rows[:, :, n], parts))
-        R = np.linalg.qr(np.concatenate([R, rows.reshape(-1, n + 1)]), mode="r")
+        stacked = np.concatenate([R, rows.reshape(-1, n + 1)])
+        R = np.asarray(np.linalg.qr(stacked, mode="r"))
     # R, not R^T R = H: squaring the condition would leave the criterion some seven digits
     scale = 1.0 / np.maximum(np.linalg.norm(R[:, :n], axis=0), 1e-150)
     U, values, Vt = np.linalg.svd(R[:, :n] * scale, full_matrices=False)

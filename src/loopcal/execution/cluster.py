@@ -67,26 +67,32 @@ class Cluster(Executor):
                 _check(there, versions(), f"the worker {address}")
             threads = sum(client.nthreads().values())
             return (
-                f"{len(found['workers'])} workers with {threads} threads at {self._name}"
+                f"{_counted(len(found['workers']), 'worker')} with {_counted(threads, 'thread')} "
+                f"at {self.name}"
                 if threads
-                else f"no worker yet at {self._name}: the work waits for the first"
+                else f"no worker yet at {self.name}: the work waits for the first"
             )
 
     @property
-    def _name(self) -> str:
+    def name(self) -> str:
+        """The scheduler's address."""
         return str(getattr(self.address, "scheduler_address", self.address))
 
     @contextmanager
     def _client(self) -> Generator[Any, None, None]:
         log = logging.getLogger("distributed.client")
         level = log.level
-        client = _connected(self.address, self._name)
+        client = _connected(self.address, self.name)
         log.setLevel(logging.CRITICAL)  # that the scheduler was lost is for us to say
         try:
             yield client
         finally:
             client.close()
             log.setLevel(level)
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'s' if number != 1 else ''}"
 
 
 def versions() -> dict[str, str]:
@@ -160,14 +166,15 @@ def _distributed() -> ModuleType:
 
 
 def _connected(address: Any, name: str) -> Any:
-    """A client of the scheduler; a wrong address is found first, for a client waits long for it."""
+    """A client of the scheduler; a wrong address is found first, where a client would wait."""
     distributed = _distributed()
     try:
         if isinstance(address, str):
             address = distributed.comm.resolve_address(address)
-            secret = distributed.Security().get_connection_args("client")["ssl_context"]
-            if address.startswith(("tls:", "wss:")) and secret is None:
+            how = distributed.Security().get_connection_args("client")
+            if address.startswith(("tls:", "wss:")) and how["ssl_context"] is None:
                 raise ValueError("Dask's configuration names no certificate for the client")
+            distributed.utils.LoopRunner().run_sync(_meet, address, how)
         with warnings.catch_warnings():
             # versions are compared in `_check`, those that matter
             warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)
@@ -184,6 +191,44 @@ def _connected(address: Any, name: str) -> Any:
             place=name,
             remedy="give the address that it states, such as tcp://host:8786",
         ) from None
+
+
+async def _meet(address: str, how: Mapping[str, Any]) -> None:
+    """Whether who answers is a scheduler; Dask itself waits for a greeting for ever.
+
+    Raises OSError where nobody answers, InputError where it is no scheduler.
+    """
+    import asyncio
+
+    from dask import config, utils
+
+    distributed = _distributed()
+
+    async def identity() -> Mapping[str, Any]:
+        comm = await distributed.comm.connect(address, **how)
+        try:
+            found: Mapping[str, Any] = await distributed.core.send_recv(
+                comm, op="identity", n_workers=0
+            )
+        finally:
+            comm.abort()
+        return found
+
+    patience = utils.parse_timedelta(config.get("distributed.comm.timeouts.connect"))
+    try:
+        # Dask tries for so long to reach anybody, and says in its own words that nobody is there
+        scheduler = "workers" in await asyncio.wait_for(identity(), patience + 1.0)
+    except Exception as error:  # words of another protocol can mean anything, and be any error
+        if isinstance(error, OSError) and not isinstance(error, TimeoutError):
+            raise
+        scheduler = False
+    if not scheduler:
+        raise InputError(
+            "something answers there that is no scheduler",
+            place=address,
+            remedy="give the scheduler's own address: its port is usually 8786, and 8787 that of "
+            "its dashboard",
+        )
 
 
 @dataclass(frozen=True)
@@ -207,6 +252,8 @@ class _Job:
         run = uuid4().hex
         try:
             while True:
+                if self.client.status != "running":  # the next line would wait for it
+                    raise ConnectionError
                 workers = sum(self.client.nthreads().values())
                 waiting.update(self._begun(run, pieces, window.next(max(workers, 1))))
                 if waiting.is_empty():

@@ -14,7 +14,7 @@ from concurrent.futures import (
     wait,
 )
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -58,10 +58,14 @@ class _Local(Executor):
 class Threads(_Local):
     """Threads of this process: nothing is copied, and Python itself runs in one at a time.
 
+    waiting: called where the work is interrupted and pieces that are being done are waited for.
+
     >>> from loopcal.execution.executor import gathered
     >>> gathered(Threads(2), pow, 2, range(5))
     [1, 2, 4, 8, 16]
     """
+
+    waiting: Callable[[], None] | None = field(default=None, compare=False, repr=False)
 
     @contextmanager
     def crew(
@@ -75,12 +79,16 @@ class Threads(_Local):
 
         try:
             yield lambda pieces: _finished(begin, pieces, self.workers)
+        except KeyboardInterrupt:
+            if self.waiting:
+                self.waiting()
+            raise
         finally:
             pool.shutdown(cancel_futures=True)
 
     def ready(self) -> str:
         """Where pieces will be done."""
-        return f"{self.workers} threads"
+        return f"{self.workers} thread{'s' if self.workers > 1 else ''}"
 
 
 @dataclass(frozen=True)
@@ -105,7 +113,7 @@ class Processes(_Local):
     ) -> Generator[Crew, None, None]:
         """Processes that end with the context; a single one is this one.
 
-        Runs raise InputError where a worker is killed.
+        Runs raise InputError where a worker is killed, or none could begin.
         """
         if self.workers == 1:
             with InProcess().crew(work, shared) as here:
@@ -118,16 +126,22 @@ class Processes(_Local):
             self.workers, mp_context=spawning, initializer=_begin, initargs=given
         )
 
+        some_done = False
+
         def begin(piece: Piece, number: int) -> Future[Done[Value]]:
             return pool.submit(_work, piece, number)
 
+        def outcomes(pieces: Sequence[Piece]) -> Generator[Done[Value], None, None]:
+            nonlocal some_done
+            with closing(_finished(begin, pieces, self.workers)) as finished:
+                for outcome in finished:
+                    some_done = True
+                    yield outcome
+
         try:
-            yield lambda pieces: _finished(begin, pieces, self.workers)
+            yield outcomes
         except BrokenProcessPool:
-            raise InputError(
-                "a worker ended before its work was done, killed or out of memory",
-                remedy="use fewer workers (--workers); a study or a stream goes on where it was",
-            ) from None
+            raise _ended(some_done) from None
         except BaseException:
             alive.close()  # nobody waits for the pieces that are being done
             raise
@@ -138,7 +152,22 @@ class Processes(_Local):
 
     def ready(self) -> str:
         """Where pieces will be done."""
-        return f"{self.workers} processes"
+        return f"{self.workers} process{'es' if self.workers > 1 else ''}"
+
+
+def _ended(some_done: bool) -> InputError:
+    """What it means that a process ended, once some pieces were done or before any was."""
+    if some_done:
+        return InputError(
+            "a worker ended before its work was done, killed or out of memory",
+            remedy="use fewer workers (--workers); a study or a stream goes on where it was",
+        )
+    return InputError(
+        "a worker ended before any work was done: it was killed, or out of memory, or the script "
+        "that starts workers would do so in each of them, because they import it anew",
+        remedy='in a script, do the work under if __name__ == "__main__":, otherwise use fewer '
+        "workers (--workers)",
+    )
 
 
 def _finished(

@@ -46,6 +46,7 @@ def run_study(
     *,
     draws: int | None = None,
     executor: Executor | None = None,
+    sharing: Callable[[Executor], None] | None = None,
     out: str | Path | None = None,
     function: str | None = None,
     progress: Progress | None = None,
@@ -53,8 +54,9 @@ def run_study(
     """Run the draws of a study that its folder does not hold yet, and make its tables.
 
     draws: of each scenario, instead of the study's; executor: who does them, by default processes,
-    one for each core; out: the folder, by default NAME-study beside the study NAME.toml. Neither
-    the executor nor where a run was stopped changes any value.
+    one for each core; sharing: called with it once the study can be run; out: the folder, by
+    default NAME-study beside the study NAME.toml. Neither the executor nor where a run was stopped
+    changes any value.
 
     Raises InputError for a study or folder that cannot be used.
     """
@@ -63,6 +65,8 @@ def run_study(
     study = read_study(path, mechanism=None if function is None else load_function(function))
     _check(study)
     draws = draws or study.draws
+    if executor and sharing:
+        sharing(executor)
     folder = _default_folder(study) if out is None else Path(out)
     open_folder(folder, study)
     parts = parts_of(len(study.scenarios), draws)

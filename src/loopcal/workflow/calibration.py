@@ -59,6 +59,7 @@ def run_calibration(
     compare: bool = False,
     report: bool = False,
     executor: Executor | None = None,
+    sharing: Callable[[Executor], None] | None = None,
     progress: Progress | None = None,
     pieces: Pieces | None = None,
     notice: Callable[[str], None] | None = None,
@@ -73,9 +74,9 @@ def run_calibration(
     interval, beside those of the project; compare: whether the project's models are compared,
     and the result is that of the one recommended; report: whether report.html is written as well;
     executor: who does the fits of the folds and the profiles, or the chunks of a stream, by default
-    this process; progress:
-    called at every iteration, pieces: when a fold or a profile is done, notice: with what an
-    earlier run has left to go on from.
+    this process; sharing: called with the executor once it is clear that there is work for it;
+    progress: called at every iteration, pieces: when a fold or a profile is done, notice: with
+    what an earlier run has left to go on from.
 
     The files are written, all or none, also where the fit did not converge: `objection` tells.
     Raises InputError for what cannot be used and UsageError for a method that is none, or for an
@@ -90,6 +91,14 @@ def run_calibration(
     asked_for = read.fit.validation if folds is None else ValidationSpec(folds=folds)
     patterns = (*read.fit.profile, *profile)
     stream = project_stream(read)
+    divisible = stream is not None or patterns or compare or (asked_for and asked_for.folds)
+    if executor and not divisible:
+        raise UsageError(
+            "one fit of poses in memory is not shared out, and nothing else is asked for",
+            remedy="add --folds N or --profile GLOB, or leave out --workers and --cluster",
+        )
+    if executor and sharing:
+        sharing(executor)
     if stream is not None:
         from loopcal.workflow.streams import run_stream
 
@@ -117,11 +126,6 @@ def run_calibration(
             raise
         files = (*done.written.files, f"{RESIDUALS}/")
         return replace(done, written=replace(done.written, files=files))
-    if executor and not (patterns or compare or (asked_for and asked_for.folds)):
-        raise UsageError(
-            "one fit of poses in memory is not shared out, and nothing else is asked for",
-            remedy="add --folds N or --profile GLOB, or leave out --workers and --cluster",
-        )
     loaded = load_dataset(read)
     how: dict[str, Any] = {
         "noise": loaded.noise,
