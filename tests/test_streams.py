@@ -9,6 +9,7 @@ import shutil
 import signal
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -380,3 +381,11 @@ def test_what_a_stream_cannot_do_is_refused(folder: Path, old: str, new: str, wo
         run_calibration(folder / "project.toml")
     assert refused.value.remedy
     assert not (folder / "project-result" / "residuals").exists()
+
+
+@pytest.mark.parametrize("asked", [{"folds": 5}, {"profile": ["*"]}, {"compare": True}], ids=str)
+def test_no_cluster_is_asked_for_what_is_refused(folder: Path, asked: dict[str, Any]) -> None:
+    met: list[Executor] = []
+    with pytest.raises(InputError, match="needs all poses in memory"):
+        run_calibration(folder / "project.toml", executor=Threads(2), sharing=met.append, **asked)
+    assert not met

@@ -156,6 +156,8 @@ def _scale(lengths: Array, units: tuple[str, ...]) -> Array:
     Of a parameter without effect rounding leaves a column where terms should cancel. It is known
     by the columns of other parameters in the same unit, and stays as short beside them.
     """
+    if lengths.min(initial=np.inf) > ROUNDING * lengths.max(initial=0.0):
+        return np.asarray(1.0 / lengths)
     most = np.where(_alike(units, len(lengths)), lengths, 0.0).max(axis=1)
     return 1.0 / np.where(lengths > ROUNDING * most, lengths, np.where(most > 0.0, most, 1.0))
 

@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +29,16 @@ def scratch(name: str, *shape: int) -> NDArray[np.float64]:
     return buffer[:size].reshape(shape)
 
 
-def reuse_memory() -> None:
-    """Let arrays of up to 32 MB take memory that others have left, instead of fresh pages.
+@cache
+def reuse_memory(megabytes: int) -> None:
+    """Let arrays of up to that size take memory that others have left, instead of fresh pages.
 
     glibc gives an array memory of its own, and takes it back, from a size on that grows to that
-    of the largest such array that was freed (mallopt(3), M_MMAP_THRESHOLD); the array made here is
-    never touched. Elsewhere it changes nothing.
+    of the largest such array of up to 32 MiB that was freed (mallopt(3), M_MMAP_THRESHOLD); the
+    array made here is never touched. The heap keeps up to twice as much. Elsewhere it changes
+    nothing.
     """
-    np.empty(4_100_000)
+    np.empty(megabytes * 1_000_000, dtype=np.uint8)
 
 
 class _Blas:

@@ -26,7 +26,7 @@ from loopcal.estimation.reduction import (
     hardly_determined,
     spectrum,
 )
-from loopcal.estimation.scratch import one_blas_thread
+from loopcal.estimation.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.starting import start_corrections
 from loopcal.estimation.status import Status
 from loopcal.estimation.sweep import NEAR, NEGLIGIBLE, Sweep, Sweeper
@@ -108,6 +108,7 @@ def solve(
 
     Raises InputError (DomainError) where the loops cannot be evaluated or closed at the start.
     """
+    reuse_memory(8)
     with one_blas_thread():
         return solve_with(
             Sweeper(problem, exact=exact), max_iterations=max_iterations, progress=progress

@@ -99,7 +99,7 @@ class StreamPiece(Protocol):
 
 def do(task: Task, piece: StreamPiece) -> Any:
     """Do a piece: the work of an executor."""
-    reuse_memory()
+    reuse_memory(32)
     with one_blas_thread():
         return piece.done(task)
 

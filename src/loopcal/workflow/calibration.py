@@ -97,21 +97,23 @@ def run_calibration(
             "one fit of poses in memory is not shared out, and nothing else is asked for",
             remedy="add --folds N or --profile GLOB, or leave out --workers and --cluster",
         )
+    if stream is not None:
+        from loopcal.workflow.streams import refuse_without_all_poses, run_stream
+
+        others = {
+            "a validation": asked_for is not None,
+            "a profile interval": patterns,
+            "a comparison of models": compare,
+        }
+        refuse_without_all_poses(read, others)
     if executor and sharing:
         sharing(executor)
     if stream is not None:
-        from loopcal.workflow.streams import run_stream
-
         run = run_stream(
             read,
             stream,
             folder,
             method=method or read.fit.method,
-            asked={
-                "a validation": asked_for is not None,
-                "a profile interval": patterns,
-                "a comparison of models": compare,
-            },
             executor=executor,
             progress=progress,
             notice=notice,

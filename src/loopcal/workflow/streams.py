@@ -40,25 +40,10 @@ class StreamedRun:
         self.parts.undo()
 
 
-def run_stream(
-    project: Project,
-    stream: ParquetStream,
-    folder: Path,
-    *,
-    method: str,
-    asked: Mapping[str, Any],
-    executor: Executor | None,
-    progress: Progress | None,
-    notice: Callable[[str], None] | None,
-) -> StreamedRun:
-    """Calibrate from readings that come in chunks.
+def refuse_without_all_poses(project: Project, asked: Mapping[str, Any]) -> None:
+    """Raise InputError for what is asked of a stream and needs all its poses in memory.
 
-    folder: of the result; asked: what else the user asked for, by the words for it; executor: who
-    reads the chunks and does their part of the work, whereas files are written here alone; notice:
-    told where the run begins. The parameters of every iteration are kept there in unfinished.json,
-    and a run that finds those of the same project, readings and method goes on from them. The
-    residuals of all poses are written as they come. Raises InputError for what needs all poses in
-    memory.
+    asked: what the user asked for, by the words for it.
     """
     for words, wanted in {**asked, f"the loss {project.fit.loss!r}": _robust(project)}.items():
         if wanted:
@@ -67,6 +52,25 @@ def run_stream(
                 place=project.name,
                 remedy="leave it out, or thin the poses (data.every) and say stream = false",
             )
+
+
+def run_stream(
+    project: Project,
+    stream: ParquetStream,
+    folder: Path,
+    *,
+    method: str,
+    executor: Executor | None,
+    progress: Progress | None,
+    notice: Callable[[str], None] | None,
+) -> StreamedRun:
+    """Calibrate from readings that come in chunks.
+
+    folder: of the result; executor: who reads the chunks and does their part of the work, whereas
+    files are written here alone; notice: told where the run begins. The parameters of every
+    iteration are kept there in unfinished.json, and a run that finds those of the same project,
+    readings and method goes on from them. The residuals of all poses are written as they come.
+    """
     task = {
         "project": project.inputs,
         "readings": stream.sha256,
