@@ -17,6 +17,7 @@ from typing import Any
 import both_engines
 import command
 import figure
+import flatness
 import floor
 import floor_report
 import memory
@@ -58,6 +59,11 @@ def programs(found: Found, asked: argparse.Namespace) -> None:
         found.texts.append(report.side_by_side(compared, drawing))
         if name == "six-axis":
             found.texts += filter(None, [report.demands(compared)])
+            sizes = [poses for poses in asked.poses if poses >= flatness.FROM]
+            if len(sizes) > 1:
+                flat = flatness.measure(sizes, asked.rounds)
+                found.numbers["flatness"] = asdict(flat)
+                found.texts.append(report.flat(flat))
     found.texts += filter(None, [report.absent()])
 
 

@@ -56,6 +56,7 @@ def test_all_programs_agree_and_are_told_side_by_side(
 ) -> None:
     programs = [*run.PROGRAMS, unknown(run.PROGRAMS[0])]
     use(run, programs, monkeypatch)
+    monkeypatch.setattr(run.flatness, "FROM", 30)
     document = tmp_path / "speed.md"
     document.write_text(DOCUMENT, "utf-8")
     asked = ["--only", "programs", "--poses", "30", "60", "--rounds", "1"]
@@ -64,6 +65,8 @@ def test_all_programs_agree_and_are_told_side_by_side(
 
     printed, ran = capsys.readouterr().out, [p.name for p in programs if p.installed]
     assert "unknown (no_such_package)" in printed
+    assert "at 30, " in printed
+    assert " at 60; flat within " in printed
     for name in ran:  # times, ratios and evaluations of two problems
         assert printed.count(f"\n| {name} ") == 6
     assert document.read_text("utf-8") == DOCUMENT.replace("old", printed.strip())
@@ -140,3 +143,9 @@ def test_long_runs_are_measured_once(run: Any, monkeypatch: pytest.MonkeyPatch) 
 
     assert done == ["a", "b", "a"]
     assert {name: len(t.seconds) for name, t in times.items()} == {"a": 2, "b": 1, "c": 0}
+
+
+def test_flatness_is_the_longest_time_per_pose_beside_the_shortest(run: Any) -> None:
+    times = import_module("measuring").Times
+    found = run.flatness.Flatness({10: times((20.0, 30.0, 90.0)), 100: times((200.0,))})
+    assert found.ratio == 1.5
