@@ -342,6 +342,52 @@ def test_a_file_that_is_there_twice_is_told(folder: Path) -> None:
     assert "part-3.parquet holds the same as part-1.parquet" in told[0]
 
 
+def test_folders_inside_are_told_and_not_looked_into(folder: Path) -> None:
+    inside = folder / "poses" / "day-2"
+    inside.mkdir()
+    shutil.copy(folder / "poses" / "part-1.parquet", inside)
+    told: list[str] = []
+    done = run_calibration(folder / "project.toml", warn=told.append)
+    assert done.warnings == tuple(told)
+    assert len(told) == 1
+    assert "day-2/part-1.parquet" in told[0]
+    (folder / "empty").mkdir()
+    inside.rename(folder / "empty" / "day-2")
+    read(folder, PROJECT.replace('"poses"', '"empty"'))
+    with pytest.raises(InputError, match="folders in it are not looked into"):
+        run_calibration(folder / "project.toml")
+
+
+def test_what_is_odd_is_told_before_the_fit(folder: Path) -> None:
+    for path in (folder / "poses").iterdir():
+        frame = pl.read_parquet(path)
+        frame.with_columns(pl.col("phi2", "phi3") * (np.pi / 180)).write_parquet(path)
+    told: list[str] = []
+
+    def interrupted(*_: object) -> None:
+        assert len(told) == 2
+        assert all("are these rad?" in words for words in told)
+        raise KeyboardInterrupt
+
+    for text in (PROJECT, PROJECT.replace("every", "stream = false\nevery")):
+        told.clear()
+        read(folder, text)
+        with pytest.raises(KeyboardInterrupt):
+            run_calibration(folder / "project.toml", progress=interrupted, warn=told.append)
+
+
+@pytest.mark.parametrize("where", ["part-1.parquet", "part-2.parquet"])
+def test_a_pose_without_an_id_is_refused(folder: Path, where: str) -> None:
+    path = folder / "poses" / where
+    frame = pl.read_parquet(path).with_row_index()
+    frame = frame.with_columns(id=pl.when(pl.col("index") == 78).then(None).otherwise(pl.col("id")))
+    frame.drop("index").write_parquet(path)
+    for text in (PROJECT, PROJECT.replace("every", "stream = false\nevery")):
+        read(folder, text)
+        with pytest.raises(InputError, match=f"{where}, row 79: this pose has no id"):
+            run_calibration(folder / "project.toml")
+
+
 def test_columns_of_the_files_may_come_in_any_order(folder: Path) -> None:
     alone = run_calibration(folder / "project.toml", out=folder / "alone")
     path = folder / "poses" / "part-2.parquet"

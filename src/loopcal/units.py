@@ -87,8 +87,9 @@ def unit(name: str) -> Unit:
 
 
 def to_si(values: Value, name: str) -> Value:
-    """Values [unit `name`] as SI values; any shape."""
-    return values * unit(name).factor
+    """Values [unit `name`] as SI values; any shape. What is too large becomes infinite."""
+    with np.errstate(over="ignore", invalid="ignore"):  # damaged files hold signalling NaNs
+        return values * unit(name).factor
 
 
 def from_si(values: Value, name: str) -> Value:

@@ -58,6 +58,7 @@ WRONG_TEXTS = {
     "no numbers": ("name;town\nann;york\nbob;bath\n", ["no column of numbers"]),
     "an infinite reading": ("x,y\n1,2\n3,inf\n", ["row 3, column 'y'", "inf", "finite"]),
     "a number beyond all bounds": ("x,y\n1,2\n3,-1e999\n", ["row 3, column 'y'", "-inf"]),
+    "what no sensor reads": ("x,y\n1,2\n3,-1e31\n", ["row 3, column 'y'", "-1e+31", "no sensor"]),
     "minus as typeset": ("x,y\n1,2\n−3,4\n4,4\n", ["row 3, column 'x'", "'−3'"]),
 }
 

@@ -200,3 +200,11 @@ def test_it_goes_to_another_process_unchanged(filed):
     copy = pickle.loads(pickle.dumps(filed))
     assert copy.poses == filed.poses
     np.testing.assert_array_equal(copy["x"], filed["x"])
+
+
+@pytest.mark.parametrize(("unit", "most"), [("rad", 1e8), ("deg", 5e9), ("mm", 1e33), ("N", 1e30)])
+def test_a_reading_larger_than_any_sensor_makes_is_refused(unit: str, most: float) -> None:
+    assert len(Dataset.from_arrays({"a": [1.0, 0.9 * most]}, units={"a": unit})) == 2
+    with pytest.raises(InputError, match="no sensor reads that") as refused:
+        Dataset.from_arrays({"a": [1.0, -2.0 * most]}, units={"a": unit})
+    assert refused.value.remedy

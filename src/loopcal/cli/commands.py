@@ -152,9 +152,8 @@ def calibrate(
             progress=progress,
             pieces=progress.pieces,
             notice=log,
+            warn=lambda words: log(f"warning: {words}"),
         )
-    for warning in done.warnings:
-        log(f"warning: {warning}")
     where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
     if as_json:
         print_json(done.written.document)

@@ -27,7 +27,7 @@ from loopcal.files.spreadsheet import read_spreadsheet
 from loopcal.files.table import Table
 from loopcal.measurements.dataset import Array, Dataset, checked_every
 from loopcal.measurements.poses import asked_ids, positions_of
-from loopcal.measurements.source import Source
+from loopcal.measurements.source import Source, row_name
 from loopcal.units import to_si, unit
 
 
@@ -49,6 +49,8 @@ _MEANT_FOR: dict[str, set[str]] = {
     "Parquet": set(),
     "MATLAB": {"variable"},
 }
+_NAMELESS = frozenset(("", "None", "nan"))
+"""Ids made of cells without anything in them."""
 _ENDINGS = {
     **dict.fromkeys((".xlsx", ".xlsm"), "XLSX"),
     **dict.fromkeys((".parquet", ".pq"), "Parquet"),
@@ -134,6 +136,7 @@ def dataset_of(
         numbers.flags.writeable = False  # is kept then, without another copy
         return numbers
 
+    _refuse_nameless(table, keep, ids)
     with_sd = {q: (c.sd_column, c.sd_unit or c.unit) for q, c in asked.items() if c.sd_column}
     stated = {q: c.unit for q, c in asked.items() if c.unit}
     return Dataset(
@@ -153,10 +156,23 @@ def dataset_of(
     )
 
 
+def _refuse_nameless(table: Table, keep: NDArray[np.int64], ids: Sequence[str]) -> None:
+    """Raise InputError where a pose to keep has no id; ids of all rows."""
+    nameless = [i for i in keep.tolist() if ids[i] in _NAMELESS]
+    if nameless:
+        raise InputError(
+            "this pose has no id"
+            + (f", nor have {len(nameless) - 1} others" if len(nameless) > 1 else ""),
+            place=f"{table.name}, {row_name(int(table.rows[nameless[0]]), table.begins)}",
+            remedy="fill them in, or leave out pose = ...: poses are counted then",
+        )
+
+
 def read_poses(path: str | Path, pose: str | int, **how: Any) -> Dataset:
     """The ids of the poses of a file, without readings; read as `read_dataset` reads it."""
     table = _table(path, _How(**{f.name: how.get(f.name) for f in fields(_How)}), None)
     ids = table.ids(table.position(pose))
+    _refuse_nameless(table, np.arange(len(ids)), ids)
     source = Source(
         table.file, table.part, table.sha256, len(ids), rows=table.rows, begins=table.begins
     )

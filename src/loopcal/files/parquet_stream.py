@@ -97,7 +97,7 @@ class ParquetStream:
         loaded = self._loaded(self._parts[0])
         mechanism = self.project.mechanism
         odd = check_dataset(loaded.dataset, {**mechanism.quantities, **mechanism.known})
-        return (*odd, *self._repeated_files())
+        return (*odd, *self._repeated_files(), *self._folders_inside())
 
     def _repeated_files(self) -> Iterator[DataWarning]:
         seen: dict[str, str] = {}
@@ -110,6 +110,17 @@ class ParquetStream:
                     f"{self.name}: {name} holds the same as {first}, and every pose in it counts "
                     "twice; take one of them out of the folder",
                 )
+
+    def _folders_inside(self) -> Iterator[DataWarning]:
+        folder = self.files[0].path.parent
+        named = folder.name == self.name  # a single file's folder was not asked for
+        inside = sorted(p for e in ENDINGS for p in folder.glob(f"*/*{e}")) if named else []
+        if inside:
+            yield DataWarning(
+                None,
+                f"{self.name}: folders in it are not looked into, and hold Parquet files such as "
+                f"{inside[0].relative_to(folder).as_posix()}; move them up if they belong to it",
+            )
 
     @property
     def count(self) -> int:

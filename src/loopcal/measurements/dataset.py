@@ -17,14 +17,18 @@ from loopcal.measurements.tables import as_numbers, column, column_names
 from loopcal.units import to_si, unit
 
 Array = NDArray[np.float64]
+_MOST = {"rad": 1e8, "": 1e30}
+"""SI unit -> what no reading exceeds: of an angle the eighth digit would be gone, else of anything.
+"""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Dataset:
     """Readings of N poses, SI; arrays are float64, contiguous and read-only.
 
-    Raises InputError when lengths differ, a reading is infinite, an sd is negative or missing
-    beside a reading, or no pose is left. Make one with `from_arrays` or `read_dataset`.
+    Raises InputError when lengths differ, a reading is infinite or larger than any could be, an sd
+    is negative or missing beside a reading, or no pose is left. Make one with `from_arrays` or
+    `read_dataset`.
     """
 
     readings: Mapping[str, Array]
@@ -241,11 +245,14 @@ def _check_shapes(data: Dataset) -> None:
 
 def _check_values(data: Dataset) -> None:
     for quantity, values in data.readings.items():
-        for i in np.flatnonzero(np.isinf(values))[:1]:
+        si = data.units.get(quantity, "")
+        for i in np.flatnonzero(np.abs(values) > _MOST.get(si, _MOST[""]))[:1]:
+            why = "no sensor reads that" if np.isfinite(values[i]) else "a reading is finite"
             raise InputError(
-                f"the reading of {quantity!r} is {values[i]}; a reading is a finite number",
+                f"the reading of {quantity!r} is {values[i]:.6g} {si}".rstrip() + f"; {why}",
                 place=data.place(int(i), quantity),
-                remedy="leave it blank (NaN) if nothing was measured",
+                remedy="leave it blank (NaN) if nothing was measured; if there are more of its "
+                "kind, the file is damaged",
             )
     for quantity, sd in data.sds.items():
         missing = np.isnan(sd) & ~np.isnan(data.readings[quantity])

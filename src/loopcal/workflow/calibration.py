@@ -63,6 +63,7 @@ def run_calibration(
     progress: Progress | None = None,
     pieces: Pieces | None = None,
     notice: Callable[[str], None] | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> Calibration:
     """Calibrate as a project file says, and write result.json, residuals.csv, mechanism.toml.
 
@@ -76,7 +77,8 @@ def run_calibration(
     executor: who does the fits of the folds and the profiles, or the chunks of a stream, by default
     this process; sharing: called with the executor once it is clear that there is work for it;
     progress: called at every iteration, pieces: when a fold or a profile is done, notice: with
-    what an earlier run has left to go on from.
+    what an earlier run has left to go on from, warn: with what is odd about the readings, before
+    any fit.
 
     The files are written, all or none, also where the fit did not converge: `objection` tells.
     Raises InputError for what cannot be used and UsageError for a method that is none, or for an
@@ -109,6 +111,7 @@ def run_calibration(
     if executor and sharing:
         sharing(executor)
     if stream is not None:
+        _tell(stream.warnings, warn)
         run = run_stream(
             read,
             stream,
@@ -129,6 +132,7 @@ def run_calibration(
         files = (*done.written.files, f"{RESIDUALS}/")
         return replace(done, written=replace(done.written, files=files))
     loaded = load_dataset(read)
+    _tell(loaded.warnings, warn)
     how: dict[str, Any] = {
         "noise": loaded.noise,
         "method": method or read.fit.method,
@@ -152,6 +156,12 @@ def run_calibration(
     except InputError as error:
         raise error.at(read.name) from None
     return _written(result, read, folder, loaded.warnings, true, asked=asked, report=report)
+
+
+def _tell(warnings: Sequence[DataWarning], warn: Callable[[str], None] | None) -> None:
+    if warn:
+        for warning in warnings:
+            warn(str(warning))
 
 
 def _shared(what: str, executor: Executor | None, pieces: Pieces | None) -> dict[str, Any]:
