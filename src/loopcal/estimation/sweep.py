@@ -113,8 +113,8 @@ class Sweeper:
         closing = closing if self.corrects else None
         self.at(parameters)
         data = Accumulator(len(problem.free), triangular, self._units)
-        used = corrections if closing is None else np.zeros(corrections.shape)
-        proposal = np.zeros(corrections.shape) if self.corrects else corrections
+        used = corrections if closing is None else self._room(corrections)
+        proposal = self._room(corrections) if self.corrects else corrections
         steps, ratios = [0.0], [0.0]
         nowhere = np.empty(0, dtype=np.intp)
         singular, late = [nowhere], [nowhere]
@@ -132,9 +132,11 @@ class Sweeper:
                 start = self._close(
                     pattern, readings, known, start.corrections, noise, closing, contraction
                 )
-                used[:, poses] = start.corrections
+                used = _placed(start.corrections, used, poses)
             self.evaluations += readings.shape[1]
-            into = proposal[:, poses] if self.corrects and isinstance(poses, slice) else None
+            into = None
+            if self.corrects and proposal is not corrections and isinstance(poses, slice):
+                into = proposal[:, poses]
             found = self.kernel(pattern).equations(
                 readings, start.corrections, known, noise, summed=summed, into=into
             )
@@ -151,7 +153,7 @@ class Sweeper:
                 late.append(_numbers(poses, start.open))
             if self.corrects:
                 if into is None:
-                    proposal[:, poses] = found.correction
+                    proposal = _placed(found.correction, proposal, poses)
                 steps.append(float(found.step.max()))
                 last = steps[-1] / start.step if start.step > 0.0 else 0.0
                 ratios.append(min(max(last, start.contraction), 1.0))
@@ -177,13 +179,13 @@ class Sweeper:
             return Closed(corrections, np.zeros(corrections.shape[1], dtype=bool))
         problem = self.problem
         self.at(parameters)
-        done, late = np.zeros(corrections.shape), np.zeros(corrections.shape[1], dtype=bool)
+        done, late = self._room(corrections), np.zeros(corrections.shape[1], dtype=bool)
         for pattern, poses in problem.blocks(self._block):
             noise = self.noise(pattern, poses)
             readings, known = problem.readings[:, poses], problem.known[:, poses]
             start = corrections[:, poses]
             closed = self._close(pattern, readings, known, start, noise, tolerance, contraction)
-            done[:, poses], late[poses] = closed.corrections, closed.open
+            done, late[poses] = _placed(closed.corrections, done, poses), closed.open
         return Closed(done, late)
 
     def misfit(self, corrections: Array, pattern: Pattern, poses: Poses) -> Array:
@@ -210,6 +212,12 @@ class Sweeper:
     def kernel(self, pattern: Pattern) -> BlockKernel:
         """What reduces the poses of a pattern."""
         return self._kernels[pattern.loops]
+
+    def _room(self, corrections: Array) -> Array:
+        """Zeros like corrections (k, N); they themselves where one block will bring all of it."""
+        one = len(self.problem.patterns) == 1 and corrections.shape[1] <= self._block
+        whole = one and isinstance(self.problem.patterns[0].poses, slice)
+        return corrections if whole else np.zeros(corrections.shape)
 
     def _made(self, engine: Engine) -> BlockKernel:
         return kernel_for(engine, self.reduce, exact=self._exact)
@@ -356,6 +364,14 @@ def _without(block: CovarianceBlock, gone: Collection[int], poses: Poses) -> Cov
     values, vectors = np.linalg.eigh(covariance[..., keep, :][..., keep])
     root = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
     return CovarianceBlock(tuple(block.indices[i] for i in keep), root)
+
+
+def _placed(part: Array, among: Array, poses: Poses) -> Array:
+    """`among` (k, N) with the columns of some poses replaced; `part` itself where it is all."""
+    if part.shape == among.shape:
+        return part
+    among[:, poses] = part
+    return among
 
 
 def _numbers(poses: Poses, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
