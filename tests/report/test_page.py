@@ -117,6 +117,12 @@ def test_a_good_result_is_called_good(planar: Path) -> None:
             "another unit",
         ),
         ("outliers", [{"pose": "17"}], "care", "1 pose does not fit the others (17)"),
+        (
+            "outliers",
+            [{"pose": "17"}, {"pose": "9"}, {"pose": "17"}],
+            "care",
+            "2 poses do not fit the others (17, 9, worst first)",
+        ),
     ],
 )
 def test_every_doubt_is_told(planar: Path, path: str, value: Any, grade: str, words: str) -> None:

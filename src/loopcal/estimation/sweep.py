@@ -113,8 +113,10 @@ class Sweeper:
         closing = closing if self.corrects else None
         self.at(parameters)
         data = Accumulator(len(problem.free), triangular, self._units)
-        used = corrections if closing is None else self._room(corrections)
-        proposal = self._room(corrections) if self.corrects else corrections
+        whole = self._one_block(corrections)
+        used = corrections if closing is None or whole else np.zeros(corrections.shape)
+        kept = not self.corrects or whole
+        proposal = corrections if kept else np.zeros(corrections.shape)
         steps, ratios = [0.0], [0.0]
         nowhere = np.empty(0, dtype=np.intp)
         singular, late = [nowhere], [nowhere]
@@ -132,11 +134,9 @@ class Sweeper:
                 start = self._close(
                     pattern, readings, known, start.corrections, noise, closing, contraction
                 )
-                used = _placed(start.corrections, used, poses)
+                used = _with_part(used, start.corrections, poses)
             self.evaluations += readings.shape[1]
-            into = None
-            if self.corrects and proposal is not corrections and isinstance(poses, slice):
-                into = proposal[:, poses]
+            into = None if kept or not isinstance(poses, slice) else proposal[:, poses]
             found = self.kernel(pattern).equations(
                 readings, start.corrections, known, noise, summed=summed, into=into
             )
@@ -153,7 +153,7 @@ class Sweeper:
                 late.append(_numbers(poses, start.open))
             if self.corrects:
                 if into is None:
-                    proposal = _placed(found.correction, proposal, poses)
+                    proposal = _with_part(proposal, found.correction, poses)
                 steps.append(float(found.step.max()))
                 last = steps[-1] / start.step if start.step > 0.0 else 0.0
                 ratios.append(min(max(last, start.contraction), 1.0))
@@ -179,13 +179,15 @@ class Sweeper:
             return Closed(corrections, np.zeros(corrections.shape[1], dtype=bool))
         problem = self.problem
         self.at(parameters)
-        done, late = self._room(corrections), np.zeros(corrections.shape[1], dtype=bool)
+        whole = self._one_block(corrections)
+        done = corrections if whole else np.zeros(corrections.shape)
+        late = np.zeros(corrections.shape[1], dtype=bool)
         for pattern, poses in problem.blocks(self._block):
             noise = self.noise(pattern, poses)
             readings, known = problem.readings[:, poses], problem.known[:, poses]
             start = corrections[:, poses]
             closed = self._close(pattern, readings, known, start, noise, tolerance, contraction)
-            done, late[poses] = _placed(closed.corrections, done, poses), closed.open
+            done, late[poses] = _with_part(done, closed.corrections, poses), closed.open
         return Closed(done, late)
 
     def misfit(self, corrections: Array, pattern: Pattern, poses: Poses) -> Array:
@@ -213,11 +215,10 @@ class Sweeper:
         """What reduces the poses of a pattern."""
         return self._kernels[pattern.loops]
 
-    def _room(self, corrections: Array) -> Array:
-        """Zeros like corrections (k, N); they themselves where one block will bring all of it."""
-        one = len(self.problem.patterns) == 1 and corrections.shape[1] <= self._block
-        whole = one and isinstance(self.problem.patterns[0].poses, slice)
-        return corrections if whole else np.zeros(corrections.shape)
+    def _one_block(self, corrections: Array) -> bool:
+        """Whether what one block brings is all corrections (k, N), and need not be copied."""
+        alike = [isinstance(pattern.poses, slice) for pattern in self.problem.patterns]
+        return alike == [True] and corrections.shape[1] <= self._block
 
     def _made(self, engine: Engine) -> BlockKernel:
         return kernel_for(engine, self.reduce, exact=self._exact)
@@ -366,12 +367,12 @@ def _without(block: CovarianceBlock, gone: Collection[int], poses: Poses) -> Cov
     return CovarianceBlock(tuple(block.indices[i] for i in keep), root)
 
 
-def _placed(part: Array, among: Array, poses: Poses) -> Array:
-    """`among` (k, N) with the columns of some poses replaced; `part` itself where it is all."""
-    if part.shape == among.shape:
+def _with_part(array: Array, part: Array, poses: Poses) -> Array:
+    """The array (k, N) with a part in the columns of its poses; the part where it is all."""
+    if part.shape == array.shape:
         return part
-    among[:, poses] = part
-    return among
+    array[:, poses] = part
+    return array
 
 
 def _numbers(poses: Poses, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:

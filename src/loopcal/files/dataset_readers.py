@@ -158,6 +158,8 @@ def dataset_of(
 
 def _refuse_nameless(table: Table, keep: NDArray[np.int64], ids: Sequence[str]) -> None:
     """Raise InputError where a pose to keep has no id; ids of all rows."""
+    if _NAMELESS.isdisjoint(ids):
+        return
     nameless = [i for i in keep.tolist() if ids[i] in _NAMELESS]
     if nameless:
         raise InputError(

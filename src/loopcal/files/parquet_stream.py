@@ -112,9 +112,10 @@ class ParquetStream:
                 )
 
     def _folders_inside(self) -> Iterator[DataWarning]:
+        if self.files[0].path.name == self.name:  # a file was asked for, not its folder
+            return
         folder = self.files[0].path.parent
-        named = folder.name == self.name  # a single file's folder was not asked for
-        inside = sorted(p for e in ENDINGS for p in folder.glob(f"*/*{e}")) if named else []
+        inside = sorted(p for e in ENDINGS for p in folder.glob(f"*/*{e}"))
         if inside:
             yield DataWarning(
                 None,

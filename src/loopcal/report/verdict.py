@@ -81,11 +81,14 @@ def _doubts(document: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _of_data(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     found = []
-    poses = sorted({entry["pose"] for entry in document["outliers"] or []})
+    poses = list(dict.fromkeys(entry["pose"] for entry in document["outliers"] or []))
     if poses:
         named = ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")
         count = f"{len(poses)} pose{'s do' if len(poses) > 1 else ' does'} not fit the others"
-        found.append((f"{count} ({named})", "look at these poses, and put right or leave out"))
+        worst = ", worst first" if len(poses) > 1 else ""
+        found.append(
+            (f"{count} ({named}{worst})", "look at these poses, and put right or leave out")
+        )
     return found
 
 
