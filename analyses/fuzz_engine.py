@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.block_kernel import BlockKernel, CompiledKernel, NumpyKernel
-from loopcal.estimation.kernel import BlockNoise, unweighted, whiten
+from loopcal.estimation.solve.block_kernel import BlockKernel, CompiledKernel, NumpyKernel
+from loopcal.estimation.solve.kernel import BlockNoise, unweighted, whiten
 from loopcal.expressions import _compiled
 from loopcal.expressions.choice import in_words
 from loopcal.expressions.compiled_engine import CompiledEngine

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from loopcal import InputError
-from loopcal.files.urdf import read_urdf
+from loopcal.files.machines.urdf import read_urdf
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import Instrument, assemble

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from problems import six_axis
 
 import loopcal as lc
-from loopcal.estimation.problem import Problem, build_problem
-from loopcal.estimation.solver import Solution, solve
+from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.solve.solver import Solution, solve
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough

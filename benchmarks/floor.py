@@ -17,9 +17,9 @@ import numpy as np
 from ours import on_engine
 from problems import six_axis
 
-from loopcal.estimation.problem import build_problem
-from loopcal.estimation.solver import solve_with
-from loopcal.estimation.sweep import Sweep, Sweeper
+from loopcal.estimation.problem.problem import build_problem
+from loopcal.estimation.solve.solver import solve_with
+from loopcal.estimation.solve.sweep import Sweep, Sweeper
 from loopcal.expressions.choice import in_words
 from loopcal.expressions.compiled_engine import program_for
 from loopcal.expressions.derivative import linearise

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from problems import Fit, Problem
 
 import loopcal
-from loopcal.estimation.problem import build_problem
-from loopcal.estimation.solver import solve
+from loopcal.estimation.problem.problem import build_problem
+from loopcal.estimation.solve.solver import solve
 from loopcal.expressions.choice import AVAILABLE
 
 T = TypeVar("T")

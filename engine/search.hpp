@@ -1,5 +1,5 @@
 // Unmeasured quantities from the loops of each pose of a tile, the readings held: what
-// loopcal/estimation/searching.py says, in its order. A pose that has settled waits for the others.
+// loopcal/estimation/solve/searching.py says, in its order. A pose that has settled waits for the others.
 
 constexpr int MOST = 40;
 constexpr double SETTLED = 1e-6, FIRST = 1e-3, SOFTER = 0.1, HARDER = 10.0, STUCK = 1e8;

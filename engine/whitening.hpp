@@ -1,4 +1,4 @@
-// The block kernel for one tile of poses: what loopcal/estimation/kernel.py says, in its order.
+// The block kernel for one tile of poses: what loopcal/estimation/solve/kernel.py says, in its order.
 
 constexpr double SINGULAR = 1e-13, REORTHOGONAL = 0.03, EPSILON = 0x1p-52;
 

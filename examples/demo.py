@@ -7,7 +7,7 @@ from pathlib import Path
 from loopcal.estimation.result import Result
 from loopcal.estimation.rounding import significant
 from loopcal.estimation.summary import SHOWN, columns
-from loopcal.files.truth_file import read_truth
+from loopcal.files.result.truth_file import read_truth
 from loopcal.units import from_si
 from loopcal.workflow.calibration import run_calibration
 

@@ -245,7 +245,7 @@ def test_an_import_upwards_or_sideways_is_found(name: str, text: str) -> None:
         ("cli.calibrate", "from loopcal import workflow"),
         ("__main__", "from loopcal.cli import main"),
         ("__init__", "from loopcal.workflow import calibrate"),
-        ("machines", "from loopcal.files.urdf import urdf_machine"),
+        ("machines", "from loopcal.files.machines.urdf import urdf_machine"),
     ],
 )
 def test_an_import_downwards_is_not(name: str, text: str) -> None:

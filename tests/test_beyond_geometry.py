@@ -12,11 +12,11 @@ import pytest
 
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
-from loopcal.files.dataset_readers import read_dataset
-from loopcal.files.mechanism_file import read_mechanism
-from loopcal.files.project_data import load_dataset
-from loopcal.files.project_file import read_project
-from loopcal.files.result_file import read_result
+from loopcal.files.machines.mechanism_file import read_mechanism
+from loopcal.files.project.project_data import load_dataset
+from loopcal.files.project.project_file import read_project
+from loopcal.files.result.result_file import read_result
+from loopcal.files.tables.readers import read_dataset
 from loopcal.statistics.models import compare_models
 from loopcal.statistics.outliers import find_outliers
 from loopcal.workflow.calibration import run_calibration

@@ -12,8 +12,8 @@ import pytest
 
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.result import Result
-from loopcal.files.project_data import load_dataset
-from loopcal.files.project_file import read_project
+from loopcal.files.project.project_data import load_dataset
+from loopcal.files.project.project_file import read_project
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SIMULATED = ("planar", "six_axis")

@@ -59,8 +59,8 @@ print("ended", flush=True)
 
 SOLVES = """
 import numpy as np
-from loopcal.estimation.problem import build_problem
-from loopcal.estimation.solver import solve
+from loopcal.estimation.problem.problem import build_problem
+from loopcal.estimation.solve.solver import solve
 from loopcal.measurements.noise import Noise
 from tests.reference.simulated import ma1400
 
@@ -80,7 +80,7 @@ except KeyboardInterrupt:
 COMMAND = """
 import sys
 from loopcal.cli.run import main
-from loopcal.estimation.sweep import Sweeper
+from loopcal.estimation.solve.sweep import Sweeper
 
 sweep = Sweeper.sweep
 

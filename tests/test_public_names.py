@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 import loopcal
-from loopcal.files.instrument_entries import MAKERS as INSTRUMENTS
-from loopcal.files.mechanism_file import BUILDERS
+from loopcal.files.machines.instrument_entries import MAKERS as INSTRUMENTS
+from loopcal.files.machines.mechanism_file import BUILDERS
 from tests.documentation import blocks
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -14,7 +14,7 @@ import polars as pl
 import pytest
 
 import loopcal as lc
-from loopcal.files.mechanism_writer import mechanism_to_toml
+from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 
 
 def two_link(x, p):

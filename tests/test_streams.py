@@ -20,11 +20,11 @@ from loopcal.errors import InputError
 from loopcal.execution.cluster import Cluster
 from loopcal.execution.executor import Executor
 from loopcal.execution.local import Processes, Threads
-from loopcal.files import parquet_stream
-from loopcal.files.parquet_stream import project_stream
-from loopcal.files.project_data import load_dataset
-from loopcal.files.project_file import Project, read_project
-from loopcal.files.residual_parts import ResidualParts
+from loopcal.files.project import stream as parquet_stream
+from loopcal.files.project.project_data import load_dataset
+from loopcal.files.project.project_file import Project, read_project
+from loopcal.files.project.stream import project_stream
+from loopcal.files.result.residual_parts import ResidualParts
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loopcal.errors import InputError, UsageError
-from loopcal.files.result_file import read_result
+from loopcal.files.result.result_file import read_result
 from loopcal.workflow.calibration import run_calibration
 from loopcal.workflow.projects import new_project, schema
 from loopcal.workflow.simulation import run_simulation

@@ -27,16 +27,16 @@ if TYPE_CHECKING:
         Result,
         Undetermined,
     )
-    from loopcal.estimation.status import Status
+    from loopcal.estimation.solve.status import Status
     from loopcal.execution.cluster import Cluster
     from loopcal.execution.local import Processes, Threads
     from loopcal.expressions.trace import TraceError
     from loopcal.expressions.vectors import cross, dot, norm, rot_x, rot_y, rot_z, rotate, vector
-    from loopcal.files.dataset_readers import read_dataset
-    from loopcal.files.mechanism_file import read_mechanism
-    from loopcal.files.project_data import LoadedData, load_dataset
-    from loopcal.files.project_file import Project, read_project
-    from loopcal.files.result_file import WrittenResult, read_result
+    from loopcal.files.machines.mechanism_file import read_mechanism
+    from loopcal.files.project.project_data import LoadedData, load_dataset
+    from loopcal.files.project.project_file import Project, read_project
+    from loopcal.files.result.result_file import WrittenResult, read_result
+    from loopcal.files.tables.readers import read_dataset
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
     from loopcal.measurements.noise import Noise
@@ -79,18 +79,18 @@ _HOME = {
         *("Accuracy", "ChiSquared", "Closure", "Identifiability", "NoiseEntry", "Result"),
         "Undetermined",
     ),
-    "estimation.status": ("Status",),
+    "estimation.solve.status": ("Status",),
     "execution.cluster": ("Cluster",),
     "execution.local": ("Processes", "Threads"),
     "expressions.trace": ("TraceError",),
     "expressions.vectors": (
         *("cross", "dot", "norm", "rot_x", "rot_y", "rot_z", "rotate", "vector"),
     ),
-    "files.dataset_readers": ("read_dataset",),
-    "files.mechanism_file": ("read_mechanism",),
-    "files.project_data": ("LoadedData", "load_dataset"),
-    "files.project_file": ("Project", "read_project"),
-    "files.result_file": ("WrittenResult", "read_result"),
+    "files.tables.readers": ("read_dataset",),
+    "files.machines.mechanism_file": ("read_mechanism",),
+    "files.project.project_data": ("LoadedData", "load_dataset"),
+    "files.project.project_file": ("Project", "read_project"),
+    "files.result.result_file": ("WrittenResult", "read_result"),
     "measurements.dataset": ("Dataset",),
     "measurements.datasheet": ("Tracker", "encoder_sd", "tracker_covariance"),
     "measurements.noise": ("Noise",),

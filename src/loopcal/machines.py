@@ -5,7 +5,7 @@ Each function returns a `Machine`; `loopcal.assemble` makes a mechanism of it an
 
 from __future__ import annotations
 
-from loopcal.files.urdf import urdf_machine as urdf
+from loopcal.files.machines.urdf import urdf_machine as urdf
 from loopcal.mechanisms.exponentials import ScrewJoint, exponentials
 from loopcal.mechanisms.frame import BodyFrame
 from loopcal.mechanisms.gauge import Gauge

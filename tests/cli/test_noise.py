@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopcal.files.project_file import read_project
+from loopcal.files.project.project_file import read_project
 from tests.cli.conftest import PROJECT, Run
 
 SIX_AXIS = Path(__file__).resolve().parents[2] / "examples" / "six_axis" / "mechanism.toml"

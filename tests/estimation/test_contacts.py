@@ -19,7 +19,7 @@ from analyses.instruments import (
     touching,
 )
 from loopcal.errors import InputError
-from loopcal.estimation.constants import known_constants, with_implied
+from loopcal.estimation.problem.constants import known_constants, with_implied
 from loopcal.mechanisms.instruments.contact import ball_bar, socket
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from loopcal import Dataset, Noise, calibrate
-from loopcal.estimation.problem import build_problem
+from loopcal.estimation.problem.problem import build_problem
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.spherical import spherical
 from loopcal.mechanisms.machine import assemble

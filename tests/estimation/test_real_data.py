@@ -11,7 +11,7 @@ import pytest
 
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.result import Result
-from loopcal.files.dataset_readers import read_dataset
+from loopcal.files.tables.readers import read_dataset
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from loopcal.estimation.calibrate import calibrate
-from loopcal.files.mechanism_file import mechanism_from_data
+from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.redundancy import redundant, without_redundant

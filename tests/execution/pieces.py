@@ -14,7 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 from loopcal.errors import InputError
-from loopcal.estimation.scratch import one_blas_thread
+from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import Crew, Done, Executor, done
 from loopcal.expressions.choice import use_threads
 

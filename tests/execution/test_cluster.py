@@ -25,7 +25,7 @@ from loopcal.execution.cluster import Cluster, _Opening, versions
 from loopcal.execution.executor import InProcess, gathered
 from loopcal.execution.local import Processes, Threads
 from loopcal.expressions import choice
-from loopcal.files import study_parts
+from loopcal.files.study import study_parts
 from loopcal.studies.run import run_study
 from tests.command_line import environment, run
 from tests.dask_cluster import DaskCluster, dask_cluster

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_info
 
 import loopcal as lc
 from loopcal.errors import InputError, UsageError
-from loopcal.estimation.scratch import one_blas_thread
+from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution import local
 from loopcal.execution.executor import (
     AHEAD,
@@ -29,8 +29,8 @@ from loopcal.execution.executor import (
 )
 from loopcal.execution.local import Processes, Threads
 from loopcal.expressions import choice
-from loopcal.files.new_project import write_new_project
-from loopcal.files.templates import TEMPLATES
+from loopcal.files.project.new_project import write_new_project
+from loopcal.files.project.templates import TEMPLATES
 from loopcal.workflow.calibration import run_calibration
 from tests.execution import pieces
 from tests.execution.pieces import Backwards

@@ -10,7 +10,7 @@ import pytest
 from analyses.instruments import HOME, SCREWS, SIX, SLIDES, Z
 from loopcal.errors import InputError
 from loopcal.expressions.engine import engine_for
-from loopcal.files.urdf import read_urdf
+from loopcal.files.machines.urdf import read_urdf
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.exponentials import exponentials
 from loopcal.mechanisms.instruments.contact import ball_bar, plane, socket, sphere

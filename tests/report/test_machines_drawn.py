@@ -7,7 +7,7 @@ import pytest
 
 import loopcal as lc
 from analyses.machines import CASES
-from loopcal.files.result_file import result_document
+from loopcal.files.result.result_file import result_document
 from loopcal.report.drawn import figures
 from loopcal.report.source import source_of
 

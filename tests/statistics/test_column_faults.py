@@ -8,7 +8,7 @@ import numpy as np
 
 import loopcal as lc
 from analyses.instruments import Setup, setup
-from loopcal.estimation.problem import Problem, build_problem
+from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.statistics.column_faults import column_faults
 
 

@@ -137,7 +137,7 @@ def test_what_nothing_bounds_has_no_interval() -> None:
 def test_the_summary_and_the_document_tell_it() -> None:
     from dataclasses import replace
 
-    from loopcal.files.result_file import result_document
+    from loopcal.files.result.result_file import result_document
 
     result = lc.calibrate(exponential(), {"t": T, "y": Y}, noise=LINE)
     result = replace(result, intervals=intervals(result))

@@ -11,7 +11,7 @@ import pytest
 import loopcal as lc
 from analyses.gross_errors import Counts, run, sds
 from loopcal.errors import InputError
-from loopcal.estimation.problem import build_problem
+from loopcal.estimation.problem.problem import build_problem
 from loopcal.statistics.column_faults import column_faults
 from loopcal.units import from_si
 from tests.reference.simulated import ma1400, planar_arm

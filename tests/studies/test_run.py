@@ -17,7 +17,7 @@ import loopcal as lc
 from loopcal.errors import InputError
 from loopcal.execution.executor import InProcess
 from loopcal.execution.local import Processes
-from loopcal.files.study_file import read_study
+from loopcal.files.study.study_file import read_study
 from loopcal.simulation.simulate import simulate
 from loopcal.studies.draws import run_draws, seed_of
 from loopcal.studies.run import run_study

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopcal.files.study_file import Scenario, Study, read_study
+from loopcal.files.study.study_file import Scenario, Study, read_study
 from loopcal.mechanisms.prior import Prior
 from loopcal.studies.draws import run_draws
 from loopcal.studies.tables import ScenarioTable, tables

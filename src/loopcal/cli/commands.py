@@ -8,7 +8,7 @@ import typer
 
 from loopcal.cli.output import log, print_json, print_out
 from loopcal.errors import NoTrustworthyResult
-from loopcal.files.templates import TEMPLATES
+from loopcal.files.project.templates import TEMPLATES
 
 app = typer.Typer(
     name="loopcal",

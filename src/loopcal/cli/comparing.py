@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from loopcal.errors import InputError
-from loopcal.files.mechanism_file import Loops
-from loopcal.files.new_readings import read_new_readings
-from loopcal.files.python_function import load_function
-from loopcal.files.result_folder import read_result_folder
-from loopcal.files.result_poses import read_result_poses
+from loopcal.files.machines.mechanism_file import Loops
+from loopcal.files.machines.python_function import load_function
+from loopcal.files.project.new_readings import read_new_readings
+from loopcal.files.result.result_folder import read_result_folder
+from loopcal.files.result.result_poses import read_result_poses
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.compared import Compared

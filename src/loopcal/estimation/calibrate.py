@@ -12,15 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, nearest
-from loopcal.estimation.alignment import begins_aligned, placed
-from loopcal.estimation.discrepancy import model_discrepancy
 from loopcal.estimation.distances import distances
-from loopcal.estimation.learning import components, entries, with_model, words
-from loopcal.estimation.loss import loss_named
-from loopcal.estimation.noise_estimation import NoiseEstimate, estimate_noise
+from loopcal.estimation.noise.discrepancy import model_discrepancy
+from loopcal.estimation.noise.estimation import NoiseEstimate, estimate_noise
+from loopcal.estimation.noise.learning import components, entries, with_model, words
 from loopcal.estimation.prediction import output_differences
-from loopcal.estimation.problem import Problem, build_problem
-from loopcal.estimation.reduction import spectrum, undetermined
+from loopcal.estimation.problem.alignment import begins_aligned, placed
+from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.problem.unreachable import refuse_unreachable
 from loopcal.estimation.result import (
     Accuracy,
     ChiSquared,
@@ -29,13 +28,14 @@ from loopcal.estimation.result import (
     Undetermined,
     frozen,
 )
-from loopcal.estimation.reweighted import solve_reweighted
-from loopcal.estimation.robust import robust_covariance, solve_robust
-from loopcal.estimation.scratch import one_blas_thread
-from loopcal.estimation.seed_iteration import iterate_undamped
-from loopcal.estimation.solver import Progress, Solution, solve
-from loopcal.estimation.sweep import Sweeper
-from loopcal.estimation.unreachable import refuse_unreachable
+from loopcal.estimation.solve.loss import loss_named
+from loopcal.estimation.solve.reduction import spectrum, undetermined
+from loopcal.estimation.solve.reweighted import solve_reweighted
+from loopcal.estimation.solve.robust import robust_covariance, solve_robust
+from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.estimation.solve.seed_iteration import iterate_undamped
+from loopcal.estimation.solve.solver import Progress, Solution, solve
+from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
@@ -70,7 +70,8 @@ def calibrate(
     that noise say anything about the parameters: the robust choice where poses are alike and sds
     guessed. "implicit-loop-undamped" is the seed's own iteration, for study.
 
-    loss: "huber" or "student-t" let poses that do not fit count less (`loopcal.estimation.loss`);
+    loss: "huber" or "student-t" let poses that do not fit count less
+    (`loopcal.estimation.solve.loss`);
     the covariance is then valid without normal errors, and there is no chi-squared. For the
     methods "implicit-loop" and "reweighted" with stated sds.
 

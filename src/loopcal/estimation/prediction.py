@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.kernel import eliminate
-from loopcal.estimation.problem import BLOCK, Problem, held_loops
+from loopcal.estimation.problem.problem import BLOCK, Problem, held_loops
+from loopcal.estimation.solve.kernel import eliminate
 from loopcal.expressions.engine import engine_for
 from loopcal.expressions.tape import Tape
 from loopcal.mechanisms.mechanism import Mechanism

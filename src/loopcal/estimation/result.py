@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.on_request import Interval, ModelComparison, Validation
-from loopcal.estimation.problem import Problem
-from loopcal.estimation.reduction import Accumulator, Spectrum
-from loopcal.estimation.status import Status
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.solve.reduction import Accumulator, Spectrum
+from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from loopcal.errors import InputError
-from loopcal.files.raw import existing_file, unreadable
+from loopcal.files.tables.raw import existing_file, unreadable
 
 
 def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from loopcal.errors import InputError
-from loopcal.files.place import Place
+from loopcal.files.toml.place import Place
 
 _VARIABLE = re.compile(r"\$\{(\w+)\}")
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from loopcal.estimation.result import Result
-from loopcal.files.mechanism_file import read_arm
-from loopcal.files.result_columns import ResultColumns, read_result_columns
-from loopcal.files.result_file import read_result
+from loopcal.files.machines.mechanism_file import read_arm
+from loopcal.files.result.result_columns import ResultColumns, read_result_columns
+from loopcal.files.result.result_file import read_result
 from loopcal.mechanisms.mechanism import Mechanism
 
 

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.problem import Problem
+from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.model_error import PREFIX
 from loopcal.statistics.pose_tests import Fit, try_rows

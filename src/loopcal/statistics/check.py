@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.alignment import begins_aligned, placed
-from loopcal.estimation.learning import with_model
-from loopcal.estimation.problem import Problem, build_problem
-from loopcal.estimation.reduction import Spectrum, spectrum, undetermined
+from loopcal.estimation.noise.learning import with_model
+from loopcal.estimation.problem.alignment import begins_aligned, placed
+from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.problem.starting import start_corrections
+from loopcal.estimation.problem.unreachable import refuse_unreachable
 from loopcal.estimation.rounding import significant
-from loopcal.estimation.scratch import one_blas_thread
-from loopcal.estimation.starting import start_corrections
+from loopcal.estimation.solve.reduction import Spectrum, spectrum, undetermined
+from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.estimation.summary import SHOWN, columns
-from loopcal.estimation.sweep import NEAR, Sweeper
-from loopcal.estimation.unreachable import refuse_unreachable
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism

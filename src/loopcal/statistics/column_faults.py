@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.alignment import align, can_be_placed, placed
 from loopcal.estimation.distances import distances
 from loopcal.estimation.prediction import output_differences, predict_outputs
-from loopcal.estimation.problem import Problem, taken
-from loopcal.estimation.solver import solve
+from loopcal.estimation.problem.alignment import align, can_be_placed, placed
+from loopcal.estimation.problem.problem import Problem, taken
+from loopcal.estimation.solve.solver import solve
 from loopcal.mechanisms.model_error import PREFIX
 
 Array = NDArray[np.float64]

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.alignment import align
 from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.problem.alignment import align
 from loopcal.estimation.result import Result
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism

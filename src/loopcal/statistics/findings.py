@@ -8,7 +8,7 @@ from typing import Any
 
 from loopcal.estimation.result import Result
 from loopcal.estimation.rounding import significant
-from loopcal.estimation.streaming import StreamedProblem
+from loopcal.estimation.stream.sweeps import StreamedProblem
 from loopcal.estimation.summary import SHOWN
 from loopcal.statistics.identifiability import WhatDataSay, what_data_say
 from loopcal.statistics.observability import Observability, data_spectrum, observability

@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.on_request import Interval
-from loopcal.estimation.problem import Problem
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import Result
-from loopcal.estimation.scratch import one_blas_thread
-from loopcal.estimation.solver import solve
-from loopcal.estimation.starting import start_corrections
-from loopcal.estimation.sweep import NEGLIGIBLE, Sweeper
+from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.estimation.solve.solver import solve
+from loopcal.estimation.solve.sweep import NEGLIGIBLE, Sweeper
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.mechanisms.parameters import matching
 

@@ -13,8 +13,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.reduction import Accumulator, Spectrum, spectrum
 from loopcal.estimation.rounding import significant
+from loopcal.estimation.solve.reduction import Accumulator, Spectrum, spectrum
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
 from loopcal.estimation.rounding import significant
-from loopcal.estimation.scratch import one_blas_thread
-from loopcal.estimation.solver import solve
+from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.estimation.solve.solver import solve
 from loopcal.estimation.summary import SHOWN
 from loopcal.units import from_si
 

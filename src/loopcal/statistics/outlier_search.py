@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.loss import Huber, Loss
-from loopcal.estimation.pose_equations import pose_equations
-from loopcal.estimation.problem import Problem, taken
+from loopcal.estimation.problem.pose_equations import pose_equations
+from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import Result
-from loopcal.estimation.reweighted import solve_reweighted
-from loopcal.estimation.solver import Solution, solve_with
-from loopcal.estimation.sweep import Sweeper
+from loopcal.estimation.solve.loss import Huber, Loss
+from loopcal.estimation.solve.reweighted import solve_reweighted
+from loopcal.estimation.solve.solver import Solution, solve_with
+from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.mechanisms.model_error import disturbances
 from loopcal.statistics.pose_tests import Fit, PoseTests, pose_tests, settle
 

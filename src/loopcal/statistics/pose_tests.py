@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.closing import UNMEASURED_SCALE, Closed
-from loopcal.estimation.pose_equations import PoseEquations, pose_equations
-from loopcal.estimation.problem import Problem, left_unmeasured, taken
-from loopcal.estimation.sweep import NEAR, NEGLIGIBLE, Sweeper
+from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
+from loopcal.estimation.problem.problem import Problem, left_unmeasured, taken
+from loopcal.estimation.solve.closing import UNMEASURED_SCALE, Closed
+from loopcal.estimation.solve.sweep import NEAR, NEGLIGIBLE, Sweeper
 
 Array = NDArray[np.float64]
 NO_REDUNDANCY = 1e-6

@@ -17,13 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.learning import with_model
-from loopcal.estimation.linear_model import ModelBlock, linear_model
-from loopcal.estimation.noise_estimation import scaled
-from loopcal.estimation.problem import Problem, build_problem
+from loopcal.estimation.noise.estimation import scaled
+from loopcal.estimation.noise.learning import with_model
+from loopcal.estimation.noise.linear_model import ModelBlock, linear_model
+from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import Result
-from loopcal.estimation.starting import start_corrections
-from loopcal.estimation.sweep import NEGLIGIBLE, Sweeper
+from loopcal.estimation.solve.sweep import NEGLIGIBLE, Sweeper
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
-from loopcal.estimation.problem import Pattern, Problem
-from loopcal.estimation.reduction import Spectrum
+from loopcal.estimation.problem.problem import Pattern, Problem
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import PREFIX, with_model_error
 from loopcal.statistics.sensitivity import output_sensitivity

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.problem import BLOCK
+from loopcal.estimation.problem.problem import BLOCK
 from loopcal.expressions.engine import engine_for
 from loopcal.mechanisms.mechanism import Mechanism
 

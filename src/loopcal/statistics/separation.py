@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.alignment import can_be_placed, placed
-from loopcal.estimation.linear_model import LinearModel, ModelBlock, linear_model
-from loopcal.estimation.prediction import predict_outputs
-from loopcal.estimation.problem import Problem, build_problem
-from loopcal.estimation.variance_components import (
+from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model
+from loopcal.estimation.noise.variance_components import (
     ALIKE,
     Estimate,
     estimate_ratios,
     upper_bound,
     without_component,
 )
+from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.problem.alignment import can_be_placed, placed
+from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism

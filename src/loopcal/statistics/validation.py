@@ -24,7 +24,7 @@ from loopcal.estimation.distances import distances
 from loopcal.estimation.on_request import Validation
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Accuracy, Result
-from loopcal.estimation.scratch import one_blas_thread
+from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise

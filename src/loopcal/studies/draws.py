@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from loopcal.errors import DomainError
 from loopcal.estimation.prediction import predict_outputs
-from loopcal.estimation.problem import Problem, build_problem
-from loopcal.estimation.reduction import undetermined
-from loopcal.estimation.reweighted import solve_reweighted
-from loopcal.estimation.scratch import one_blas_thread
-from loopcal.estimation.seed_iteration import iterate_undamped
-from loopcal.estimation.solver import Solution, solve
-from loopcal.files.study_file import Scenario, StudyMethod
+from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.solve.reduction import undetermined
+from loopcal.estimation.solve.reweighted import solve_reweighted
+from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.estimation.solve.seed_iteration import iterate_undamped
+from loopcal.estimation.solve.solver import Solution, solve
+from loopcal.files.study.study_file import Scenario, StudyMethod
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.simulation.simulate import Simulation, simulate

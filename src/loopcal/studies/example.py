@@ -5,7 +5,7 @@ from __future__ import annotations
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.result import Result
-from loopcal.files.study_file import Scenario
+from loopcal.files.study.study_file import Scenario
 from loopcal.measurements.dataset import Dataset
 from loopcal.simulation.simulate import simulate
 from loopcal.studies.draws import seed_of

@@ -11,9 +11,9 @@ from typing import Any
 from loopcal.errors import InputError, UsageError
 from loopcal.execution.executor import Executor
 from loopcal.execution.local import Processes
-from loopcal.files.python_function import load_function
-from loopcal.files.study_file import Study, read_study
-from loopcal.files.study_parts import (
+from loopcal.files.machines.python_function import load_function
+from loopcal.files.study.study_file import Study, read_study
+from loopcal.files.study.study_parts import (
     Part,
     join_parts,
     missing_parts,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.files.study_file import Scenario, Study
+from loopcal.files.study.study_file import Scenario, Study
 from loopcal.studies.draws import SIGMAS, seed_of
 from loopcal.studies.paired import Paired, paired
 

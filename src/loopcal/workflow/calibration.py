@@ -12,16 +12,16 @@ from typing import Any
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.calibrate import METHODS, calibrate
 from loopcal.estimation.result import Result
-from loopcal.estimation.solver import Progress
+from loopcal.estimation.solve.solver import Progress
 from loopcal.execution.executor import Executor
-from loopcal.files import result_file
-from loopcal.files.parquet_stream import project_stream
-from loopcal.files.project_data import LoadedData, load_dataset
-from loopcal.files.project_file import Project
-from loopcal.files.residual_parts import NAME as RESIDUALS
-from loopcal.files.result_file import WrittenResult
-from loopcal.files.truth_file import read_truth
-from loopcal.files.validation_entries import ValidationSpec, validation_arguments
+from loopcal.files.project.project_data import LoadedData, load_dataset
+from loopcal.files.project.project_file import Project
+from loopcal.files.project.stream import project_stream
+from loopcal.files.project.validation_entries import ValidationSpec, validation_arguments
+from loopcal.files.result import result_file
+from loopcal.files.result.residual_parts import NAME as RESIDUALS
+from loopcal.files.result.result_file import WrittenResult
+from loopcal.files.result.truth_file import read_truth
 from loopcal.measurements.checks import DataWarning
 from loopcal.statistics.findings import Findings, findings
 from loopcal.workflow.projects import named_project

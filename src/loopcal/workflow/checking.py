@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_files
-from loopcal.files.new_readings import read_new_readings
-from loopcal.files.parquet_stream import load_sample
-from loopcal.files.python_function import load_function
-from loopcal.files.result_folder import read_result_folder
-from loopcal.files.table_writer import check_ending, table_bytes
+from loopcal.files.machines.python_function import load_function
+from loopcal.files.project.new_readings import read_new_readings
+from loopcal.files.project.stream import load_sample
+from loopcal.files.result.result_folder import read_result_folder
+from loopcal.files.tables.writer import check_ending, table_bytes
 from loopcal.measurements.noise import Noise
 from loopcal.statistics.check import Check, check
 from loopcal.statistics.prediction import Prediction, predict

@@ -8,11 +8,11 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import UsageError, nearest
-from loopcal.files import result_file
-from loopcal.files.new_project import write_new_project
-from loopcal.files.project_file import Project, read_project
-from loopcal.files.python_function import load_function
-from loopcal.files.templates import TEMPLATES
+from loopcal.files.machines.python_function import load_function
+from loopcal.files.project.new_project import write_new_project
+from loopcal.files.project.project_file import Project, read_project
+from loopcal.files.project.templates import TEMPLATES
+from loopcal.files.result import result_file
 
 if TYPE_CHECKING:
     pass
@@ -53,7 +53,7 @@ def new_project(name: str, kind: str) -> NewProject:
 def schema(name: str) -> dict[str, Any]:
     """The JSON Schema of "project" files or of "result" files."""
     if name == "project":
-        from loopcal.files.project_schema import project_schema
+        from loopcal.files.project.project_schema import project_schema
 
         return project_schema()
     if name == "result":

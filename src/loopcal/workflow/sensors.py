@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError
-from loopcal.files.parquet_stream import load_sample
-from loopcal.files.project_file import Project
+from loopcal.files.project.project_file import Project
+from loopcal.files.project.stream import load_sample
 from loopcal.measurements.dataset import Dataset
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def sensor_noise(
     "S=rad,x=m" instead, else every column of numbers; pose: column of the ids.
     Raises InputError for what cannot be read or used, UsageError for options that clash.
     """
-    from loopcal.files.repeats_files import read_repeats
+    from loopcal.files.tables.repeats import read_repeats
     from loopcal.statistics import repeats_summary
     from loopcal.statistics.repeats import repeated_readings, with_separation
     from loopcal.statistics.separation import separate

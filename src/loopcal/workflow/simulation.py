@@ -10,9 +10,9 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_files
-from loopcal.files.readings_file import readings_tables
-from loopcal.files.table_writer import check_ending
-from loopcal.files.truth_file import truth_json
+from loopcal.files.project.readings_file import readings_tables
+from loopcal.files.result.truth_file import truth_json
+from loopcal.files.tables.writer import check_ending
 from loopcal.measurements.noise import resolve_noise
 from loopcal.simulation.simulate import Simulation, simulate
 

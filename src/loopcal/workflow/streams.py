@@ -9,13 +9,13 @@ from typing import Any
 
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
-from loopcal.estimation.solver import Progress
-from loopcal.estimation.streamed import calibrate_stream
+from loopcal.estimation.solve.solver import Progress
+from loopcal.estimation.stream.calibrate import calibrate_stream
 from loopcal.execution.executor import Executor
-from loopcal.files.parquet_stream import ParquetStream
-from loopcal.files.progress_file import ProgressFile
-from loopcal.files.project_file import Project
-from loopcal.files.residual_parts import ResidualParts, residual_part
+from loopcal.files.project.project_file import Project
+from loopcal.files.project.stream import ParquetStream
+from loopcal.files.result.progress_file import ProgressFile
+from loopcal.files.result.residual_parts import ResidualParts, residual_part
 from loopcal.files.versions import versions
 
 DROPPED = "left by a run with another project, readings, method or version; begins anew"

@@ -1,0 +1,1 @@
+"""Sds learned from the calibration itself: variance components by restricted maximum likelihood."""

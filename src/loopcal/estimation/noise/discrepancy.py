@@ -1,0 +1,46 @@
+"""How large an error of the machine model would explain what the sensors do not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from loopcal.estimation.noise.linear_model import linear_model
+from loopcal.estimation.noise.variance_components import estimate_ratios
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.solve.solver import Solution
+from loopcal.measurements.noise import ReadingUncertainty
+from loopcal.mechanisms.model_error import disturbances, with_model_error
+
+_MOST_POSES = 20_000
+_START = 1e-4
+
+
+def model_discrepancy(problem: Problem, solution: Solution) -> float | None:
+    """The sd [unit of the outputs] of an isotropic error at the end point, beside the sensors.
+
+    Restricted maximum likelihood of one further variance component at the loops as linearised by
+    the fit, which is not repeated: an indication, where chi-squared is too large. None where the
+    mechanism has no outputs or such an error already, or for more poses than are worth it.
+    """
+    mechanism = problem.mechanism
+    names = disturbances(mechanism)
+    known = names[0] in mechanism.quantities
+    units = {mechanism.quantities[q] for q in mechanism.outputs}
+    if len(units) != 1 or known or len(problem.poses) > _MOST_POSES:
+        return None
+    rows = np.zeros((len(names), len(problem.poses)))
+    own = problem.uncertainty
+    sd = np.vstack([own.sd, np.full((len(names), own.sd.shape[1]), _START)])
+    disturbed = replace(
+        problem,
+        mechanism=with_model_error(mechanism),
+        readings=np.vstack([problem.readings, rows]),
+        uncertainty=ReadingUncertainty(sd, own.blocks, (*own.sources, *("given",) * len(names))),
+    )
+    positions = range(len(problem.readings), len(problem.readings) + len(names))
+    corrections = np.vstack([solution.corrections, rows])
+    model = linear_model(disturbed, solution.parameters, corrections, [list(positions)])
+    return _START * math.sqrt(float(estimate_ratios(model).ratios[0]))

@@ -1,0 +1,155 @@
+"""What `calibrate` is asked to learn about the noise, and how the result tells it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from loopcal.errors import InputError
+from loopcal.estimation.noise.estimation import EstimatedSd, NoiseEstimate
+from loopcal.estimation.noise.variance_components import Component
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.result import NoiseEntry
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import MODEL, Noise
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.model_error import PREFIX, disturbances, with_model_error
+
+
+def with_model(mechanism: Mechanism, data: Dataset, noise: Noise) -> tuple[Mechanism, Dataset]:
+    """Mechanism and readings with the model's own error, where the noise speaks of one."""
+    if MODEL not in noise.entries and MODEL not in noise.estimate:
+        return mechanism, data
+    names = disturbances(mechanism)
+    data = data.with_readings({name: np.zeros(len(data)) for name in names})
+    return with_model_error(mechanism), data
+
+
+def components(problem: Problem, noise: Noise) -> tuple[Component, ...]:
+    """The variance components that are to be estimated; later entries win.
+
+    Raises InputError for a quantity that has no sd to begin from, and for a part of quantities
+    that share a covariance.
+    """
+    quantities = problem.mechanism.tape.quantities
+    owner: dict[int, str] = {}
+    for key, how in noise.estimate.items():
+        names = key if isinstance(key, tuple) else problem.mechanism.quantity_group(key)
+        label = ", ".join(key) if isinstance(key, tuple) else key
+        for name in names:
+            alone = how == "each" and key != MODEL  # the model's error is isotropic
+            owner[quantities.index(name)] = name if alone else label
+    for position in owner:
+        _check_start(problem, position)
+    found = [
+        Component(label, tuple(i for i in owner if owner[i] == label))
+        for label in dict.fromkeys(owner.values())
+    ]
+    for block in problem.uncertainty.blocks:
+        touched = [c.name for c in found if set(c.quantities) & set(block.indices)]
+        if touched and not any(set(block.indices) <= set(c.quantities) for c in found):
+            shared = ", ".join(quantities[i] for i in block.indices)
+            raise InputError(
+                f"{shared} share a covariance, so their sds have one factor",
+                remedy=f'estimate them together: estimate = "group" for {shared}',
+            )
+    return tuple(found)
+
+
+def _check_start(problem: Problem, position: int) -> None:
+    sd = problem.uncertainty.sd[position]
+    measured = sd[np.isfinite(sd)]
+    if measured.size and np.any(measured > 0.0):
+        return
+    name = problem.mechanism.tape.quantities[position]
+    raise InputError(
+        f"the sd of {name!r} is to be estimated and has no size to begin from",
+        remedy=f"state a rough sd of {name!r} above zero, or leave its estimate out",
+    )
+
+
+def entries(
+    problem: Problem, estimate: NoiseEstimate | None, stated: Problem
+) -> tuple[NoiseEntry, ...]:
+    """The sds that were used, one entry for each quantity or estimated group."""
+    estimated = {i: c for c in (estimate.components if estimate else ()) for i in c.quantities}
+    found: list[NoiseEntry] = []
+    told: set[str] = set()
+    for i, quantity in enumerate(problem.mechanism.tape.quantities):
+        row = problem.uncertainty.sd[i]
+        measured = row[np.isfinite(row)]
+        if not measured.size:
+            continue
+        unit = problem.mechanism.quantities[quantity]
+        entry = NoiseEntry(
+            (quantity,), unit, float(np.median(measured)), None, problem.uncertainty.sources[i]
+        )
+        if i in estimated:
+            component = estimated[i]
+            if component.name in told:
+                continue
+            told.add(component.name)
+            entry = _learnt(entry, component, stated)
+        found.append(entry)
+    return tuple(found)
+
+
+def _learnt(entry: NoiseEntry, component: EstimatedSd, stated: Problem) -> NoiseEntry:
+    quantities = stated.mechanism.tape.quantities
+    row = stated.uncertainty.sd[component.quantities[0]]
+    begun = float(np.median(row[np.isfinite(row)]))
+
+    def sd(ratio: float | None) -> float | None:
+        return None if ratio is None else ratio * begun
+
+    alike = {
+        float(np.median(r[np.isfinite(r)]))
+        for r in (stated.uncertainty.sd[i] for i in component.quantities)
+    }
+    names = tuple(quantities[i] for i in component.quantities)
+    return replace(
+        entry,
+        # of a group with unlike sds the entry shows the first; the others keep their proportion
+        quantities=names if len(alike) == 1 else names[:1],
+        sd=component.ratio * begun,
+        sd_of_sd=sd(component.sd_of_ratio),
+        source="estimated",
+        upper=sd(component.upper_ratio),
+        likelihood_ratio=component.likelihood_ratio,
+        p_value=component.p_value,
+    )
+
+
+def words(
+    estimate: NoiseEstimate, noise: Sequence[NoiseEntry], shares: Mapping[str, float]
+) -> tuple[str, ...]:
+    """What the reader must know of the estimated sds; shares: of each quantity in chi-squared."""
+    said = []
+    for entry in noise:
+        of_model = entry.quantities[0].startswith(PREFIX)
+        if of_model and sum(shares[q] for q in entry.quantities) > 0.5:
+            said.append(
+                f"What limits this machine is its model, not a sensor: an error of {entry.sd:.2g} "
+                f"{entry.unit} in each coordinate remains that no sensor noise explains. Look for "
+                "what the model lacks (compliance, gear or encoder eccentricity, drift, bad poses)."
+            )
+    for one, other in estimate.alike:
+        said.append(
+            f"The noise of {one!r} and of {other!r} cannot be told apart by these data: only their "
+            "sum is known. Repeated readings of one pose would separate them, or state one of them."
+        )
+    for entry in noise:
+        if entry.source == "estimated" and entry.sd == 0.0 and entry.upper is not None:
+            names = ", ".join(entry.quantities)
+            said.append(
+                f"The data give no noise to {names}: its sd is estimated as zero, and is below "
+                f"{entry.upper:.2g} {entry.unit} with 95 % confidence."
+            )
+    if not estimate.settled:
+        said.append(
+            "The sds had not settled when the allowed rounds ended: take them as rough values, "
+            "and estimate fewer of them."
+        )
+    return tuple(said)

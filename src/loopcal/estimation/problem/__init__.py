@@ -1,0 +1,1 @@
+"""A calibration as arrays, and where the search for its solution begins."""

@@ -1,0 +1,176 @@
+"""Where the instrument sees the machine stand: the best rigid motion between two point sets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.distances import POLAR, point_outputs, points
+from loopcal.estimation.prediction import output_differences
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.problem.unclosed import open_loops
+from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
+
+Array = NDArray[np.float64]
+ASIDE = 10.0
+"""Where a station that reads angles is thought to stand until it is placed [m]."""
+_GROSS, _ROUNDS = 10.0, 10
+"""Points so many times as far off as the middle one say nothing of where an instrument stands."""
+
+
+@dataclass(frozen=True)
+class RigidMotion:
+    """p -> rotation @ p + shift; rms: of what it leaves [m]."""
+
+    rotation: Array
+    shift: Array
+    rms: float
+
+
+def align(points: Array, targets: Array) -> RigidMotion:
+    """The rotation and shift that bring points (d, N) nearest to targets (d, N), d = 2 or 3.
+
+    Least squares by singular values; columns with NaN are left out. Source: Kabsch (1976),
+    Umeyama (1991). Raises InputError if fewer than d points are left, or they coincide.
+    """
+    P, T = _known(points, targets)
+    d = len(points)
+    if P.shape[1] < d:
+        raise InputError(
+            f"{P.shape[1]} measured points are too few to place the instrument",
+            remedy=f"measure at least {d} points, or start from the nominal placement",
+        )
+    R, shift, s = _nearest(P, T)
+    if s[d - 2] <= 1e-9 * max(float(s[0]), 1e-300):
+        raise InputError(
+            "the measured points lie on a line or coincide, so they do not show how the "
+            "instrument stands",
+            remedy="measure poses that spread in space, or start from the nominal placement",
+        )
+    left = R @ P + shift[:, None] - T
+    return RigidMotion(R, shift, float(np.sqrt(np.square(left).sum(axis=0).mean())))
+
+
+def align_most(points: Array, targets: Array) -> RigidMotion:
+    """`align` without gross errors: points that are then far off beside the middle one.
+
+    They are found by repetition, as one of them may turn and shift all others.
+    """
+    P, T = _known(points, targets)
+    for _ in range(_ROUNDS):
+        if P.shape[1] < len(points):
+            break
+        R, shift, _ = _nearest(P, T)
+        off = np.abs(R @ P + shift[:, None] - T).max(axis=0)
+        good = off <= _GROSS * np.median(off)
+        if good.all():
+            break
+        P, T = P[:, good], T[:, good]
+    return align(P, T)
+
+
+def _known(points: Array, targets: Array) -> tuple[Array, Array]:
+    """Both without the columns in which a number is missing."""
+    good = np.isfinite(points).all(axis=0) & np.isfinite(targets).all(axis=0)
+    return points[:, good], targets[:, good]
+
+
+def _nearest(P: Array, T: Array) -> tuple[Array, Array, Array]:
+    """Rotation and shift that bring P nearest to T, and the singular values that tell of it."""
+    centre_p, centre_t = P.mean(axis=1), T.mean(axis=1)
+    U, s, Vt = np.linalg.svd((T - centre_t[:, None]) @ (P - centre_p[:, None]).T)
+    signs = np.ones(len(P))
+    signs[-1] = np.sign(np.linalg.det(U @ Vt))  # a rotation, not a reflection
+    R = (U * signs) @ Vt
+    return R, centre_t - R @ centre_p, s
+
+
+def can_be_placed(mechanism: Mechanism) -> bool:
+    """Whether the start may be moved: all placement parameters are free and have flat priors."""
+    placements = [placement for _, placement in _stations(mechanism)]
+    its = [mechanism.parameters[name] for p in placements for name in p.parameters]
+    return bool(its) and all(not p.fixed and np.isinf(p.prior_sd) for p in its)
+
+
+def begins_aligned(mechanism: Mechanism, start: str) -> bool:
+    """Whether a fit with this start begins by placing the nominal machine.
+
+    "auto" places a machine whose placement is free: one that instruments look at, or an own loop
+    in space.
+    """
+    looked_at = bool(mechanism.families) or len(mechanism.outputs) == 3
+    return start == "align" or (start == "auto" and looked_at and can_be_placed(mechanism))
+
+
+def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
+    """The nominal machine moved to where each instrument that reads points sees it.
+
+    Gross errors take no part. The motion is that of the last of them. Raises InputError if the
+    mechanism cannot say how its parameters change with its placement.
+    """
+    mechanism = problem.mechanism
+    stations = _stations(mechanism)
+    if not stations:
+        raise InputError(
+            f"the mechanism {mechanism.name!r} cannot be placed by aligning points",
+            remedy='start from the nominal parameters (fit.start = "nominal")',
+        )
+    values = dict(zip(mechanism.parameters.names, problem.start.tolist(), strict=True))
+    for family, placement in stations:
+        if family.form in POLAR:  # angles to a machine that stands over its station are none
+            aside = np.full(len(family.readings), ASIDE)
+            values = placement.moved(values, np.eye(len(aside)), aside)
+    alike: dict[tuple[str, ...], list[tuple[Array, Array, Placement]]] = {}
+    for family, computed, measured in seen_points(problem, np.array(list(values.values()))):
+        stands = _placement(mechanism, family)
+        assert stands is not None
+        alike.setdefault(stands.parameters, []).append((computed, measured, stands))
+    if all(_lost(computed, measured) for s in alike.values() for computed, measured, _ in s):
+        reason = open_loops(problem)
+        if reason is not None:
+            raise reason
+    for seen in alike.values():
+        motion = align_most(np.hstack([s[0] for s in seen]), np.hstack([s[1] for s in seen]))
+        values = seen[0][2].moved(values, motion.rotation, motion.shift)
+    return mechanism.with_nominal(values), motion
+
+
+def _lost(computed: Array, measured: Array) -> bool:
+    """Whether the loops give no more than a few of the points (d, N) that were measured."""
+    there, found = (np.isfinite(p).all(axis=0).sum() for p in (measured, computed))
+    return bool(found < len(computed) <= there)
+
+
+def seen_points(problem: Problem, parameters: Array) -> list[tuple[Family, Array, Array]]:
+    """Points (d, N) [m] computed at parameters (n_all,) and measured, by instrument that can be
+    placed; NaN where one of them is not known."""
+    mechanism = problem.mechanism
+    stations = _stations(mechanism)
+    if not stations:
+        return []
+    differences = output_differences(problem, parameters)
+    found = []
+    for family, _ in stations:
+        outputs = point_outputs(mechanism, family)
+        measured = problem.readings[[mechanism.tape.quantities.index(q) for q in outputs]]
+        computed = measured + differences[[mechanism.outputs.index(q) for q in outputs]]
+        found.append((family, points(family, computed), points(family, measured)))
+    return found
+
+
+def _stations(mechanism: Mechanism) -> list[tuple[Family, Placement]]:
+    """The instruments that read points, with what tells where they stand."""
+    if not mechanism.families:
+        if mechanism.placement is None or len(mechanism.outputs) not in (2, 3):
+            return []
+        return [(Family("", mechanism.tape.loops, mechanism.outputs), mechanism.placement)]
+    found = [(family, _placement(mechanism, family)) for family in mechanism.families]
+    return [(f, p) for f, p in found if p is not None and point_outputs(mechanism, f)]
+
+
+def _placement(mechanism: Mechanism, family: Family) -> Placement | None:
+    """What tells where an instrument stands: the machine's own, where there is no other."""
+    return (mechanism.placement if len(mechanism.families) <= 1 else None) or family.placement

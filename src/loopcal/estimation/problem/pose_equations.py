@@ -1,0 +1,73 @@
+"""The equations of every pose at a solution, whitened, with what each reading does to them.
+
+    E = D dp + v,   v ~ N(0, 1),   and a reading that is wrong by d moves E by -X d,
+
+after elimination of unmeasured quantities: D = T J_p, X = T J_x, T the whitening of the kernel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.solve.sweep import Sweeper
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PoseEquations:
+    """b poses with r equations each, n parameters and k quantities.
+
+    poses: (b,) positions; E: (b, r); D: (b, r, n) [1/SI]; X: (b, r, k) [1/SI].
+    """
+
+    poses: NDArray[np.intp]
+    E: Array
+    D: Array
+    X: Array
+
+
+def pose_equations(
+    problem: Problem,
+    parameters: Array,
+    corrections: Array,
+    *,
+    exact: bool = False,
+    at_readings: bool = False,
+) -> tuple[PoseEquations, ...]:
+    """The equations at parameters (n_all,) and corrections (k, N) that close the loops there.
+
+    exact: not whitened, the basic method's loop values; at_readings: take D where the readings
+    stand, as the reweighted fit does.
+    """
+    sweeper = Sweeper(problem, exact=exact)
+    sweeper.at(parameters)
+    everything = np.arange(len(problem.poses))
+    found = []
+    for pattern, poses in problem.blocks():
+        noise, engine = sweeper.noise(pattern, poses), sweeper.engine(pattern)
+        unmeasured = list(pattern.unmeasured)
+        start, known = corrections[:, poses], problem.known[:, poses]
+        x = problem.readings[:, poses] + start
+        J_p = None
+        if at_readings:
+            read = problem.readings[:, poses].copy()
+            read[unmeasured] = x[unmeasured]
+            J_p = engine.evaluate(read, known).by_parameter.copy()
+        values = engine.evaluate(x, known)
+        identity = np.repeat(np.eye(len(pattern.loops))[:, :, None], x.shape[1], axis=2)
+        whitened = sweeper.reduce(replace(values, by_parameter=identity), start, noise)
+        T = whitened.D
+        found.append(
+            PoseEquations(
+                everything[poses],
+                whitened.E.T.copy(),
+                np.einsum("crb,ncb->brn", T, values.by_parameter if J_p is None else J_p),
+                np.einsum("crb,kcb->brk", T, values.by_quantity),
+            )
+        )
+    return tuple(found)

@@ -1,0 +1,276 @@
+"""One calibration as arrays: readings, uncertainties, nominal values, poses cut into blocks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.problem.constants import known_constants, with_implied
+from loopcal.estimation.problem.enough import refuse_too_few
+from loopcal.estimation.problem.size import refuse_without_length
+from loopcal.expressions.tape import Tape
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise, ReadingUncertainty, resolve_noise
+from loopcal.mechanisms.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+BLOCK = 4096
+"""Poses per block: large enough that NumPy's overhead vanishes, small enough for the cache."""
+
+
+Poses = slice | NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Poses in which the same loops hold and the same of their quantities are unmeasured.
+
+    loops, unmeasured, absent: positions of these loops, of the unmeasured quantities in them, and
+    of the quantities that are in none of them.
+    """
+
+    loops: tuple[int, ...]
+    unmeasured: tuple[int, ...]
+    absent: tuple[int, ...]
+    poses: Poses
+
+    def count(self, poses: int) -> int:
+        """How many poses these are, of so many."""
+        return poses if isinstance(self.poses, slice) else len(self.poses)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything a fit needs, in SI units and the orders of the tape.
+
+    readings: (k, N), a start value where unmeasured; known: (c, N); uncertainty: of every
+    reading; start: (n_all,) all parameters; free: positions of the n estimated ones; nominal,
+    prior_sd: (n,) of these; poses: the ids.
+    """
+
+    mechanism: Mechanism
+    readings: Array
+    known: Array
+    uncertainty: ReadingUncertainty
+    start: Array
+    free: NDArray[np.intp]
+    nominal: Array
+    prior_sd: Array
+    poses: tuple[str, ...]
+    patterns: tuple[Pattern, ...] = field(default=())
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the estimated parameters."""
+        everything = self.mechanism.parameters.names
+        return tuple(everything[i] for i in self.free)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """SI units of the estimated parameters."""
+        everything = self.mechanism.parameters.items
+        return tuple(everything[i].unit for i in self.free)
+
+    @cached_property
+    def equations(self) -> int:
+        """Loop equations over all poses, less the unmeasured quantities they determine."""
+        return sum(
+            pattern.count(len(self.poses)) * (len(pattern.loops) - len(pattern.unmeasured))
+            for pattern in self.patterns
+        )
+
+    @property
+    def count(self) -> int:
+        """How many poses there are."""
+        return len(self.poses)
+
+    def pose(self, number: int) -> str:
+        """The id of the pose at a position."""
+        return self.poses[number]
+
+    def tape(self, pattern: Pattern) -> Tape:
+        """The loops that hold in the poses of a pattern."""
+        return held_loops(self.mechanism.tape, pattern.loops)
+
+    @property
+    def block(self) -> int:
+        """Poses in a block: at most BLOCK, and so many that all blocks are about as long."""
+        return self._block(BLOCK)
+
+    def _block(self, most: int) -> int:
+        poses = len(self.poses)
+        return math.ceil(poses / math.ceil(poses / most))
+
+    def blocks(self, most: int = BLOCK) -> Iterator[tuple[Pattern, Poses]]:
+        """The poses in blocks, each with its pattern; a pose without any loop is in none."""
+        size = self._block(most)
+        for pattern in self.patterns:
+            if isinstance(pattern.poses, slice):
+                for begin in range(0, len(self.poses), size):
+                    yield pattern, slice(begin, min(begin + size, len(self.poses)))
+            else:
+                for begin in range(0, len(pattern.poses), size):
+                    yield pattern, pattern.poses[begin : begin + size]
+
+
+def build_problem(
+    mechanism: Mechanism,
+    dataset: Dataset,
+    noise: Noise | None,
+    start: Mapping[str, float] | None = None,
+) -> Problem:
+    """The problem of calibrating a mechanism from a data set.
+
+    noise: None takes every reading as exact, as the basic method does; start: parameter values
+    [SI] to begin from, where not the nominal ones.
+
+    Raises InputError where readings or sds are missing, a unit does not fit, there are fewer
+    equations than parameters, or nothing says how large the machine is.
+    """
+    quantities = mechanism.tape.quantities
+    dataset = with_implied(mechanism, dataset)
+    _check_units(mechanism, dataset)
+    stated = dataset if noise is not None else replace(dataset, sds={})
+    noise = noise or _exact(mechanism, dataset)
+    uncertainty = resolve_noise(noise, stated, quantities, mechanism.quantity_group)
+    missing = np.full(len(dataset), np.nan)
+    raw = np.array([dataset.readings.get(q, missing) for q in quantities])
+    known = known_constants(mechanism, dataset)
+    parameters = mechanism.parameters
+    values = {p.name: p.nominal for p in parameters} | dict(start or {})
+    free = np.array([i for i, p in enumerate(parameters) if not p.fixed], dtype=np.intp)
+    if not free.size:
+        raise InputError(
+            "no parameter is left to estimate", remedy="set at least one parameter free"
+        )
+    estimated = [p for p in parameters if not p.fixed]
+    problem = Problem(
+        mechanism,
+        _filled(raw, [mechanism.home.get(q, 0.0) for q in quantities]),
+        known,
+        uncertainty,
+        np.array([values[n] for n in parameters.names]),
+        free,
+        np.array([p.nominal for p in estimated]),
+        np.array([p.prior_sd for p in estimated]),
+        dataset.poses,
+        _patterns(mechanism, np.isinf(uncertainty.sd)),
+    )
+    refuse_too_few(problem)
+    refuse_without_length(mechanism, problem.readings, known, uncertainty.sd)
+    return problem
+
+
+def taken(problem: Problem, index: NDArray[np.intp]) -> Problem:
+    """The same problem on the poses at these positions, in this order; a pose may come twice."""
+    given = problem.uncertainty
+    sd = given.sd if given.sd.shape[1] == 1 else given.sd[:, index]
+    blocks = tuple(
+        block if block.factor.ndim == 2 else replace(block, factor=block.factor[index])
+        for block in given.blocks
+    )
+    return replace(
+        problem,
+        readings=problem.readings[:, index],
+        known=problem.known[:, index],
+        uncertainty=replace(given, sd=sd, blocks=blocks),
+        poses=tuple(problem.poses[i] for i in index),
+        patterns=_patterns(problem.mechanism, np.isinf(sd)),
+    )
+
+
+def left_unmeasured(problem: Problem, without: NDArray[np.bool_]) -> Problem:
+    """The same problem as if the readings marked in `without`, (k, N), had not been taken."""
+    sd = np.where(without, np.inf, problem.uncertainty.sd)
+    uncertainty = replace(problem.uncertainty, sd=sd)
+    return replace(
+        problem, uncertainty=uncertainty, patterns=_patterns(problem.mechanism, np.isinf(sd))
+    )
+
+
+def _exact(mechanism: Mechanism, dataset: Dataset) -> Noise:
+    """Every reading exact; what has a home and no reading at all is read by nobody."""
+    sds = dict.fromkeys(mechanism.tape.quantities, 0.0)
+    for name in mechanism.home:
+        if not np.isfinite(dataset.readings.get(name, np.nan)).any():
+            sds[name] = math.inf
+    return Noise(sds)
+
+
+def _check_units(mechanism: Mechanism, dataset: Dataset) -> None:
+    for name, unit in {**mechanism.quantities, **mechanism.known}.items():
+        given = dataset.units.get(name)
+        if given is not None and given != unit:
+            raise InputError(
+                f"the readings of {name!r} are in {given}, the mechanism reads {name!r} in {unit}",
+                remedy=f"give column {name!r} a unit that can be turned into {unit}",
+            )
+
+
+@lru_cache(maxsize=64)
+def held_loops(tape: Tape, loops: tuple[int, ...]) -> Tape:
+    """The tape of the loops at these positions."""
+    return tape if len(loops) == len(tape.loops) else tape.only(loops)
+
+
+def _patterns(mechanism: Mechanism, unmeasured: NDArray[np.bool_]) -> tuple[Pattern, ...]:
+    """Poses by what is unmeasured in them, (k, N) or (k, 1), and by the loops that then hold.
+
+    A family's loops go where all its own readings are unmeasured: eliminating these readings
+    would leave nothing of the loops.
+    """
+    if (unmeasured == unmeasured[:, :1]).all():
+        found = _pattern(mechanism, unmeasured[:, 0], slice(None))
+        return (found,) if found.loops else ()
+    codes, inverse = np.unique(unmeasured.T, axis=0, return_inverse=True)
+    alike: dict[tuple[tuple[int, ...], ...], list[int]] = {}
+    patterns = [_pattern(mechanism, code, slice(None)) for code in codes]
+    for i, pattern in enumerate(patterns):
+        alike.setdefault((pattern.loops, pattern.unmeasured), []).append(i)
+    return tuple(
+        replace(patterns[same[0]], poses=np.flatnonzero(np.isin(inverse.ravel(), same)))
+        for same in alike.values()
+        if patterns[same[0]].loops
+    )
+
+
+def _pattern(mechanism: Mechanism, unmeasured: NDArray[np.bool_], poses: Poses) -> Pattern:
+    tape = mechanism.tape
+    missing = {tape.quantities[i] for i in np.flatnonzero(unmeasured)}
+    silent = {
+        loop for f in mechanism.families if missing.issuperset(f.readings) for loop in f.loops
+    }
+    inputs = tape.depends_on()
+    loops = [i for i, loop in enumerate(tape.loops) if loop not in silent]
+    present = frozenset().union(*(inputs[i] for i in loops))
+    places = enumerate(tape.quantities)
+    return Pattern(
+        tuple(loops),
+        tuple(i for i, name in places if name in missing and name in present),
+        tuple(i for i, name in enumerate(tape.quantities) if name not in present),
+        poses,
+    )
+
+
+def _filled(raw: Array, home: Sequence[float]) -> Array:
+    """Readings with a start value where there is none: between the neighbours in pose order.
+
+    home: a start for each quantity without any reading.
+    """
+    if not np.isnan(raw).any():
+        return raw
+    filled = raw.copy()
+    order = np.arange(raw.shape[1])
+    for row, usual in zip(filled, home, strict=True):
+        gaps = np.isnan(row)
+        if gaps.all():
+            row[:] = usual
+        elif gaps.any():
+            row[gaps] = np.interp(order[gaps], order[~gaps], row[~gaps])
+    return filled

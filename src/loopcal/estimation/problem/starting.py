@@ -1,0 +1,130 @@
+"""Where the search for unmeasured quantities begins: from home, and from elsewhere if need be.
+
+The loops are solved for what is unmeasured, from its place holder (a value between neighbours, or
+the mechanism's home). They may close with several angles, and be near closing with others: a few
+poses are therefore searched from many angles. If the place holders did as well in all of these,
+other starts are tried only for poses whose loops close worse than theirs; otherwise for every
+pose. A home says more: how the machine is assembled. Unless it is wrong altogether it is left in
+those poses only in which it did far worse than in others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.problem.problem import Pattern
+from loopcal.estimation.problem.unread import found_in_loops
+from loopcal.estimation.solve.sweep import Sweeper
+
+Array = NDArray[np.float64]
+_ROUND = 12
+_MOST, _MOST_FROM_HOME = 72, 24
+"""Starts for several angles, without and with a home among them."""
+_FAR_BETTER = 0.25
+_ELSEWHERE = 1e-3
+"""Home is taken for wrong where elsewhere most poses close with so much of its misfit or less. One
+redundant reading closes by chance in some of a platform's forty ways to stand, if not in most."""
+_ASTRAY = 100.0
+"""A pose that home leaves with so many times the usual misfit may stand elsewhere."""
+_SAMPLE = 32
+"""Poses of each pattern that are searched from everywhere."""
+
+
+def start_corrections(sweeper: Sweeper, parameters: Array) -> Array:
+    """Corrections (k, N) [SI] to begin from, zero but for unmeasured quantities."""
+    problem = sweeper.problem
+    sweeper.at(parameters)
+    units, names = problem.mechanism.quantities, problem.mechanism.tape.quantities
+    best = np.zeros(problem.readings.shape)  # no memory yet, where nothing is unmeasured
+    for pattern in problem.patterns:
+        angles = [i for i in pattern.unmeasured if units[names[i]] == "rad"]
+        if not angles and not any(names[i] in problem.mechanism.home for i in pattern.unmeasured):
+            continue  # lengths are found from anywhere
+        poses = np.arange(len(problem.poses))[pattern.poses]
+        home = _Found.of(sweeper, pattern, poses)
+        best[:, poses] = home.corrections
+        if not angles:
+            continue
+        at_home = any(names[i] in problem.mechanism.home for i in angles)
+        turns = _offsets(len(angles), _MOST_FROM_HOME if at_home else _MOST)[1:]
+        some = np.unique(np.linspace(0, len(poses) - 1, _SAMPLE).astype(np.intp))
+        sample = home.taken(some).from_elsewhere(sweeper, angles, turns)
+        if at_home and not np.median(sample.misfit) < _ELSEWHERE * np.median(home.misfit[some]):
+            rest = home.misfit > _ASTRAY * np.median(home.misfit)
+        else:
+            best[:, sample.poses] = sample.corrections
+            astray = (sample.misfit < home.misfit[some]).any()
+            rest = np.ones(len(poses), dtype=bool) if astray else home.misfit > sample.misfit.max()
+            rest[some] = False
+        for part in _parts(np.flatnonzero(rest), max(problem.block // len(turns), 1)):
+            other = home.taken(part).from_elsewhere(sweeper, angles, turns)
+            best[:, other.poses] = other.corrections
+    return best
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Some poses (b,) of a pattern, corrections (k, b) of theirs, and the misfit left (b,)."""
+
+    pattern: Pattern
+    poses: NDArray[np.intp]
+    corrections: Array
+    misfit: Array
+
+    @classmethod
+    def of(
+        cls, sweeper: Sweeper, pattern: Pattern, poses: NDArray[np.intp], start: Array | None = None
+    ) -> _Found:
+        """What the loops say from a start (k, b), by default the readings' place holders."""
+        corrections = np.zeros((len(sweeper.problem.readings), len(poses)))
+        misfit = np.empty(len(poses))
+        for part in _parts(np.arange(len(poses)), sweeper.problem.block):
+            begun = corrections[:, part] if start is None else start[:, part]
+            corrections[:, part] = found_in_loops(sweeper, begun, pattern, poses[part])
+            misfit[part] = sweeper.misfit(corrections[:, part], pattern, poses[part])
+        return cls(pattern, poses, corrections, misfit)
+
+    def taken(self, index: NDArray[np.intp]) -> _Found:
+        """Those at these positions."""
+        return _Found(
+            self.pattern, self.poses[index], self.corrections[:, index], self.misfit[index]
+        )
+
+    def from_elsewhere(self, sweeper: Sweeper, angles: list[int], turns: list[Array]) -> _Found:
+        """The same poses searched from turned angles too; the first start keeps its right."""
+        b, all_turns = len(self.poses), np.array(turns)
+        start = np.zeros((len(self.corrections), len(turns) * b))
+        start[angles] = np.repeat(all_turns.T, b, axis=1)
+        tried = _Found.of(sweeper, self.pattern, np.tile(self.poses, len(turns)), start)
+        misfits = tried.misfit.reshape(len(turns), b)
+        best = misfits.argmin(axis=0)
+        least = misfits[best, np.arange(b)]
+        better = least < _FAR_BETTER * self.misfit - 1e-9
+        return replace(
+            self,
+            corrections=np.where(
+                better, tried.corrections[:, best * b + np.arange(b)], self.corrections
+            ),
+            misfit=np.where(better, least, self.misfit),
+        )
+
+
+def _parts(index: NDArray[np.intp], size: int) -> Iterator[NDArray[np.intp]]:
+    for begin in range(0, len(index), size):
+        yield index[begin : begin + size]
+
+
+def _offsets(angles: int, most: int) -> list[Array]:
+    """Starts for some angles [rad], the first of them none at all; at most so many."""
+    if angles == 1:
+        return [np.array([2 * np.pi * i / _ROUND]) for i in range(_ROUND)]
+    # Points of an additive recurrence (Roberts 2018) fill the torus evenly in any dimension.
+    root = 1.5
+    for _ in range(30):
+        root = (1.0 + root) ** (1.0 / (angles + 1))
+    steps = root ** -np.arange(1.0, angles + 1)
+    return [2 * np.pi * ((i * steps) % 1.0) for i in range(most)]

@@ -1,0 +1,1 @@
+"""Solvers and the block kernel: from arrays to parameters and corrections."""

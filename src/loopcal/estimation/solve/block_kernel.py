@@ -1,0 +1,245 @@
+"""The block kernel on the engine that was chosen: readings and corrections in, equations out.
+
+`kernel.py` says what is computed. On NumPy it is done there; the compiled engine does the same,
+tape, elimination, whitening and sums together, without arrays of derivatives in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.solve.closing import UNMEASURED_SCALE
+from loopcal.estimation.solve.kernel import BlockNoise, Whitened
+from loopcal.estimation.solve.scratch import scratch
+from loopcal.estimation.solve.searching import search
+from loopcal.expressions.compiled_engine import CompiledEngine, native_noise, side_by_side
+from loopcal.expressions.engine import Engine, LoopValues, Stage
+
+Array = NDArray[np.float64]
+Reduce = Callable[[LoopValues, Array, BlockNoise], Whitened]
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """A block of b poses, linearised at readings + corrections and reduced.
+
+    correction: (k, b) new corrections with these parameters held [SI]; step: (b,) the longest
+    move to them in sds; singular: (b,) poses whose loops cannot close; rows: (n + 1, r, b), the n
+    columns of D and last E, or total: (n + 1, n + 1), their products summed over loops and poses.
+    rows are overwritten by the next block.
+    """
+
+    correction: Array
+    step: Array
+    singular: NDArray[np.bool_]
+    rows: Array | None = None
+    total: Array | None = None
+
+    @property
+    def E(self) -> Array:
+        """Whitened misclosure, (r, b)."""
+        assert self.rows is not None
+        part: Array = self.rows[-1]
+        return part
+
+
+class BlockKernel(Protocol):
+    """Reduces blocks of poses in which the same loops hold, at the parameters of its engine."""
+
+    @property
+    def block(self) -> int:
+        """Poses in a block that it is fastest with, at most."""
+
+    def corrected(
+        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
+    ) -> Reduced:
+        """Without derivatives by parameters, at a third of the cost: of the rows E alone."""
+
+    def equations(
+        self,
+        readings: Array,
+        corrections: Array,
+        known: Array,
+        noise: BlockNoise,
+        *,
+        summed: bool,
+        into: Array | None = None,
+    ) -> Reduced:
+        """The equations in the parameters too: their total where summed, else their rows.
+
+        into: (k, b) where the new corrections are to stand, if not in an array of their own.
+        """
+
+    def rounding(
+        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
+    ) -> Array:
+        """L^-1 eps a, (r, b), a the size of a loop's terms: sum |J_x| (1 + |reading|)."""
+
+    def search(self, readings: Array, corrections: Array, known: Array, noise: BlockNoise) -> Array:
+        """What unmeasured quantities (u, b) change by until loops close best (`searching.py`)."""
+
+
+@dataclass(frozen=True)
+class NumpyKernel:
+    """Any engine, and what is done with the arrays of derivatives that it gives."""
+
+    engine: Engine
+    reduce: Reduce
+    block: int = 4096  # enough for NumPy's overhead to vanish, small enough for the cache
+
+    def corrected(
+        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
+    ) -> Reduced:
+        return self._reduced(readings, corrections, known, noise, Stage.BY_QUANTITY)
+
+    def equations(
+        self,
+        readings: Array,
+        corrections: Array,
+        known: Array,
+        noise: BlockNoise,
+        *,
+        summed: bool,
+        into: Array | None = None,
+    ) -> Reduced:
+        found = self._reduced(readings, corrections, known, noise, Stage.BY_PARAMETER)
+        if into is not None:
+            into[:] = found.correction
+        if not summed:
+            return found
+        assert found.rows is not None
+        rows = found.rows.reshape(len(found.rows), -1)
+        return Reduced(found.correction, found.step, found.singular, total=rows @ rows.T)
+
+    def rounding(
+        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
+    ) -> Array:
+        x = readings + corrections
+        slopes = self.engine.evaluate(x, known, Stage.BY_QUANTITY).by_quantity
+        sizes = np.einsum("kmb,kb->mb", np.abs(slopes), 1.0 + np.abs(readings))
+        part = LoopValues(np.finfo(float).eps * sizes, slopes, np.empty((0, *slopes.shape[1:])))
+        return self.reduce(part, np.zeros_like(x), noise).E
+
+    def search(self, readings: Array, corrections: Array, known: Array, noise: BlockNoise) -> Array:
+        return search(self.engine, readings + corrections, known, noise)
+
+    def _reduced(
+        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise, stage: Stage
+    ) -> Reduced:
+        x = np.add(readings, corrections, out=scratch("x", *readings.shape))
+        whitened = self.reduce(self.engine.evaluate(x, known, stage), corrections, noise)
+        step = step_in_sds(whitened.correction - corrections, noise)
+        return Reduced(whitened.correction, step, whitened.singular, whitened.rows)
+
+
+@dataclass(frozen=True)
+class CompiledKernel:
+    """The compiled engine's own kernel; exact: of the basic method."""
+
+    engine: CompiledEngine
+    exact: bool
+    block: int = 32768  # enough for threads to share
+
+    def corrected(
+        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
+    ) -> Reduced:
+        r = self.engine.loops - len(noise.unmeasured)
+        rows = np.empty((1, r, readings.shape[1]))
+        return self._reduced(readings, corrections, known, noise, by_parameter=False, rows=rows)
+
+    def equations(
+        self,
+        readings: Array,
+        corrections: Array,
+        known: Array,
+        noise: BlockNoise,
+        *,
+        summed: bool,
+        into: Array | None = None,
+    ) -> Reduced:
+        n = self.engine.parameters + 1
+        if summed:
+            total = np.empty((n, n))
+            return self._reduced(readings, corrections, known, noise, total=total, into=into)
+        r = self.engine.loops - len(noise.unmeasured)
+        rows = scratch("rows", n, r, readings.shape[1])
+        return self._reduced(readings, corrections, known, noise, rows=rows, into=into)
+
+    def rounding(
+        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
+    ) -> Array:
+        rows = np.empty((1, self.engine.loops - len(noise.unmeasured), readings.shape[1]))
+        given = readings, corrections, known, noise
+        return self._reduced(*given, by_parameter=False, rounding=True, rows=rows).E
+
+    def search(self, readings: Array, corrections: Array, known: Array, noise: BlockNoise) -> Array:
+        change = np.empty((len(noise.unmeasured), readings.shape[1]))
+        self.engine.native.search(
+            side_by_side(readings),
+            side_by_side(corrections),
+            side_by_side(known),
+            _native(noise),
+            change,
+        )
+        return change
+
+    def _reduced(
+        self,
+        readings: Array,
+        corrections: Array,
+        known: Array,
+        noise: BlockNoise,
+        *,
+        by_parameter: bool = True,
+        rounding: bool = False,
+        rows: Array | None = None,
+        total: Array | None = None,
+        into: Array | None = None,
+    ) -> Reduced:
+        b = readings.shape[1]
+        correction = np.empty(readings.shape) if into is None else into
+        step = np.empty(b)
+        singular = np.empty(b, dtype=np.uint8)
+        self.engine.native.reduce(
+            side_by_side(readings),
+            side_by_side(corrections),
+            side_by_side(known),
+            _native(noise),
+            self.exact,
+            by_parameter,
+            rounding,
+            correction,
+            step,
+            singular,
+            rows,
+            total,
+        )
+        return Reduced(correction, step, singular.view(np.bool_), rows, total)
+
+
+def _native(noise: BlockNoise) -> Any:
+    blocks = [([noise.measured.index(i) for i in b.indices], b.factor) for b in noise.blocks]
+    return native_noise(noise.sd, noise.unmeasured, noise.measured, blocks)
+
+
+def kernel_for(engine: Engine, reduce: Reduce, *, exact: bool) -> BlockKernel:
+    """The kernel that goes with an engine; reduce: what it does, written in NumPy."""
+    if isinstance(engine, CompiledEngine):
+        return CompiledKernel(engine, exact)
+    return NumpyKernel(engine, reduce)
+
+
+def step_in_sds(step: Array, noise: BlockNoise) -> Array:
+    """Largest step of each pose in sds, (b,); exact quantities do not move."""
+    sd = np.where(noise.sd > 0.0, noise.sd, 1.0)
+    if noise.unmeasured:
+        sd[list(noise.unmeasured)] = UNMEASURED_SCALE
+    size = np.abs(step, out=scratch("step", *step.shape))
+    size /= sd
+    result: Array = size.max(axis=0)
+    return result

@@ -1,0 +1,193 @@
+"""Closing stubborn loops: the nearest closed point of a pose by Newton's method.
+
+Gauss-Newton leaves out the curvature of the loops. Where a pose is far from closing, or stretched,
+that curvature outweighs everything and Gauss-Newton circles. Here, for each pose,
+
+    minimise |M y|^2 / 2  subject to  f(reading + T y) = 0
+
+with second derivatives from the tape: T scales to sds (unmeasured quantities, which cost nothing
+and have no row in M, to a millimetre or milliradian), steps split into a normal part that closes
+the linearised loops and a tangential part through the reduced Hessian of the Lagrangian, whose
+eigenvalues are made positive, and a line search keeps the exact penalty function falling.
+Nocedal and Wright, Numerical Optimization, 2nd ed. (2006), chapter 18.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.solve.kernel import BlockNoise
+from loopcal.expressions.derivative import lagrangian_gradient
+from loopcal.expressions.engine import Engine, engine_for
+from loopcal.expressions.tape import Tape
+
+Array = NDArray[np.float64]
+UNMEASURED_SCALE = 1e-3
+"""What counts as one sd for the step of an unmeasured quantity: 1 mm or 1 mrad."""
+_MOST, _HALVINGS = 60, 25
+
+
+@dataclass(frozen=True)
+class Closed:
+    """Corrections (k, b) [SI], and the poses (b,) that did not settle.
+
+    step: the largest last step in sds; contraction: the worst ratio of a step to the one before,
+    0 where there was none before.
+    """
+
+    corrections: Array
+    open: NDArray[np.bool_]
+    step: float = np.inf
+    contraction: float = 0.0
+
+
+def close_by_newton(
+    tape: Tape,
+    parameters: Array,
+    readings: Array,
+    known: Array,
+    corrections: Array,
+    noise: BlockNoise,
+    tolerance: float,
+) -> Closed:
+    """The nearest closed points of some poses, until steps are at most so many sds."""
+    first = engine_for(tape, (), 256)
+    second = engine_for(lagrangian_gradient(tape), (), 256)
+    first.at(parameters)
+    second.at(parameters)
+    costs = np.ones(len(readings))
+    costs[list(noise.unmeasured)] = 0.0
+    done, late = corrections.copy(), np.zeros(readings.shape[1], dtype=bool)
+    for begin in range(0, readings.shape[1], 256):
+        part = slice(begin, begin + 256)
+        problem = _Poses(
+            first, second, readings[:, part], known[:, part], _scaling(noise, part), costs
+        )
+        done[:, part], late[part] = problem.run(corrections[:, part], tolerance)
+    return Closed(done, late)
+
+
+def _scaling(noise: BlockNoise, part: slice) -> Array:
+    """T for some poses, (b, k, k): columns of unmeasured quantities are scaled units."""
+    sd = np.where(np.isinf(noise.sd), UNMEASURED_SCALE, noise.sd)
+    sd[list(noise.unmeasured)] = UNMEASURED_SCALE
+    sd = (sd if sd.shape[1] == 1 else sd[:, part]).T
+    T = sd[:, :, None] * np.eye(sd.shape[1])
+    for block in noise.blocks:
+        rows = np.array(block.indices)
+        factor = block.factor if block.factor.ndim == 2 else block.factor[part]
+        if factor.ndim == 3 and len(T) == 1:
+            T = np.repeat(T, len(factor), axis=0)
+        T[:, rows[:, None], rows] = factor
+    return T
+
+
+@dataclass(frozen=True)
+class _Local:
+    """The loops at some y: f (b, m) and the singular value decomposition of f_x T."""
+
+    f: Array
+    U: Array
+    s: Array
+    Vt: Array
+
+    def closure(self, f: Array) -> Array:
+        """Loop values f (b, m) in the metric of this Jacobian, (b, m): how far y must move."""
+        turned = np.einsum("bmi,bm->bi", self.U, f)
+        return np.where(self.s > 1e-13, turned / np.maximum(self.s, 1e-300), 0.0)
+
+
+class _Poses:
+    """Some poses with their engines: the iteration itself."""
+
+    def __init__(
+        self,
+        first: Engine,
+        second: Engine,
+        readings: Array,
+        known: Array,
+        T: Array,
+        costs: Array,
+    ) -> None:
+        self.first, self.second = first, second
+        self.readings, self.known = readings, known
+        self.T = np.broadcast_to(T, (readings.shape[1], *T.shape[1:]))
+        self.costs = costs  # (k,) 1 for measured quantities, 0 for those that cost nothing
+
+    def run(self, corrections: Array, tolerance: float) -> tuple[Array, NDArray[np.bool_]]:
+        y = np.linalg.pinv(self.T) @ corrections.T[:, :, None]
+        y = y[:, :, 0]
+        open_ = np.ones(len(y), dtype=bool)
+        for _ in range(_MOST):
+            here = self._linearise(y)
+            step, multipliers = self._step(y, here)
+            step[~open_] = 0.0
+            y = y + self._length(y, here, step, multipliers)[:, None] * step
+            open_ &= ~(np.abs(step).max(axis=1) <= tolerance)
+            if not open_.any():
+                break
+        return self._corrections(y), open_
+
+    def _corrections(self, y: Array) -> Array:
+        corrections: Array = np.einsum("bij,bj->ib", self.T, y)
+        return corrections
+
+    def _values(self, y: Array) -> Array:
+        x = self.readings + self._corrections(y)
+        return self.first.evaluate(x, self.known).f.T.copy()
+
+    def _linearise(self, y: Array) -> _Local:
+        values = self.first.evaluate(self.readings + self._corrections(y), self.known)
+        A = values.by_quantity.transpose(2, 1, 0) @ self.T
+        f = values.f.T.copy()
+        good = np.isfinite(A).all(axis=(1, 2)) & np.isfinite(f).all(axis=1)
+        A[~good] = 0.0
+        U, s, Vt = np.linalg.svd(A)
+        return _Local(f, U, s, Vt)
+
+    def _step(self, y: Array, here: _Local) -> tuple[Array, Array]:
+        """Normal plus tangential step, (b, k), and the scaled multipliers (b, m)."""
+        m = here.f.shape[1]
+        rows, null = here.Vt[:, :m], here.Vt[:, m:]
+        gradient = self.costs * y
+        scaled = -np.einsum("bik,bk->bi", rows, gradient)  # U^T-turned, times singular values
+        safe = np.where(here.s > 1e-13, here.s, np.inf)
+        multipliers = np.einsum("bmi,bi->bm", here.U, scaled / safe)
+        H = np.diag(self.costs) + self._curvature(y, multipliers)
+        normal = -np.einsum("bik,bi->bk", rows, here.closure(here.f))
+        reduced = null @ H @ np.swapaxes(null, 1, 2)
+        values, vectors = np.linalg.eigh(reduced)
+        values = np.maximum(np.abs(values), 1e-8)
+        right = np.einsum("bik,bk->bi", null, gradient + np.einsum("bij,bj->bi", H, normal))
+        inner = np.einsum("bij,bi->bj", vectors, right) / values
+        tangential = -np.einsum("bik,bij,bj->bk", null, vectors, inner)
+        return normal + tangential, scaled
+
+    def _curvature(self, y: Array, multipliers: Array) -> Array:
+        x = self.readings + self._corrections(y)
+        known = np.vstack([self.known, multipliers.T])
+        hessian = self.second.evaluate(x, known).by_quantity.transpose(2, 1, 0)
+        hessian = np.where(np.isfinite(hessian), hessian, 0.0)
+        curvature: Array = np.swapaxes(self.T, 1, 2) @ hessian @ self.T
+        return curvature
+
+    def _length(self, y: Array, here: _Local, step: Array, scaled: Array) -> Array:
+        """The longest of the halved steps (b,) that lowers |M y|^2 / 2 + weight |closure|."""
+        weight = 2.0 * np.abs(scaled).max(axis=1) + 1.0
+
+        def merit(at: Array) -> Array:
+            closure = np.abs(here.closure(self._values(at))).sum(axis=1)
+            value: Array = 0.5 * (self.costs * at * at).sum(axis=1) + weight * closure
+            return value
+
+        before = merit(y)
+        length = np.ones(len(y))
+        for _ in range(_HALVINGS):
+            worse = ~(merit(y + length[:, None] * step) <= before * (1 + 1e-12) + 1e-12)
+            if not worse.any():
+                break
+            length[worse] /= 2
+        return length

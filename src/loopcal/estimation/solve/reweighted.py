@@ -1,0 +1,155 @@
+"""Reweighted least squares: parameters from the readings as they are, weighed by their noise.
+
+The loop values at the readings are w = c - f(reading, p), c the curvature that the corrections
+add, with the covariance W = J_x Sigma J_x^T. For fixed W and c the weighted squares
+w^T W^-1 w are minimised over p; W and c are then taken at the new point, until nothing moves
+(iteratively reweighted least squares; generalised least squares with propagated covariance).
+
+It differs from maximum likelihood in one term. There W(p) itself depends on the parameters, and
+a machine whose levers make the noise larger explains the same misclosure at a smaller cost; that
+term is what makes maximum likelihood unbiased where readings scatter about a true value. It is
+harmful where the sds are guessed and the poses alike. Here W says how much each pose counts, and
+nothing about the parameters: right to first order for a machine that is driven to its readings
+(Berkson 1950), and safe where the data determine little (Carroll and Ruppert, Transformation and
+Weighting in Regression, 1988, chapter 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.problem.problem import Pattern, Poses, Problem
+from loopcal.estimation.problem.starting import start_corrections
+from loopcal.estimation.solve.block_kernel import BlockKernel, NumpyKernel
+from loopcal.estimation.solve.kernel import BlockNoise, Whitened
+from loopcal.estimation.solve.loss import Loss
+from loopcal.estimation.solve.scratch import one_blas_thread, scratch
+from loopcal.estimation.solve.solver import Progress, Solution, solve_with
+from loopcal.estimation.solve.status import Status
+from loopcal.estimation.solve.sweep import NEAR, NEGLIGIBLE, Sweeper
+from loopcal.expressions.engine import Engine, LoopValues, Stage
+
+Array = NDArray[np.float64]
+_MOST, _STEP = 50, 1e-7
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What is held while p moves: c (m, N), and T (m, m, N) with T W T^T = 1 but for rows of zero.
+
+    Unmeasured quantities are projected out by T.
+    """
+
+    T: Array
+    c: Array
+
+
+def solve_reweighted(
+    problem: Problem,
+    *,
+    loss: Loss | None = None,
+    max_iterations: int = 100,
+    progress: Progress | None = None,
+) -> Solution:
+    """The fixed point of reweighting, from the problem's start.
+
+    Its covariance is (sum D^T D + prior)^-1 with D taken at the readings. chi_squared is that of
+    the corrections that close the loops at the end point.
+
+    Raises InputError as `solve` does.
+    """
+    with one_blas_thread():
+        likelihood = Sweeper(problem, loss=loss)
+        corrections = start_corrections(likelihood, problem.start)
+        corrections = likelihood.sweep(problem.start, corrections, closing=NEAR).proposal
+        parameters, iterations = problem.start, 0
+        for _ in range(_MOST):
+            weights = _weights(likelihood, parameters, corrections)
+            held = _held(problem, parameters, corrections)
+            inner = _Reweighted(held, weights, likelihood.rounding, loss)
+            found = solve_with(inner, max_iterations=max_iterations, progress=progress)
+            iterations += found.status.iterations
+            step = found.parameters - parameters
+            parameters = found.parameters
+            corrections = likelihood.close(parameters, corrections, NEGLIGIBLE, 1.0).corrections
+            sds = np.sqrt(np.maximum(np.diag(found.spectrum.covariance()), 1e-300))
+            moved = float(np.abs(step[problem.free] / sds).max())
+            if not found.status.converged or moved <= _STEP:
+                break
+        sweep = likelihood.sweep(parameters, corrections)
+        reason = found.status.reason
+        if found.status.converged and moved > _STEP:
+            reason = "max_iterations"
+        status = Status.of(reason, iterations, likelihood.evaluations / len(problem.poses))
+        offset = problem.nominal - parameters[problem.free]
+        prior = float(np.square(offset / problem.prior_sd).sum())
+        return Solution(parameters, corrections, sweep, found.spectrum, prior, status)
+
+
+def _held(problem: Problem, parameters: Array, corrections: Array) -> Problem:
+    """The problem with unmeasured quantities held where the loops are closed."""
+    readings = problem.readings
+    if any(pattern.unmeasured for pattern in problem.patterns):
+        readings = readings.copy()
+        for pattern in problem.patterns:
+            for row in pattern.unmeasured:
+                readings[row, pattern.poses] += corrections[row, pattern.poses]
+    return replace(problem, readings=readings, start=parameters)
+
+
+def _weights(sweeper: Sweeper, parameters: Array, corrections: Array) -> Weights:
+    problem = sweeper.problem
+    m, N = len(problem.mechanism.tape.loops), len(problem.poses)
+    T, c = np.zeros((m, m, N)), np.zeros((m, N))
+    sweeper.at(parameters)
+    for pattern, poses in problem.blocks():
+        noise, engine = sweeper.noise(pattern, poses), sweeper.engine(pattern)
+        unmeasured, held = list(pattern.unmeasured), len(pattern.loops)
+        start, known = corrections[:, poses], problem.known[:, poses]
+        b = start.shape[1]
+        read = problem.readings[:, poses].copy()
+        read[unmeasured] += start[unmeasured]
+        at_readings = engine.evaluate(read, known, Stage.VALUES).f.copy()
+        x = problem.readings[:, poses] + start
+        values = engine.evaluate(x, known, Stage.BY_QUANTITY)
+        identity = np.repeat(np.eye(held)[:, :, None], b, axis=2)
+        measured = list(noise.measured)
+        lever = np.einsum("kmb,kb->mb", values.by_quantity[measured], start[measured])
+        c[:held, poses] = lever - values.f + at_readings
+        whitened = sweeper.reduce(replace(values, by_parameter=identity), start, noise)
+        r = whitened.rows.shape[1]
+        for i in range(r):
+            T[i][:held, poses] = whitened.D[:, i]
+    return Weights(T, c)
+
+
+class _Reweighted(Sweeper):
+    """Sweeps of plain least squares over T (c - f) at the readings."""
+
+    def __init__(
+        self, problem: Problem, weights: Weights, rounding: float | None, loss: Loss | None
+    ) -> None:
+        super().__init__(problem, loss=loss)
+        self.rounding = rounding  # whitened as here, so that c, which is no rounding, stays out
+        self.weights = weights
+        self.corrects = False
+        self.poses: Poses = slice(0, 0)
+
+    def _made(self, engine: Engine) -> BlockKernel:
+        return NumpyKernel(engine, self._weighted)
+
+    def noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:
+        self.poses = poses
+        return super().noise(pattern, poses)
+
+    def _weighted(self, values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened:
+        T, c = self.weights.T[:, :, self.poses], self.weights.c[:, self.poses]
+        D, (m, b) = values.by_parameter, values.f.shape
+        T, c = T[:, :m, :b], c[:m, :b]
+        rows = scratch("rows", len(D) + 1, len(T), b)
+        np.einsum("rmb,nmb->nrb", T, D, out=rows[:-1])
+        np.einsum("rmb,mb->rb", T, c - values.f, out=rows[-1])
+        return Whitened(rows, np.zeros((len(T), 0, b)), correction, np.zeros(b, dtype=bool))

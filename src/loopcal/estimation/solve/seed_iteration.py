@@ -1,0 +1,98 @@
+"""The seed's own iteration, step by step and undamped, for study: equations (3.24) to (3.30)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.solve.kernel import unload
+from loopcal.estimation.solve.reduction import Accumulator, spectrum
+from loopcal.estimation.solve.solver import Solution
+from loopcal.estimation.solve.status import Status
+from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.expressions.domain import explain_domain
+
+Array = NDArray[np.float64]
+TOLERANCE = 1e-10
+"""Converged when no normalised parameter or correction moves by more than this many sds."""
+
+
+def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution:
+    """Full steps in parameters and corrections together, as the seed writes them.
+
+    D_i = R_i^-T J_q,i and E_i = Q_i^T y_i - R_i^-T f_i; [D; I] dq = [E; -q] in least squares;
+    y_i <- Q_i (E_i - D_i dq), q <- q + dq, until neither moves. Nothing keeps a step from making
+    things worse: the status then says "max_iterations" or "diverged", and the point is whatever
+    was reached. Needs finite memory for all D_i at once, and every quantity measured or exact.
+
+    Raises InputError if a quantity is unmeasured.
+    """
+    if any(pattern.unmeasured for pattern in problem.patterns):
+        raise InputError(
+            "the undamped iteration of the seed knows no unmeasured quantities",
+            remedy='use method = "implicit-loop"',
+        )
+    sweeper = Sweeper(problem)
+    parameters = problem.start.copy()
+    corrections = np.zeros_like(problem.readings)
+    reason, iteration, first = "max_iterations", 0, np.inf
+    before = parameters, corrections
+    while reason == "max_iterations" and iteration < max_iterations:
+        iteration += 1
+        offset = problem.nominal - parameters[problem.free]
+        data, steps, proposals = _linearised(sweeper, parameters, corrections)
+        if not np.all(np.isfinite(data.total)):
+            if iteration == 1:
+                raise _outside(problem, parameters)
+            reason, (parameters, corrections) = "diverged", before
+            break
+        before = parameters.copy(), corrections
+        if iteration == 1:
+            first = data.chi_squared + float(np.square(offset / problem.prior_sd).sum())
+        system = spectrum(data, offset, problem.prior_sd)
+        step = system.step()
+        new = proposals - np.einsum("nkb,n->kb", steps, step)
+        parameters[problem.free] += step
+        moved = np.abs(step / np.sqrt(np.maximum(np.diag(system.covariance()), 1e-300))).max()
+        sd = np.where(problem.uncertainty.sd > 0, problem.uncertainty.sd, np.inf)
+        shifted = (np.abs(new - corrections) / sd).max()
+        corrections = new
+        if max(moved, shifted) <= TOLERANCE * max(1.0, np.abs(corrections / sd).max()):
+            reason = "converged"
+    sweep = sweeper.sweep(parameters, corrections)
+    offset = problem.nominal - parameters[problem.free]
+    end = spectrum(sweep.data, offset, problem.prior_sd)
+    prior = float(np.square(offset / problem.prior_sd).sum())
+    if reason == "max_iterations" and not sweep.data.chi_squared + prior <= first:
+        reason = "diverged"
+    status = Status.of(reason, iteration, sweeper.evaluations / len(problem.poses))
+    return Solution(parameters, corrections, sweep, end, prior, status)
+
+
+def _outside(problem: Problem, parameters: Array) -> InputError:
+    tape, poses, remedies = problem.mechanism.tape, problem.poses, problem.mechanism.remedies
+    return explain_domain(tape, problem.readings, problem.known, parameters, poses, remedies)
+
+
+def _linearised(
+    sweeper: Sweeper, parameters: Array, corrections: Array
+) -> tuple[Accumulator, Array, Array]:
+    """The parameter system; S Q D, (n, k, N), which turns dq into corrections; and S Q E."""
+    problem = sweeper.problem
+    sweeper.at(parameters)
+    data = Accumulator(len(problem.free), True, problem.units)
+    steps = np.zeros((len(problem.free), *corrections.shape))
+    proposals = np.zeros_like(corrections)
+    for pattern, poses in problem.blocks():
+        noise, engine = sweeper.noise(pattern, poses), sweeper.engine(pattern)
+        start = corrections[:, poses]
+        values = engine.evaluate(problem.readings[:, poses] + start, problem.known[:, poses])
+        sweeper.evaluations += start.shape[1]
+        whitened = sweeper.reduce(values, start, noise)
+        data.add(whitened.rows)
+        proposals[:, poses] = whitened.correction
+        for j, column in enumerate(whitened.D):
+            steps[j][:, poses] = unload(whitened.G, column, noise)
+    return data, steps, proposals

@@ -1,0 +1,381 @@
+"""One sweep over all poses at given parameters: linearise, whiten, add up.
+
+A sweep is a function of parameters and corrections. It either evaluates each block once, or
+closes the loops at these parameters first (Gauss-Newton per pose, with steps halved where the
+linearisation did not hold), so that chi-squared is the true profile
+
+    Phi(p) = min over corrections with f(reading + correction, p) = 0 of their weighted square.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.problem.problem import BLOCK, Pattern, Poses, Problem
+from loopcal.estimation.solve.block_kernel import BlockKernel, Reduce, Reduced, kernel_for
+from loopcal.estimation.solve.closing import Closed, close_by_newton
+from loopcal.estimation.solve.kernel import BlockNoise, unweighted, whiten
+from loopcal.estimation.solve.loss import Loss
+from loopcal.estimation.solve.reduction import Accumulator
+from loopcal.expressions.engine import Engine, engine_for
+from loopcal.measurements.noise import CovarianceBlock
+
+Array = NDArray[np.float64]
+MOST_CLOSINGS = 8
+"""What Gauss-Newton has not closed by then is left to Newton, who knows the curvature."""
+NEGLIGIBLE = 1e-6
+"""A step of so many sds leaves a next one that only rounding sees."""
+NEAR = 0.1
+"""On the way, loops count as closed when the next correction will be at most so many sds."""
+_SAMPLE = 64
+"""Poses from which the rounding of loop values is estimated."""
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What one sweep found.
+
+    data: the parameter system; corrections: (k, N) where the loops were linearised; proposal:
+    (k, N) the corrections that close the linearised loops; step: the largest move from the one to
+    the other in sds; contraction: what such a move was beside the one before; singular,
+    open_poses: poses whose loops cannot close at all, or did not within the iterations allowed.
+    """
+
+    data: Accumulator
+    corrections: Array
+    proposal: Array
+    step: float
+    contraction: float
+    singular: NDArray[np.intp]
+    open_poses: NDArray[np.intp]
+    surplus: float = 0.0
+    """What the loss is above the weighted squares in `data`."""
+
+    @property
+    def cost(self) -> float:
+        """The loss summed over all poses; chi-squared where it is gaussian."""
+        return self.data.chi_squared + self.surplus
+
+    @property
+    def finite(self) -> bool:
+        """Whether every loop could be evaluated."""
+        return bool(np.isfinite(self.data.total).all())
+
+
+class Sweeper:
+    """Sweeps over the poses of one problem, with one of the two reductions.
+
+    exact: treat the sensors as exact (the basic method); loss: None is the gaussian one.
+    """
+
+    def __init__(self, problem: Problem, *, exact: bool = False, loss: Loss | None = None) -> None:
+        self.problem = problem
+        self.loss = loss
+        self.reduce: Reduce = unweighted if exact else whiten
+        self._engines = {
+            pattern.loops: engine_for(problem.tape(pattern), problem.names, problem.block)
+            for pattern in problem.patterns
+        }
+        self._exact = exact
+        stated = problem.uncertainty
+        self._by_pose = stated.sd.shape[1] > 1 or any(b.factor.ndim > 2 for b in stated.blocks)
+        self._noises: dict[tuple[tuple[int, ...], tuple[int, ...]], BlockNoise] = {}
+        self._units = problem.units
+        self._kernels = {loops: self._made(engine) for loops, engine in self._engines.items()}
+        self._block = min((kernel.block for kernel in self._kernels.values()), default=BLOCK)
+        self.prior_sd = np.full(len(problem.free), np.inf) if exact else problem.prior_sd
+        # The basic method corrects nothing; only unmeasured quantities have to be found.
+        self.corrects = not exact or any(p.unmeasured for p in problem.patterns)
+        self.parameters = problem.start
+        self.evaluations = 0
+        self.rounding: float | None = None
+        """What rounding of the loop values does to whitened residuals, their length by pose."""
+
+    def sweep(
+        self,
+        parameters: Array,
+        corrections: Array,
+        *,
+        triangular: bool = False,
+        closing: float | None = None,
+        contraction: float = 1.0,
+    ) -> Sweep:
+        """One sweep at parameters (n_all,) from corrections (k, N).
+
+        closing: first correct the readings until the next step will be at most this many sds;
+        None: linearise where the corrections stand. contraction: of steps, as far as known.
+        """
+        problem = self.problem
+        closing = closing if self.corrects else None
+        self.at(parameters)
+        data = Accumulator(len(problem.free), triangular, self._units)
+        whole = self._one_block(corrections)
+        used = corrections if closing is None or whole else np.zeros(corrections.shape)
+        kept = not self.corrects or whole
+        proposal = corrections if kept else np.zeros(corrections.shape)
+        steps, ratios = [0.0], [0.0]
+        nowhere = np.empty(0, dtype=np.intp)
+        singular, late = [nowhere], [nowhere]
+        surplus = 0.0
+        summed = not triangular and self.loss is None
+        for pattern, poses in problem.blocks(self._block):
+            noise = self.noise(pattern, poses)
+            readings, known = problem.readings[:, poses], problem.known[:, poses]
+            if self.rounding is None:
+                self.rounding = self._rounding(
+                    pattern, readings, corrections[:, poses], known, noise
+                )
+            start = Closed(corrections[:, poses], np.zeros(readings.shape[1], dtype=bool))
+            if closing is not None:
+                start = self._close(
+                    pattern, readings, known, start.corrections, noise, closing, contraction
+                )
+                used = _with_part(used, start.corrections, poses)
+            self.evaluations += readings.shape[1]
+            into = None if kept or not isinstance(poses, slice) else proposal[:, poses]
+            found = self.kernel(pattern).equations(
+                readings, start.corrections, known, noise, summed=summed, into=into
+            )
+            if self.loss is not None:
+                held = len(pattern.loops) - len(pattern.unmeasured)
+                surplus += _weigh(found, self.loss, held)
+            if found.total is not None:
+                data.add_total(found.total)
+            elif found.rows is not None:
+                data.add(found.rows)
+            if found.singular.any():
+                singular.append(_numbers(poses, found.singular))
+            if start.open.any():
+                late.append(_numbers(poses, start.open))
+            if self.corrects:
+                if into is None:
+                    proposal = _with_part(proposal, found.correction, poses)
+                steps.append(float(found.step.max()))
+                last = steps[-1] / start.step if start.step > 0.0 else 0.0
+                ratios.append(min(max(last, start.contraction), 1.0))
+        return Sweep(
+            data,
+            used,
+            proposal,
+            max(steps),
+            max(ratios) if closing is not None else 1.0,
+            np.concatenate(singular),
+            np.concatenate(late),
+            surplus,
+        )
+
+    def close(
+        self, parameters: Array, corrections: Array, tolerance: float, contraction: float
+    ) -> Closed:
+        """Corrections (k, N) that close all loops at parameters (n_all,), found from near ones.
+
+        They are right to so many sds; contraction: of steps, as far as known.
+        """
+        if not self.corrects:
+            return Closed(corrections, np.zeros(corrections.shape[1], dtype=bool))
+        problem = self.problem
+        self.at(parameters)
+        whole = self._one_block(corrections)
+        done = corrections if whole else np.zeros(corrections.shape)
+        late = np.zeros(corrections.shape[1], dtype=bool)
+        for pattern, poses in problem.blocks(self._block):
+            noise = self.noise(pattern, poses)
+            readings, known = problem.readings[:, poses], problem.known[:, poses]
+            start = corrections[:, poses]
+            closed = self._close(pattern, readings, known, start, noise, tolerance, contraction)
+            done, late[poses] = _with_part(done, closed.corrections, poses), closed.open
+        return Closed(done, late)
+
+    def misfit(self, corrections: Array, pattern: Pattern, poses: Poses) -> Array:
+        """What loops linearised at these corrections (k, b) cost to close, |E|^2, (b,).
+
+        At the parameters as they were set; infinite where it is no number.
+        """
+        readings, known = self.problem.readings[:, poses], self.problem.known[:, poses]
+        noise = self.noise(pattern, poses)
+        E = self._corrected(pattern, readings, corrections, known, noise).E
+        cost = np.square(E).sum(axis=0)
+        return np.where(np.isfinite(cost), cost, np.inf)
+
+    def at(self, parameters: Array) -> None:
+        """Set the parameters (n_all,) [SI] for the evaluations to come."""
+        self.parameters = parameters
+        for engine in self._engines.values():
+            engine.at(parameters)
+
+    def engine(self, pattern: Pattern) -> Engine:
+        """What evaluates the loops that hold in the poses of a pattern."""
+        return self._engines[pattern.loops]
+
+    def kernel(self, pattern: Pattern) -> BlockKernel:
+        """What reduces the poses of a pattern."""
+        return self._kernels[pattern.loops]
+
+    def _one_block(self, corrections: Array) -> bool:
+        """Whether what one block brings is all corrections (k, N), and need not be copied."""
+        alike = [isinstance(pattern.poses, slice) for pattern in self.problem.patterns]
+        return alike == [True] and corrections.shape[1] <= self._block
+
+    def _made(self, engine: Engine) -> BlockKernel:
+        return kernel_for(engine, self.reduce, exact=self._exact)
+
+    def _corrected(
+        self,
+        pattern: Pattern,
+        readings: Array,
+        corrections: Array,
+        known: Array,
+        noise: BlockNoise,
+    ) -> Reduced:
+        self.evaluations += readings.shape[1]
+        return self.kernel(pattern).corrected(readings, corrections, known, noise)
+
+    def _rounding(
+        self,
+        pattern: Pattern,
+        readings: Array,
+        corrections: Array,
+        known: Array,
+        noise: BlockNoise,
+    ) -> float:
+        """Root mean square of |L^-1 eps a|, a the size of the terms in a loop value."""
+        some = slice(0, _SAMPLE)
+        given = readings[:, some], corrections[:, some], known[:, some], noise.of(some)
+        E = self.kernel(pattern).rounding(*given)
+        return float(np.sqrt(np.square(E).sum() / E.shape[1]))
+
+    def _close(
+        self,
+        pattern: Pattern,
+        readings: Array,
+        known: Array,
+        start: Array,
+        noise: BlockNoise,
+        tolerance: float,
+        contraction: float,
+    ) -> Closed:
+        """Corrections that close the loops of a block, and the poses where that failed."""
+        count = readings.shape[1]
+        tolerance = max(tolerance, 8.0 * (self.rounding or 0.0))
+        done, late = start, np.zeros(count, dtype=bool)
+        active: NDArray[np.intp] | None = None  # None: all poses, without copying them
+        # the start is a step from the readings, halved where it leaves the domain of a loop
+        at, base = start, np.zeros((1, 1))
+        step, length = start, np.ones(count)
+        expected = np.full(count, np.inf)
+        last = ratio = 0.0
+        for _ in range(MOST_CLOSINGS):
+            part = noise if active is None else noise.of(active)
+            found = self._corrected(
+                pattern,
+                readings if active is None else readings[:, active],
+                at,
+                known if active is None else known[:, active],
+                part,
+            )
+            correction, size = found.correction, found.step
+            if active is None and (longest := float(size.max())) * contraction <= tolerance:
+                return Closed(correction, late, longest)
+            # A step larger than the one before, or one that is no number, overshot: halve it.
+            allowed = np.maximum(2.0 * expected, max(tolerance, NEGLIGIBLE))
+            overshot = ~(size <= allowed) & (length > 1e-3)
+            ratios = np.where(np.isinf(expected), contraction, size / expected)
+            following = size * ratios
+            ratio = max(ratio, float(ratios.max())) if np.isfinite(expected).all() else ratio
+            stuck = (expected <= NEGLIGIBLE) & (size > 0.25 * expected)  # by rounding
+            finished = ~overshot & ((following <= tolerance) | stuck)
+            last = max(last, float(size[finished].max(initial=0.0)))
+            if active is None:
+                if finished.all():
+                    return Closed(correction, late, last)
+                active, done = np.arange(count), start.copy()
+            done[:, active[finished]] = correction[:, finished]
+            rest = ~finished
+            if not rest.any():
+                return Closed(done, late, last, ratio)
+            base = np.where(overshot, base, at)[:, rest]
+            step = np.where(overshot, step, correction - at)[:, rest]
+            length = np.where(overshot, 0.5 * length, 1.0)[rest]
+            expected = np.where(overshot, expected, size)[rest]
+            active = active[rest]
+            at = base + length * step
+        assert active is not None
+        closed = close_by_newton(
+            self.problem.tape(pattern),
+            self.parameters,
+            readings[:, active],
+            known[:, active],
+            np.where(np.isfinite(base), base, start[:, active]),
+            noise.of(active),
+            min(tolerance, 1e-3),
+        )
+        done[:, active], late[active] = closed.corrections, closed.open
+        return Closed(done, late, last, contraction=1.0)
+
+    def noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:
+        """The uncertainty of one block of poses; what is in none of its loops counts as exact."""
+        if self._by_pose:
+            return self._noise(pattern, poses)
+        key = pattern.loops, pattern.unmeasured
+        if key not in self._noises:
+            self._noises[key] = self._noise(pattern, poses)
+        return self._noises[key]
+
+    def _noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:
+        uncertainty, unmeasured = self.problem.uncertainty, pattern.unmeasured
+        everything = range(len(self.problem.readings))
+        measured = tuple(i for i in everything if i not in unmeasured)
+        sd = uncertainty.sd if uncertainty.sd.shape[1] == 1 else uncertainty.sd[:, poses]
+        if pattern.absent:
+            sd = sd.copy()
+            sd[list(pattern.absent)] = 0.0
+        gone = {*unmeasured, *pattern.absent}
+        blocks = tuple(
+            CovarianceBlock(b.indices, b.factor if b.factor.ndim == 2 else b.factor[poses])
+            for b in uncertainty.blocks
+            if not gone.intersection(b.indices)
+        )
+        split = [b for b in uncertainty.blocks if gone.intersection(b.indices)]
+        blocks += tuple(p for b in split if (p := _without(b, gone, poses)) is not None)
+        return BlockNoise(sd, blocks, unmeasured, measured)
+
+
+def _weigh(block: Reduced, loss: Loss, equations: int) -> float:
+    """Scale the rows of each pose by the root of its weight; what the loss is above them."""
+    s = np.einsum("rb,rb->b", block.E, block.E)
+    weight = loss.weight(s, equations)
+    surplus = float((loss.rho(s, equations) - weight * s).sum())
+    rows = block.rows
+    assert rows is not None
+    rows *= np.sqrt(weight)
+    return surplus
+
+
+def _without(block: CovarianceBlock, gone: Collection[int], poses: Poses) -> CovarianceBlock | None:
+    """The covariance of the part of a block that was measured: rows of its square root."""
+    keep = [i for i, index in enumerate(block.indices) if index not in gone]
+    if not keep:
+        return None
+    factor = block.factor if block.factor.ndim == 2 else block.factor[poses]
+    covariance = factor @ np.swapaxes(factor, -1, -2)
+    values, vectors = np.linalg.eigh(covariance[..., keep, :][..., keep])
+    root = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    return CovarianceBlock(tuple(block.indices[i] for i in keep), root)
+
+
+def _with_part(array: Array, part: Array, poses: Poses) -> Array:
+    """The array (k, N) with a part in the columns of its poses; the part where it is all."""
+    if part.shape == array.shape:
+        return part
+    array[:, poses] = part
+    return array
+
+
+def _numbers(poses: Poses, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """The positions of chosen poses of a block among all."""
+    within = np.flatnonzero(chosen)
+    return poses[within] if not isinstance(poses, slice) else within + poses.start

@@ -1,0 +1,1 @@
+"""Calibration of readings that come in chunks."""

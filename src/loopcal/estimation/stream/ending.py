@@ -1,0 +1,210 @@
+"""The last pass over a stream: what became of every pose, and the result that shows some."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.calibrate import result_of
+from loopcal.estimation.distances import distances
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.problem.starting import start_corrections
+from loopcal.estimation.result import Accuracy, Result
+from loopcal.estimation.solve.solver import Solution
+from loopcal.estimation.solve.sweep import NEGLIGIBLE
+from loopcal.estimation.stream.pieces import Task
+from loopcal.estimation.stream.shown import Shown, joined, misfits
+from loopcal.estimation.stream.sweeps import StreamedProblem, StreamSweeper
+from loopcal.execution.executor import Crew, in_order
+from loopcal.measurements.dataset import Dataset
+
+Array = NDArray[np.float64]
+Part = TypeVar("Part")
+SHOWN, _ALIKE = 10_000, 0.5
+"""About so many poses are kept for figures and tests; a model error is told of where these misfit
+at least this share of what all do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ending:
+    """The last pass: what became of every pose, at the parameters found."""
+
+    task: Task
+    method: str
+    solution: Solution
+
+    def result(
+        self,
+        crew: Crew,
+        sweeper: StreamSweeper,
+        part_of: Callable[[Result], Part] | None,
+        part_done: Callable[[Part], None] | None,
+    ) -> Result:
+        poses = sum(sweeper.sizes)
+        stride = max(1, poses // SHOWN)
+        begins = [0, *np.cumsum(sweeper.sizes).tolist()]
+        pieces = [
+            _EndPiece(number, begins[number], poses, stride, self.solution, self.method, part_of)
+            for number in range(self.task.stream.count)
+        ]
+        accuracies = _Distances(), _Distances()
+        kept: list[Shown] = []
+        worst: Shown | None = None
+        with closing(crew(pieces)) as outcomes:
+            for ended in in_order(outcomes):
+                assert isinstance(ended, _Ended)
+                for into, of_chunk in zip(accuracies, ended.distances, strict=True):
+                    into.add_other(of_chunk)
+                if ended.kept:
+                    kept.append(ended.kept)
+                if ended.worst:
+                    worst = joined([worst, ended.worst] if worst else [ended.worst]).worst()
+                if part_done:
+                    part_done(ended.part)
+        sample, equations = joined(kept), sweeper.problem.equations
+        # else a few poses make chi-squared what it is
+        alike = bool(sample.square.mean() > _ALIKE * self.solution.sweep.cost / poses)
+        found = self._shown(sample, equations, poses, alike)
+        words = "figures and residuals.csv show"
+        told = f"Calibrated from a stream of {poses} poses; {words} {len(found.dataset)} of them"
+        if worst:
+            everything = self._shown(joined([sample, worst]).in_order(), equations, poses, alike)
+            # those that fit badly say nothing of all the others
+            found = replace(
+                everything, model_discrepancy=found.model_discrepancy, warnings=found.warnings
+            )
+            told += f", and {len(worst.number)} more that fit badly"
+        before, after = (distance.accuracy() for distance in accuracies)
+        return replace(
+            found,
+            accuracy_before=before,
+            accuracy_after=after,
+            warnings=(*found.warnings, *([f"{told}."] if stride > 1 else ())),
+        )
+
+    def _shown(self, shown: Shown, equations: int, poses: int, alike: bool) -> Result:
+        """The result with the arrays of some poses; alike: whether they misfit as all do."""
+        problem = self.task.problem(shown.chunk)
+        own = {name: getattr(problem, name) for name in problem.__dataclass_fields__}
+        whole = StreamedProblem(**own, counted=equations, total=poses)
+        return _closed(self.task, self.method, self.solution, whole, shown.chunk.data, alike)
+
+
+def _closed(
+    task: Task,
+    method: str,
+    solution: Solution,
+    problem: Problem,
+    data: Dataset,
+    alike: bool = False,
+) -> Result:
+    """The arrays of some poses, at the parameters of all."""
+    sweeper = task.sweeper(problem)
+    begun = start_corrections(sweeper, solution.parameters)
+    corrections = sweeper.close(solution.parameters, begun, NEGLIGIBLE, 1.0).corrections
+    found = replace(solution, corrections=corrections)
+    return result_of(method, problem, found, data, alike=alike)
+
+
+@dataclass(frozen=True, eq=False)
+class _Ended:
+    """What the last pass found in one chunk: its part, its poses to be shown, its distances.
+
+    kept, worst: None where none of its poses is to be shown, or fits badly.
+    """
+
+    part: Any
+    kept: Shown | None
+    worst: Shown | None
+    distances: tuple[_Distances, _Distances]
+
+
+@dataclass(frozen=True, eq=False)
+class _EndPiece:
+    """The last pass over the chunk of a number, which begins at a pose; every stride-th is kept.
+
+    poses: of the whole stream.
+    """
+
+    number: int
+    begin: int
+    poses: int
+    stride: int
+    solution: Solution
+    method: str
+    part_of: Callable[[Result], Any] | None
+
+    def done(self, task: Task) -> _Ended:
+        chunk = task.stream.chunk(self.number)
+        problem = task.problem(chunk)
+        # that the fit converged says nothing of a chunk alone
+        solution = replace(self.solution, status=replace(self.solution.status, converged=False))
+        result = _closed(task, self.method, solution, problem, chunk.data)
+        found = _Distances(), _Distances()
+        found[0].add(problem, result.differences_before)
+        found[1].add(problem, result.differences_after)
+        corrections = np.array(list(result.corrections.values()))
+        square, misfit = misfits(task, problem, self.solution.parameters, corrections, self.poses)
+        number = np.arange(self.begin, self.begin + len(chunk.data))
+        shown = Shown(number, square, misfit, chunk)
+        every = number % self.stride == 0
+        index, bad = np.flatnonzero(every), np.flatnonzero(~every & (misfit > 1.0))
+        return _Ended(
+            self.part_of(result) if self.part_of else None,
+            shown.at(index) if index.size else None,
+            shown.at(bad).worst() if bad.size else None,
+            found,
+        )
+
+
+class _Distances:
+    """Mean, rms, 95th percentile and maximum of distances that are not kept.
+
+    The percentile comes from counts in bins of 0.2 % width, the first up to SMALLEST.
+    """
+
+    SMALLEST, WIDTH, BINS = 1e-12, 0.002, 17_500
+
+    def __init__(self) -> None:
+        self.counts = np.zeros(self.BINS, dtype=np.int64)
+        self.total = self.squares = self.largest = 0.0
+        self.unit = "m"
+
+    def add(self, problem: Problem, differences: Any) -> None:
+        mechanism = problem.mechanism
+        rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
+        found = distances(mechanism, problem.readings[rows], np.array(list(differences.values())))
+        if found is None:
+            return
+        values = found.values[np.isfinite(found.values)]
+        self.unit = found.unit
+        if not values.size:
+            return
+        bins = np.ceil(np.log(np.maximum(values / self.SMALLEST, 1.0)) / self.WIDTH)
+        bins = np.minimum(bins, self.BINS - 1).astype(np.intp)
+        self.counts += np.bincount(bins, minlength=self.BINS)
+        self.total += float(values.sum())
+        self.squares += float(np.square(values).sum())
+        self.largest = max(self.largest, float(values.max()))
+
+    def add_other(self, other: _Distances) -> None:
+        self.counts += other.counts
+        self.total += other.total
+        self.squares += other.squares
+        self.largest = max(self.largest, other.largest)
+        self.unit = other.unit if other.counts.any() else self.unit
+
+    def accuracy(self) -> Accuracy | None:
+        number = int(self.counts.sum())
+        if not number:
+            return None
+        bin_ = int(np.searchsorted(np.cumsum(self.counts), 0.95 * number))
+        p95 = min(self.SMALLEST * math.exp(bin_ * self.WIDTH), self.largest)
+        rms = float(np.sqrt(self.squares / number))
+        return Accuracy(self.unit, self.total / number, rms, p95, self.largest, number)

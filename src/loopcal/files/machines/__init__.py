@@ -1,0 +1,1 @@
+"""Machines, instruments and effects in files: schema, reader and writer."""

@@ -1,0 +1,81 @@
+"""XML files, read as data: no entity is expanded, no document type read, nothing fetched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from loopcal.errors import InputError
+from loopcal.files.tables.raw import existing_file, unreadable
+from loopcal.files.toml.reader import shown
+
+MOST_BYTES = 50_000_000
+"""Meshes lie in files of their own, so that a robot is a few hundred kilobytes."""
+
+
+def read_xml(path: str | Path, tag: str, remedy: str) -> Any:
+    """The root element of an XML file, which is to be <tag>.
+
+    remedy: what to do where the file is not of this kind. Raises InputError for what is no XML,
+    of another kind, larger than 50 MB, or has a document type.
+    """
+    from lxml import etree
+
+    name, content = shown(path), _content(path)
+    if b"<!doctype" in content.replace(b"\0", b"").lower():
+        raise _document_type(name)
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, load_dtd=False, dtd_validation=False
+    )
+    try:
+        root = etree.fromstring(content, parser)
+    except (etree.XMLSyntaxError, ValueError) as error:
+        raise InputError(f"this is no XML: {error}", place=name, remedy=remedy) from None
+    if root.getroottree().docinfo.doctype:  # in an encoding that hid it
+        raise _document_type(name)
+    if local(root) != tag:
+        raise InputError(
+            f"this is XML of another kind: it describes <{local(root)}>, not <{tag}>",
+            place=name,
+            remedy=remedy,
+        )
+    return root
+
+
+def local(element: Any) -> str:
+    """The tag without its namespace; "" for comments."""
+    return element.tag.rpartition("}")[2] if isinstance(element.tag, str) else ""
+
+
+def children(element: Any, tag: str) -> list[Any]:
+    """The elements of this tag right below another."""
+    return [child for child in element if local(child) == tag]
+
+
+def at(element: Any, file: str) -> str:
+    """Where an element stands, for messages."""
+    return f"{file}, line {element.sourceline}"
+
+
+def _document_type(name: str) -> InputError:
+    return InputError(
+        "this XML has a document type, which could make a reader fetch or expand things",
+        place=name,
+        remedy="delete <!DOCTYPE ...> from the file",
+    )
+
+
+def _content(path: str | Path) -> bytes:
+    found = existing_file(path)
+    try:
+        with found.open("rb") as stream:
+            content = stream.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise unreadable(found, error) from None
+    if len(content) > MOST_BYTES:
+        raise InputError(
+            f"this file is larger than {MOST_BYTES // 1_000_000} MB, too large for a robot",
+            place=shown(path),
+            remedy="meshes belong in files of their own",
+        )
+    return content

@@ -1,0 +1,263 @@
+"""URDF files: the chain of joints between two links of a robot.
+
+Only the joints of the chain have to make sense; names have to be distinct everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from loopcal.errors import InputError, nearest
+from loopcal.files.machines.safe_xml import at, children, local, read_xml
+from loopcal.files.toml.reader import shown
+from loopcal.mechanisms.machine import Machine
+from loopcal.mechanisms.origins import KINDS, LinkJoint, Mimic, joint_chain
+
+_NO_URDF = "name a URDF file, as xacro or a CAD exporter writes it (of SDF or MJCF make one first)"
+_EXPAND = "expand it first (xacro robot.urdf.xacro > robot.urdf) and name the result"
+
+
+def read_urdf(path: str | Path, base: str, tip: str) -> tuple[LinkJoint, ...]:
+    """The joints from the link `base` to the link `tip` of a URDF file.
+
+    Raises InputError, naming file and line, for what is no URDF, links that are not there or not
+    one below the other, and joints that cannot be calibrated.
+    """
+    robot = _Robot.of(read_xml(path, "robot", _NO_URDF), shown(path))
+    chain = robot.chain(base, tip)
+    return tuple(robot.joint(element) for element in chain)
+
+
+def urdf_machine(
+    path: str | Path, base: str, tip: str, *, axes: bool = False, name: str | None = None
+) -> Machine:
+    """The machine of the joints between two links of a robot's URDF file; the body is the tip.
+
+    T_parent_child = Tx(x) Ty(y) Tz(z) R_rpy Rz(rz) Ry(ry) Rx(rx) J(q) of each joint: parameters
+    JOINT_x, _y, _z [m], nominally the origin's xyz, and small turns JOINT_rz, _ry, _rx [rad] behind
+    its rpy; quantities the readings of the joints, by their names [rad or m]. base, tip: links,
+    one below the other; axes: whether the joints' axes have two tilts JOINT_axis_r. each, too;
+    name: by default that of the file. Not all of these parameters can be told apart: see
+    `loopcal.fix_redundant`.
+
+    Raises InputError, naming file and line, for what is no URDF, links that are not there or not
+    one below the other, and joints that cannot be calibrated.
+    """
+    joints = read_urdf(path, base, tip)
+    return joint_chain(joints, axes=axes, name=name or Path(path).stem)
+
+
+@dataclass(frozen=True)
+class _Robot:
+    """Links and joints (XML elements) by name; above: link -> the joints whose child it is."""
+
+    file: str
+    links: Mapping[str, Any]
+    joints: Mapping[str, Any]
+    above: Mapping[str, tuple[Any, ...]]
+
+    @classmethod
+    def of(cls, root: Any, file: str) -> _Robot:
+        for element in root.iter():
+            if isinstance(element.tag, str) and "xacro" in element.tag.partition("}")[0]:
+                _refuse(element, file, "this is xacro, a program that makes a URDF", _EXPAND)
+        links = _named(children(root, "link"), file)
+        joints = _named(children(root, "joint"), file)
+        robot = cls(file, links, joints, {})
+        above: dict[str, tuple[Any, ...]] = {}
+        for element in joints.values():
+            child = robot._link(element, "child")
+            above[child] = (*above.get(child, ()), element)
+        return cls(file, links, joints, above)
+
+    def chain(self, base: str, tip: str) -> list[Any]:
+        """The joints from one link to another below it."""
+        for link in (base, tip):
+            if link not in self.links:
+                raise InputError(
+                    f"the robot has no link {link!r}",
+                    place=self.file,
+                    remedy=nearest(link, self.links),
+                )
+        found: list[Any] = []
+        passed, link = [tip], tip
+        while link != base:
+            above = self.above.get(link, ())
+            if not above:
+                raise InputError(
+                    f"the link {tip!r} is not below {base!r}: up from it come "
+                    f"{', '.join(map(repr, passed))}",
+                    place=self.file,
+                    remedy=f"name one of these as the base, or a tip below {base!r}",
+                )
+            if len(above) > 1:
+                names = " and ".join(repr(e.get("name")) for e in above)
+                _refuse(
+                    above[1],
+                    self.file,
+                    f"the link {link!r} hangs on two joints, {names}; a URDF is a tree",
+                    "describe closed loops as a machine of their own type, or delete one joint",
+                )
+            found.insert(0, above[0])
+            link = self._link(above[0], "parent")
+            if link in passed:
+                _refuse(
+                    above[0],
+                    self.file,
+                    f"the joints above {tip!r} go round in a circle through {link!r}",
+                    "correct the parent of one of them",
+                )
+            passed.append(link)
+        if not found:
+            raise InputError(
+                f"base and tip are the same link {base!r}",
+                place=self.file,
+                remedy="name a tip with moving joints between the two",
+            )
+        return found
+
+    def joint(self, element: Any) -> LinkJoint:
+        """One joint as it stands."""
+        name, kind = element.get("name"), self._kind(element)
+        xyz = rpy = (0.0, 0.0, 0.0)
+        for origin in children(element, "origin")[:1]:
+            xyz = self._numbers(origin, "xyz", xyz)
+            rpy = self._numbers(origin, "rpy", rpy)
+        axis = (1.0, 0.0, 0.0)  # by the definition of URDF
+        for stated in children(element, "axis")[:1]:
+            axis = self._numbers(stated, "xyz", axis)
+        moves = kind in ("revolute", "prismatic")
+        limits = self._limits(element) if moves else None
+        mimic = None if kind == "fixed" else self._mimic(element, (name,))
+        try:
+            return LinkJoint(name, kind, xyz, rpy, axis, limits, mimic)
+        except InputError as error:
+            raise error.at(at(element, self.file)) from None
+
+    def _kind(self, element: Any) -> str:
+        kind = element.get("type")
+        if kind not in KINDS:
+            words = "no type" if kind is None else f"the type {kind!r}"
+            _refuse(
+                element,
+                self.file,
+                f"the joint {element.get('name')!r} has {words}",
+                f"joints of a chain are {', '.join(KINDS)}; name a base behind a joint that "
+                "floats or slides in a plane",
+            )
+        return str(kind)
+
+    def _link(self, element: Any, tag: str) -> str:
+        found = [child.get("link") for child in children(element, tag)]
+        if len(found) != 1 or not found[0]:
+            _refuse(
+                element,
+                self.file,
+                f"the joint {element.get('name')!r} names no {tag} link",
+                f'give it one <{tag} link="..."/>',
+            )
+        if found[0] not in self.links:
+            _refuse(
+                element,
+                self.file,
+                f"the joint {element.get('name')!r} has the {tag} link {found[0]!r}, which is "
+                "not there",
+                nearest(found[0], self.links),
+            )
+        return str(found[0])
+
+    def _mimic(self, element: Any, met: tuple[str, ...]) -> Mimic | None:
+        """What moves it, through all joints that mimic one another."""
+        stated = children(element, "mimic")
+        if not stated:
+            return None
+        followed = stated[0].get("joint")
+        if followed not in self.joints:
+            _refuse(
+                stated[0],
+                self.file,
+                f"the joint {met[-1]!r} mimics {followed!r}, which is not there",
+                nearest(str(followed), self.joints),
+            )
+        if followed in met:
+            _refuse(
+                stated[0],
+                self.file,
+                f"the joint {met[0]!r} mimics itself, through {', '.join(map(repr, met))}",
+                "let one of them be moved by itself",
+            )
+        target = self.joints[followed]
+        kind = self._kind(target)
+        if kind == "fixed":
+            _refuse(
+                stated[0],
+                self.file,
+                f"the joint {met[-1]!r} mimics {followed!r}, which is fixed",
+                "name a joint that moves, or make this one fixed",
+            )
+        multiplier = self._numbers(stated[0], "multiplier", (1.0,), 1)[0]
+        offset = self._numbers(stated[0], "offset", (0.0,), 1)[0]
+        inner = self._mimic(target, (*met, followed))
+        if inner is None:
+            return Mimic(followed, multiplier, offset, kind)
+        return Mimic(
+            inner.joint, multiplier * inner.multiplier, multiplier * inner.offset + offset,
+            inner.kind,
+        )  # fmt: skip
+
+    def _limits(self, element: Any) -> tuple[float, float] | None:
+        for stated in children(element, "limit"):
+            lower = self._numbers(stated, "lower", (0.0,), 1)[0]
+            upper = self._numbers(stated, "upper", (0.0,), 1)[0]
+            return (lower, upper) if lower < upper else None
+        return None
+
+    def _numbers(self, element: Any, key: str, default: Any, count: int = 3) -> Any:
+        text = element.get(key)
+        if text is None:
+            return default
+        if "${" in text or "$(" in text:
+            words = f"{key}={text!r} is a formula of xacro, a program that makes a URDF"
+            _refuse(element, self.file, words, _EXPAND)
+        numbers = _floats(text)
+        if len(numbers) != count or not all(map(math.isfinite, numbers)):
+            many = "a finite number" if count == 1 else f"{count} finite numbers"
+            _refuse(
+                element,
+                self.file,
+                f"{key}={text!r} is not {many}",
+                f'write {key}="{" ".join(["0"] * count)}" with numbers in m and rad',
+            )
+        return numbers
+
+
+def _floats(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(word) for word in text.split())
+    except ValueError:
+        return ()
+
+
+def _named(elements: Iterable[Any], file: str) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for element in elements:
+        name, what = element.get("name"), local(element)
+        if not name:
+            _refuse(element, file, f"a {what} has no name", f'give it one: <{what} name="...">')
+        if name in found:
+            _refuse(
+                element,
+                file,
+                f"two {what}s are called {name!r}, the first in line {found[name].sourceline}",
+                "name each differently",
+            )
+        found[name] = element
+    return found
+
+
+def _refuse(element: Any, file: str, words: str, remedy: str) -> None:
+    raise InputError(words, place=at(element, file), remedy=remedy)

@@ -1,0 +1,1 @@
+"""Project files: schema, readings, noise, and what a run needs of them."""

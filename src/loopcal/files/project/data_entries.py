@@ -1,0 +1,158 @@
+"""The [data] table of a project: the files of readings, and which column is which quantity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from loopcal.errors import InputError, nearest
+from loopcal.files.machines.parameter_entries import in_si
+from loopcal.files.project.noise_entries import NoiseSpec
+from loopcal.files.tables.columns import Column
+from loopcal.files.toml.place import Place
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.units import unit
+
+if TYPE_CHECKING:
+    from loopcal.files.project.project_schema import DataEntry, FileEntry
+
+_OPTIONS = ("pose", "sheet", "header", "delimiter", "decimal", "encoding", "variable")
+
+
+@dataclass(frozen=True)
+class DataSpec:
+    """Where the readings are; see `project_data.load_dataset`.
+
+    file: as written, relative to the project's folder; columns: quantity -> its column;
+    sd_at_least: quantity -> smallest sd [SI] to believe; options: of `read_dataset`; joins:
+    further files of the same poses. by_name: whether further columns are read that are named as
+    quantities; instruments: those without readings of their own that were used in this file.
+    """
+
+    file: str
+    columns: Mapping[str, Column]
+    sd_at_least: Mapping[str, float] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+    joins: tuple[DataSpec, ...] = ()
+    by_name: bool = False
+    instruments: tuple[str, ...] = ()
+    file_units: Mapping[str, str] = field(default_factory=dict)
+    """Dimension -> unit of the columns that state none."""
+    stream: bool | None = None
+    """Whether to read in chunks; None: if the file is large."""
+
+
+def data_files(entry: DataEntry, mechanism: Mechanism, noise: NoiseSpec, place: Place) -> DataSpec:
+    """The files of readings; quantities of sd inf, and implied ones, may have no column.
+
+    Raises InputError for a quantity that is none, a unit that does not fit, a quantity without a
+    column and an instrument that is not there.
+    """
+    units = {**mechanism.quantities, **mechanism.known}
+    joins = []
+    for i, other in enumerate(entry.join):
+        here = place.at("join", i)
+        for name in other.instrument:
+            known = [f.name for f in mechanism.families if implied_by(mechanism, f.name)]
+            if name not in known:
+                raise InputError(
+                    f"there is no instrument {name!r} that is used without reading",
+                    place=str(here.at("instrument")),
+                    remedy=nearest(name, known) if known else "leave instrument out",
+                )
+        joins.append(_file(other, units, here, instruments=tuple(other.instrument)))
+    main = _file(entry, units, place, joins=tuple(joins))
+    options = {**main.options, "exclude": entry.exclude, "every": entry.every}
+    if main.by_name and not joins:
+        unread = {q for q in units if noise.sd_of(q) == math.inf} | set(mechanism.implied)
+        columns = {q: Column(q, _unit(None, units[q], main.file_units)) for q in units}
+        columns = {q: c for q, c in columns.items() if q not in unread}
+        return replace(main, columns=columns, options=options, by_name=False, stream=entry.stream)
+    spec = replace(main, options=options, stream=entry.stream)
+    if not (main.by_name or any(other.by_name for other in joins)):
+        read = {q for part in (main, *joins) for q in part.columns}
+        refuse_unread(read, mechanism, noise, place.at("columns"))
+    return spec
+
+
+def refuse_unread(read: set[str], mechanism: Mechanism, noise: NoiseSpec, place: Place) -> None:
+    """Raise InputError for a quantity that has to be read and is not."""
+    for quantity in (*mechanism.quantities, *mechanism.known):
+        if quantity in read or quantity in mechanism.implied:
+            continue
+        if noise.sd_of(quantity) != math.inf:
+            raise InputError(
+                f"no column is named for the quantity {quantity!r}",
+                place=str(place),
+                remedy=f'add {quantity} = "its column"; if nobody measures it, say '
+                f"{quantity} = {{ sd = inf }} in [noise]",
+            )
+
+
+def implied_by(mechanism: Mechanism, instrument: str) -> tuple[str, ...]:
+    """The readings that using an instrument implies; none where it reads something."""
+    for family in mechanism.families:
+        if family.name == instrument and set(family.readings) <= set(mechanism.implied):
+            return family.readings
+    return ()
+
+
+def named_columns(spec: DataSpec, labels: tuple[str, ...], mechanism: Mechanism) -> DataSpec:
+    """The file with the columns that are named as quantities, beside those stated."""
+    units = {**mechanism.quantities, **mechanism.known}
+    found = {q: Column(q, _unit(None, units[q], spec.file_units)) for q in units if q in labels}
+    columns = {**found, **spec.columns}
+    return replace(spec, columns=columns)
+
+
+def _file(
+    entry: FileEntry,
+    units: Mapping[str, str],
+    place: Place,
+    *,
+    joins: tuple[DataSpec, ...] = (),
+    instruments: tuple[str, ...] = (),
+) -> DataSpec:
+    here = place.at("columns")
+    file_wide = entry.units.by_dimension()
+    columns: dict[str, Column] = {}
+    least: dict[str, float] = {}
+    for quantity, given in (entry.columns or {}).items():
+        if quantity not in units:
+            raise InputError(
+                f"the mechanism has no quantity {quantity!r}",
+                place=str(here.at(quantity)),
+                remedy=nearest(quantity, units),
+            )
+        at = here.at(quantity)
+        for key in ("unit", "sd_unit"):
+            in_si(1.0, getattr(given, key), units[quantity], at.at(key))
+        if given.sd_column is None and (given.sd_unit or given.sd_at_least is not None):
+            raise InputError(
+                "sd_unit and sd_at_least say nothing without a column of sds",
+                place=str(at),
+                remedy='name the column: sd_column = "..."',
+            )
+        stated = _unit(given.unit, units[quantity], file_wide)
+        columns[quantity] = Column(
+            given.column, stated, given.sd_column, given.sd_unit, given.check
+        )
+        if given.sd_at_least is not None:
+            sd_unit = given.sd_unit or stated
+            least[quantity] = in_si(given.sd_at_least, sd_unit, units[quantity], at)
+    return DataSpec(
+        entry.file,
+        columns,
+        least,
+        {key: getattr(entry, key) for key in _OPTIONS},
+        joins,
+        entry.columns is None,
+        instruments,
+        file_wide,
+    )
+
+
+def _unit(stated: str | None, si: str, file_wide: Mapping[str, str]) -> str | None:
+    return stated or file_wide.get(unit(si).dimension)

@@ -1,0 +1,390 @@
+"""What a project file may say, with the JSON Schema of it for editors and other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
+
+from loopcal.files.machines.effect_schema import Effects
+from loopcal.files.machines.instrument_schema import Instruments
+from loopcal.files.machines.mechanism_parts import ParameterEntries, Units, Value
+from loopcal.files.machines.mechanism_schema import TaggedMechanism
+from loopcal.files.toml.model import (
+    Finite,
+    Model,
+    NameOrNumber,
+    Sd,
+    UnitName,
+    complaint,
+    plain_number_as,
+)
+
+Length = Annotated[int, Field(ge=1)]
+
+
+class MechanismFile(Model):
+    """A mechanism in a file of its own."""
+
+    file: str = Field(
+        description="Path of the mechanism file, relative to the project; ${NAME} is replaced "
+        "by the environment variable NAME.",
+        examples=["arm.toml"],
+    )
+    instrument: Instruments | None = Field(
+        default=None, description="What is read of the machine, in place of the file's own."
+    )
+    effect: Effects | None = Field(
+        default=None, description="What geometry does not explain, in place of the file's own."
+    )
+
+
+def _mechanism_form(value: Any) -> str:
+    if isinstance(value, Mapping) and ("type" in value or "file" not in value):
+        return str(value.get("type", "serial"))
+    return "file"
+
+
+MechanismEntry = Annotated[
+    Annotated[MechanismFile, Tag("file")] | TaggedMechanism, Discriminator(_mechanism_form)
+]
+
+
+class ColumnEntry(Model):
+    """Where the readings of a quantity stand."""
+
+    column: NameOrNumber = Field(description="Name of the column, or its number from 1.")
+    unit: UnitName | None = None
+    sd_column: NameOrNumber | None = Field(
+        default=None, description="Column with the sd of each reading."
+    )
+    sd_unit: UnitName | None = Field(default=None, description="Without one, that of the readings.")
+    sd_at_least: Sd | None = Field(
+        default=None,
+        description="Smallest sd to believe, in the unit of the sds: for columns that were "
+        "rounded, where 0 would call a reading exact.",
+    )
+    check: bool = Field(default=True, description="false: the values are right though strange.")
+
+
+def _column(value: Any) -> Any:
+    return {"column": value} if isinstance(value, str | int) else value
+
+
+_ColumnOrName = Annotated[
+    ColumnEntry, BeforeValidator(_column, json_schema_input_type=str | int | ColumnEntry)
+]
+
+
+class FileEntry(Model):
+    """A file of readings, and which of its columns is which quantity."""
+
+    file: str = Field(
+        description="CSV, TSV or other text, XLSX, Parquet (or a folder of it), MATLAB v5; "
+        "relative to the project; ${NAME} is replaced by the environment variable NAME.",
+        examples=["poses.csv", "${LOOPCAL_DATA}/left_arm.csv"],
+    )
+    pose: NameOrNumber | None = Field(default=None, description="Column of the pose ids.")
+    units: Units = Field(default=Units(), description="Units of the columns that state none.")
+    columns: dict[str, _ColumnOrName] | None = Field(
+        default=None,
+        description="Quantity = its column; without this table each quantity has a column of "
+        "its own name.",
+        examples=[{"theta_1": {"column": "S", "unit": "deg"}, "x": "x_tracker"}],
+    )
+    sheet: NameOrNumber | None = Field(default=None, description="XLSX: name or number from 1.")
+    variable: str | None = Field(default=None, description="MATLAB: name of the variable.")
+    header: bool | None = Field(default=None, description="Whether the first row holds names.")
+    delimiter: str | None = Field(default=None, examples=[",", ";", "\t"])
+    decimal: Literal[".", ","] | None = None
+    encoding: str | None = Field(default=None, examples=["utf-8", "utf-16", "cp1252"])
+
+
+class JoinEntry(FileEntry):
+    """Another file with readings of the same poses, joined by their ids."""
+
+    instrument: list[str] = Field(
+        default=[],
+        description="Instruments without readings of their own (a ball in a socket, a probe on a "
+        "plane) that were used in the poses of this file, and in no others.",
+    )
+
+
+class DataEntry(FileEntry):
+    """The readings: a file, perhaps others joined by pose id, and what is left out."""
+
+    exclude: list[NameOrNumber] = Field(default=[], description="Ids of poses to leave out.")
+    every: Length = Field(default=1, description="Keep the 1st, (every + 1)th, ... row.")
+    stream: bool | None = Field(
+        default=None,
+        description="Parquet: whether poses are read in chunks, sweep by sweep, instead of being "
+        "held in memory; by default from two million rows on, and for a folder of files.",
+    )
+    join: list[JoinEntry] = Field(
+        default=[], description="Further files with readings of the same poses."
+    )
+
+
+Row = list[Finite]
+
+
+Kind = Literal["mpe", "sd"]
+Coverage = Annotated[float, Field(gt=0, allow_inf_nan=False)] | Literal["uniform"]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class TrackerEntry(Model):
+    """A tracker by its name, or by figures as its maker prints them."""
+
+    name: str | None = Field(default=None, examples=["leica-at500"])
+    range: str | None = Field(
+        default=None, description="Along the line of sight.", examples=["10 um + 0.3 um/m"]
+    )
+    transverse: str | None = Field(
+        default=None,
+        description="Across the line of sight, in each of the two directions.",
+        examples=["15 um + 6 um/m", "2 arcsec"],
+    )
+    kind: Kind | None = Field(
+        default=None, description="mpe: maximum permissible error (unless stated); or sd."
+    )
+    coverage: Coverage | None = Field(
+        default=None, description='Maximum permissible error over sd: 2, or "uniform" (sqrt 3).'
+    )
+
+
+def _tracker(value: Any) -> Any:
+    if isinstance(value, bool | int | float | list):
+        raise complaint(f"{value!r} is given", 'give a name, say "leica-at500", or a table')
+    return {"name": value} if isinstance(value, str) else value
+
+
+_TrackerOrName = Annotated[
+    TrackerEntry, BeforeValidator(_tracker, json_schema_input_type=str | TrackerEntry)
+]
+
+
+class EncoderEntry(Model):
+    """Figures of an encoder; what is stated adds in quadrature."""
+
+    bits: Annotated[int, Field(ge=1, le=64)] | None = Field(
+        default=None, description="It tells 2^bits positions per turn."
+    )
+    counts: Positive | None = Field(default=None, description="Or so many positions per turn.")
+    accuracy: str | None = Field(default=None, examples=["5 arcsec"])
+    kind: Kind | None = Field(default=None, description="Of the accuracy; mpe unless stated.")
+    coverage: Coverage | None = Field(
+        default=None, description='Maximum permissible error over sd: 2, or "uniform" (sqrt 3).'
+    )
+    gear: Positive = Field(
+        default=1.0, description="Turns of the encoder per turn of the joint, which divide all."
+    )
+
+
+class NoiseEntry(Model):
+    """How uncertain readings are: an sd, or a covariance of several quantities together."""
+
+    sd: Sd | None = Field(default=None, description="0: exact, never corrected; inf: not measured.")
+    covariance: list[Row] | None = Field(
+        default=None,
+        description="Of the quantities of the key in their order, the same in all poses.",
+    )
+    covariance_columns: list[NameOrNumber] | None = Field(
+        default=None,
+        description="Columns of the data with the covariance in each pose: all of it row by row, "
+        "or from the diagonal to the right (xx, xy, xz, yy, yz, zz).",
+    )
+    tracker: _TrackerOrName | None = Field(
+        default=None,
+        description="Of the coordinates of a point together: a tracker by name, or its figures.",
+        examples=["leica-at500", {"range": "10 um + 0.3 um/m", "transverse": "15 um + 6 um/m"}],
+    )
+    station: list[Finite] | None = Field(
+        default=None, description="Where the tracker stands in the frame of its readings."
+    )
+    encoder: EncoderEntry | None = Field(default=None, examples=[{"bits": 20}])
+    rounded_to: Positive | None = Field(
+        default=None, description="Step of the readings: an sd of step / sqrt(12), in quadrature."
+    )
+    unit: UnitName | None = Field(
+        default=None,
+        description="Of sd, rounded_to and station; a covariance is in its square.",
+    )
+    estimate: Literal["each", "group"] | None = Field(
+        default=None,
+        description="Learn the sds from the calibration, beginning from those stated: one factor "
+        "for each quantity of the key, or one for all. Absent: taken as given.",
+    )
+
+
+NoiseEntries = Annotated[
+    dict[str, Annotated[NoiseEntry, plain_number_as("sd", NoiseEntry)]],
+    Field(
+        description="By quantity, glob, the joined names of all outputs, or several of these "
+        "with commas; later lines win.",
+        examples=[{"theta_*": {"sd": 5e-5, "unit": "rad"}, "xyz": {"sd": 10, "unit": "um"}}],
+    ),
+]
+
+
+class SdEntry(Model):
+    """An sd with its unit."""
+
+    sd: Sd
+    unit: UnitName | None = None
+
+
+Sds = dict[str, Annotated[SdEntry, plain_number_as("sd", SdEntry)]]
+
+
+class ValidationEntry(Model):
+    """Which poses take no part in a fit and are predicted by it: one of folds, hold_out, file."""
+
+    folds: Annotated[int, Field(ge=2)] | None = Field(
+        default=None, description="So many parts, each left out once."
+    )
+    hold_out: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        default=None, description="This share is left out, once."
+    )
+    file: str | None = Field(
+        default=None, description="These readings are predicted, in the columns of [data]."
+    )
+    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="Of the choice.")
+    group: NameOrNumber | None = Field(
+        default=None,
+        description="Column of numbers: poses with the same one stay together. Without it those "
+        "with the same driven readings do.",
+    )
+
+
+class FitEntry(Model):
+    """How to fit."""
+
+    method: Literal["implicit-loop", "least-squares", "reweighted", "implicit-loop-undamped"] = (
+        "implicit-loop"
+    )
+    loss: Literal["gaussian", "huber", "student-t"] = Field(
+        default="gaussian",
+        description="huber, student-t: poses that do not fit count less.",
+    )
+    start: Literal["auto", "align", "nominal"] = Field(
+        default="auto",
+        description="align: the nominal machine is first moved to where the instrument sees it; "
+        "auto: that, for a spatial machine whose placement is free and has flat priors.",
+    )
+    max_iterations: Length = 100
+    require_identifiable: bool = Field(
+        default=False, description="true: end with exit code 4 if a parameter is not determined."
+    )
+    apply_variance_factor: bool = Field(
+        default=False,
+        description="true: multiply the covariance by chi-squared per degree of freedom.",
+    )
+    validation: ValidationEntry | None = Field(
+        default=None,
+        description="Accuracy on poses not used for the fit.",
+        examples=[{"folds": 10, "seed": 0}, {"hold_out": 0.3}, {"file": "other.csv"}],
+    )
+    profile: list[str] = Field(
+        default=[],
+        description="Parameters, by name or glob, that get a profile likelihood interval.",
+        examples=[["l2", "phi*"]],
+    )
+
+
+class ModelEntry(Model):
+    """One of several models of the machine."""
+
+    name: str
+    effects: list[str] = Field(
+        default=[], description="Names of the mechanism's effects that are switched on."
+    )
+    fixed: list[str] = Field(
+        default=[], description="Parameters, by name or glob, that this model does not estimate."
+    )
+
+
+class CompareEntry(Model):
+    """Models that `loopcal calibrate --compare` judges by poses they have not seen.
+
+    The one without effects, "geometric", is always among them.
+    """
+
+    model: list[ModelEntry] = Field(min_length=1)
+
+
+class RangeEntry(Model):
+    """Where a quantity is driven in a simulation."""
+
+    from_: Finite = Field(alias="from")
+    to: Finite
+    step: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        default=None, description="With steps all combinations are simulated, without random poses."
+    )
+    unit: UnitName | None = None
+
+
+class SimulationEntry(Model):
+    """How `loopcal simulate` makes readings: poses, the true machine, the noise."""
+
+    poses: Length | None = Field(default=None, description="How many random poses.")
+    ranges: dict[str, RangeEntry] = Field(
+        min_length=1,
+        description="Of every quantity that is driven, and of known constants.",
+        examples=[{"theta_1": {"from": -90, "to": 90, "unit": "deg"}}],
+    )
+    truth: dict[str, Annotated[Value, plain_number_as("value", Value)]] = Field(
+        default={}, description="True values of parameters, by name or glob; else the nominal ones."
+    )
+    perturb: Sds = Field(
+        default={},
+        description="sd of a random deviation of the truth from nominal, by name or glob.",
+    )
+    noise: NoiseEntries = Field(
+        default={}, description="The true noise, where it is not what [noise] says."
+    )
+
+
+class ProjectModel(Model):
+    """One calibration: a mechanism, its readings, and what is known of both."""
+
+    schema_: Literal[1] = Field(alias="schema", description="Version of this format.")
+    title: str | None = None
+    mechanism: MechanismEntry | None = None
+    data: DataEntry | None = None
+    noise: NoiseEntries = Field(default={})
+    prior: Sds = Field(
+        default={},
+        description="Prior sds of parameters by name or glob, inf: flat; later lines win.",
+        examples=[{"d_*": {"sd": 1.0, "unit": "mm"}}],
+    )
+    parameters: ParameterEntries = Field(default={})
+    fit: FitEntry = FitEntry()
+    compare: CompareEntry | None = None
+    simulation: SimulationEntry | None = None
+
+
+class _Toml(GenerateJsonSchema):
+    """TOML knows no null: a key that is not stated is absent. And keys are their own titles."""
+
+    def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
+        return self.generate_inner(schema["schema"])
+
+    def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
+        made = super().default_schema(schema)
+        if made.get("default", 0) is None:
+            del made["default"]
+        return made
+
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        return False
+
+
+def project_schema() -> dict[str, Any]:
+    """The JSON Schema (draft 2020-12) of a project file."""
+    made = ProjectModel.model_json_schema(by_alias=True, schema_generator=_Toml)
+    made["title"] = "loopcal project"
+    return {"$schema": _Toml.schema_dialect} | made

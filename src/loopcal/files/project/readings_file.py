@@ -1,0 +1,69 @@
+"""Readings as a table of the kind that a project reads: its column names, its units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.files.project.data_entries import DataSpec
+from loopcal.files.tables.writer import Column, table_bytes
+from loopcal.measurements.dataset import Dataset
+from loopcal.units import from_si, unit
+
+Array = NDArray[np.float64]
+
+
+def readings_tables(
+    dataset: Dataset, spec: DataSpec | None, sds: Mapping[str, Array], out: Path
+) -> dict[str, bytes]:
+    """Tables of readings (.csv, .tsv, .parquet) by file name, blank where nothing was read.
+
+    spec: how the project reads its data, None for quantities under their own names in SI; a
+    column that it knows by number gets the quantity's name. Files that it joins get the names
+    they have there, beside `out`. sds: quantity -> (N,) [SI], for the columns of sds it asks for.
+
+    Raises InputError for a joined file whose columns are not stated.
+    """
+    joins = spec.joins if spec else ()
+    elsewhere = {q for part in joins for q in part.columns}
+    own = [q for q in dataset.readings if q not in elsewhere]
+    tables = {out.name: _table(dataset, own, spec, sds, out.suffix)}
+    for part in joins:
+        name = Path(part.file).name
+        if part.by_name and not part.instruments:
+            raise InputError(
+                f"which readings {name} shall hold is not said",
+                remedy="name its columns in the project: columns = { x = ... }",
+            )
+        tables[name] = _table(dataset, list(part.columns), part, sds, Path(name).suffix)
+    return tables
+
+
+def _table(
+    dataset: Dataset,
+    quantities: Sequence[str],
+    spec: DataSpec | None,
+    sds: Mapping[str, Array],
+    ending: str,
+) -> bytes:
+    options = spec.options if spec else {}
+    columns: dict[str, Column] = {}
+    pose = options.get("pose")
+    columns[pose if isinstance(pose, str) else "pose"] = dataset.poses
+    for quantity in quantities:
+        readings = dataset.readings[quantity]
+        its = spec.columns.get(quantity) if spec else None
+        name = its.column if its and isinstance(its.column, str) else quantity
+        stated = its.unit if its else None
+        if its is None and spec is not None:
+            stated = spec.file_units.get(unit(dataset.units.get(quantity, "1")).dimension)
+        its_unit = stated or "1"
+        columns[name] = from_si(readings, its_unit)
+        if its and isinstance(its.sd_column, str):
+            sd = np.where(np.isfinite(sds[quantity]), sds[quantity], np.nan)
+            columns[its.sd_column] = from_si(sd, its.sd_unit or its_unit)
+    return table_bytes(columns, ending)

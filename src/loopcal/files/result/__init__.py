@@ -1,0 +1,1 @@
+"""Result files: result.json, residuals, truth and the state of an interrupted run."""

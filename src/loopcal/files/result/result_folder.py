@@ -1,0 +1,37 @@
+"""A result from the disk again: what was found, and the mechanism it was found of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from loopcal.files.machines.mechanism_file import Loops, read_mechanism
+from loopcal.files.result.result_file import read_result
+from loopcal.mechanisms.mechanism import Mechanism
+
+
+@dataclass(frozen=True, eq=False)
+class ReadResult:
+    """document: of result.json; mechanism: the calibrated one beside it; path: of result.json."""
+
+    document: Mapping[str, Any]
+    mechanism: Mechanism
+    path: Path
+
+
+def read_result_folder(
+    path: str | Path, *, function: Loops | Mechanism | None = None
+) -> ReadResult:
+    """A folder that `loopcal calibrate` wrote, or the result.json in it.
+
+    function: the loops of a mechanism that is written in Python. Raises InputError where
+    result.json or mechanism.toml beside it are absent or cannot be read.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "result.json"
+    document = read_result(path)
+    mechanism = read_mechanism(path.with_name("mechanism.toml"), function=function)
+    return ReadResult(document, mechanism, path)

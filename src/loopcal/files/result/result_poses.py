@@ -1,0 +1,23 @@
+"""The readings that a result was calibrated with, from the residuals.csv beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from loopcal.files.tables.columns import Column
+from loopcal.files.tables.readers import read_dataset
+from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.mechanism import Mechanism
+
+
+def read_result_poses(folder: Path, mechanism: Mechanism) -> Dataset | None:
+    """The poses used, SI, with the known constants of each; None where they are not there.
+
+    Raises InputError where residuals.csv cannot be read.
+    """
+    path = folder / "residuals.csv"
+    if not path.exists():
+        return None
+    stated = {**mechanism.quantities, **mechanism.known}
+    columns = {name: Column(f"{name} [{unit}]") for name, unit in stated.items()}
+    return read_dataset(path, columns, pose="pose")

@@ -1,0 +1,1 @@
+"""Tables of readings: what is in a file of any format, as columns of numbers with units."""

@@ -1,0 +1,148 @@
+"""Which column of a table is which quantity, in which unit, with which sd."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from loopcal.errors import InputError, nearest
+from loopcal.files.tables.table import Table
+from loopcal.units import convertible, unit
+
+
+@dataclass(frozen=True)
+class Column:
+    """Where one quantity stands in a file, and in which unit."""
+
+    column: str | int
+    """Name of the column, or its number from 1 (the only way where there is no header)."""
+    unit: str | None = None
+    """Unit of the readings; without one they are taken as SI (m, rad)."""
+    sd_column: str | int | None = None
+    """Column of the sd of each reading."""
+    sd_unit: str | None = None
+    """Unit of the sd; without one, that of the readings."""
+    check: bool = True
+    """False: the values are right although they look strange."""
+
+
+ColumnLike = str | int | Mapping[str, Any] | Column
+
+
+def specified(columns: Mapping[str, ColumnLike], units: Mapping[str, str]) -> dict[str, Column]:
+    """Quantity -> its column, with the unit from `units` where the column states none.
+
+    Raises InputError for an unknown key or unit, two units for one quantity, a unit for a
+    quantity that is not there, and an sd in a unit of another dimension.
+    """
+    if not columns:
+        raise InputError("no column is asked for", remedy="map one quantity at least to a column")
+    for quantity in units:
+        if quantity not in columns:
+            raise InputError(
+                f"a unit is given for {quantity!r}, which no column is read for",
+                remedy=nearest(quantity, columns),
+            )
+    return {q: _checked(q, _column(q, given), units.get(q)) for q, given in columns.items()}
+
+
+def wanted(columns: Mapping[str, Column], pose: str | int | None) -> frozenset[str | int]:
+    """All columns that have to be read."""
+    named = [c.column for c in columns.values()] + [c.sd_column for c in columns.values()]
+    return frozenset(column for column in [*named, pose] if column is not None)
+
+
+def all_numeric(
+    table: Table, pose: str | int | None, units: Mapping[str, str]
+) -> dict[str, Column]:
+    """Every column of numbers but the ids, under its own name, else "column_1", "column_2", ..."""
+    aside = None if pose is None else table.position(pose)
+    found: dict[str, ColumnLike] = {}
+    for i in table.numeric():
+        if i != aside:
+            name = table.names[i] if table.names else ""
+            found[name or f"column_{i + 1}"] = name or i + 1
+    if not found:
+        raise InputError(
+            "there is no column of numbers",
+            place=table.name,
+            remedy="check the delimiter and the decimal mark, or name the columns to read",
+        )
+    return specified(found, units)
+
+
+def refuse_doubles(table: Table, columns: Mapping[str, Column]) -> None:
+    """Raise InputError where two quantities, or a reading and an sd, stand in one column."""
+    user: dict[int, str] = {}
+    for quantity, column in columns.items():
+        other = user.setdefault(table.position(column.column), quantity)
+        if other != quantity:
+            raise InputError(
+                f"column {column.column!r} is asked for twice: for {other!r} and {quantity!r}",
+                place=table.name,
+                remedy="map each quantity to a column of its own",
+            )
+    for quantity, column in columns.items():
+        reads = column.sd_column is not None and user.get(table.position(column.sd_column))
+        if reads:
+            raise InputError(
+                f"column {column.sd_column!r} is asked for as readings of {reads!r} and as the "
+                f"sd of {quantity!r}",
+                place=table.name,
+                remedy="name the column that holds the sd",
+            )
+
+
+def _column(quantity: str, given: ColumnLike) -> Column:
+    if isinstance(given, Mapping):
+        known = [field.name for field in fields(Column)]
+        for key in given:
+            if key not in known:
+                raise InputError(
+                    f"unknown key {key!r}",
+                    place=f"column of {quantity!r}",
+                    remedy=nearest(str(key), known),
+                )
+        if "column" not in given:
+            raise InputError(
+                "the column is not named",
+                place=f"column of {quantity!r}",
+                remedy='give column = "its name" or its number',
+            )
+        given = Column(**given)
+    column = given if isinstance(given, Column) else Column(given)
+    for key, value in asdict(column).items():
+        if key in ("column", "sd_column") and isinstance(value, bool | float):
+            raise InputError(
+                f"{key} is {value!r}",
+                place=f"column of {quantity!r}",
+                remedy="give a name, or a whole number from 1",
+            )
+    return column
+
+
+def _checked(quantity: str, column: Column, other_unit: str | None) -> Column:
+    place = f"column of {quantity!r}"
+    if other_unit and column.unit and unit(other_unit) != unit(column.unit):
+        raise InputError(
+            f"two units are stated, {column.unit} and {other_unit}",
+            place=place,
+            remedy="state one of them",
+        )
+    given = column.unit or other_unit
+    try:
+        sd_unit = column.sd_unit or given
+        fits = not (given and sd_unit) or convertible(given, sd_unit)
+        for name in (given, sd_unit):
+            if name:
+                unit(name)
+    except InputError as error:
+        raise error.at(place) from None
+    if not fits:
+        raise InputError(
+            f"the sd is in {sd_unit}, the readings in {given}",
+            place=place,
+            remedy=f"give the sd in a unit of {unit(given or '1').dimension}",
+        )
+    return Column(column.column, given, column.sd_column, column.sd_unit, column.check)

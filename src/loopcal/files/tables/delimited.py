@@ -1,0 +1,167 @@
+"""CSV, TSV and other delimited text as a table.
+
+Two ways lead there, with one result. The careful one takes row after row, knows each row's
+number and names whatever is wrong. The fast one gives the text to polars, which alone pays the
+time to load it: for text of 1 MB or more that needs no care (no quotes, all rows alike).
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.files.tables.cells import Cells
+from loopcal.files.tables.dialect import (
+    WHITESPACE,
+    Dialect,
+    Row,
+    cut,
+    is_data,
+    quote_error,
+    recognise,
+    spoken,
+)
+from loopcal.files.tables.raw import Text, empty
+from loopcal.files.tables.table import Table
+
+LARGE = 1_000_000  # bytes from which on loading polars pays
+_SAMPLE = 1 << 16
+
+
+def read_delimited(
+    text: Text,
+    *,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    header: bool | None = None,
+    large: int = LARGE,
+) -> Table:
+    """The table in a text; whatever is not stated is recognised.
+
+    `large` is the size [bytes] from which on the fast way is tried. Raises InputError, with the
+    row, for a text without rows of data, rows of unequal length and quotes that do not end.
+    """
+    sample = _sample(text)
+    dialect = recognise(sample, text.name, delimiter=delimiter, decimal=decimal, header=header)
+    table = _fast(text, dialect) if len(text.data) >= large else None
+    return table or _careful(text, dialect)
+
+
+def _sample(text: Text) -> list[Row]:
+    """The first rows of data; of a large file, those within its first lines only."""
+    end = len(text.data)
+    for size in (_SAMPLE, 1 << 22):
+        if len(text.data) > size and text.data.count(b"\n", 0, size) > 5:
+            end = text.data.rfind(b"\n", 0, size)
+            break
+    rows = list(_rows(text.data[:end]))
+    if not rows and end < len(text.data):
+        rows = list(_rows(text.data))
+    if not rows:
+        raise empty(text.name)
+    return rows
+
+
+def _rows(data: bytes) -> Iterator[Row]:
+    for number, line in enumerate(data.decode("utf-8").split("\n"), 1):
+        if is_data(line):
+            yield Row(number, line)
+
+
+def _careful(text: Text, dialect: Dialect) -> Table:
+    cells: list[list[str]] = []
+    numbers: list[int] = []
+    for row in _rows(text.data):
+        if row.number <= dialect.header_row:
+            continue
+        try:
+            line = cut(row.line, dialect.delimiter)
+        except csv.Error:
+            raise quote_error(text.name, row) from None
+        if len(line) != dialect.width:
+            line = _fitted(line, dialect, f"{text.name}, row {row.number}")
+        cells.append(line)
+        numbers.append(row.number)
+    if not cells:
+        raise InputError(
+            "there is a header, but no row of data",
+            place=f"{text.name}, row {dialect.header_row}",
+            remedy="give one row per pose; if the row is data, state header = false",
+        )
+    columns = {i: list(column) for i, column in enumerate(zip(*cells, strict=True))}
+    return _table(text, dialect, columns, np.array(numbers, dtype=np.int64))
+
+
+def _fitted(cells: list[str], dialect: Dialect, place: str) -> list[str]:
+    if len(cells) > dialect.width and not any(cells[dialect.width :]):
+        return cells[: dialect.width]
+    raise InputError(
+        f"this row has {len(cells)} cells, where {dialect.width} are expected "
+        f"(delimiter {spoken(dialect.delimiter)})",
+        place=place,
+        remedy="complete the row, start it with # if it is no data, or state the delimiter",
+    )
+
+
+def _fast(text: Text, dialect: Dialect) -> Table | None:
+    """The table by polars; None where the text is not plain enough for it."""
+    import polars as pl
+
+    start = 0
+    for _ in range(dialect.header_row):
+        start = text.data.find(b"\n", start) + 1
+        if not start:
+            return None
+    body = text.data[start:] if start else text.data
+    if b'"' in body or not dialect.delimiter.isascii():
+        return None
+    body, rows = _plain(body, dialect)
+    separator = dialect.delimiter.encode()
+    if not len(rows) or body.count(separator) != len(rows) * (dialect.width - 1):
+        return None
+    names = [str(i) for i in range(dialect.width)]
+    try:
+        frame = pl.read_csv(
+            body,
+            has_header=False,
+            new_columns=names,
+            separator=dialect.delimiter,
+            quote_char=None,
+            infer_schema=False,
+            empty_string_is_null=False,
+            extra_columns="raise",
+        )
+    except pl.exceptions.PolarsError:
+        return None
+    # No row is longer than the first, and the delimiters add up: then no row is shorter either.
+    if frame.shape != (len(rows), dialect.width):
+        return None
+    return _table(text, dialect, dict(enumerate(frame.get_columns())), rows)
+
+
+def _plain(body: bytes, dialect: Dialect) -> tuple[bytes, NDArray[np.int64]]:
+    """The rows of data alone, and their numbers in the file."""
+    first = dialect.header_row + 1
+    starts = {"\n", " ", "\t", dialect.delimiter}  # of lines that may hold nothing
+    suspect = body[:1].decode("latin-1") in starts or any(
+        part in body for part in (b"#", b"%", *(f"\n{start}".encode() for start in starts))
+    )
+    if dialect.delimiter != WHITESPACE and not suspect:
+        number = body.count(b"\n") + (not body.endswith(b"\n"))
+        return body, np.arange(first, first + number, dtype=np.int64)
+    lines = body.decode("utf-8").split("\n")
+    kept = [i for i, line in enumerate(lines) if is_data(line)]
+    chosen = [lines[i] for i in kept]
+    if dialect.delimiter == WHITESPACE:
+        chosen = [" ".join(line.split()) for line in chosen]
+    return "\n".join(chosen).encode("utf-8"), np.array(kept, dtype=np.int64) + first
+
+
+def _table(
+    text: Text, dialect: Dialect, columns: Mapping[int, Cells], rows: NDArray[np.int64]
+) -> Table:
+    return Table(text.file, None, text.sha256, dialect.names, columns, rows, dialect.decimal)

@@ -1,0 +1,232 @@
+"""How a delimited text is written: delimiter, decimal mark, header; recognised or stated.
+
+Every way of writing is tried on the first rows, and the one that turns the largest share of their
+cells into numbers, in rows of equal length, is taken. Comments start with # or %; rows that are
+blank or hold nothing but delimiters are passed over.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from loopcal.errors import InputError
+from loopcal.files.tables.cells import is_missing, is_number
+
+WHITESPACE = " "
+_DELIMITERS = ("\t", ";", ",", WHITESPACE)  # in this order where two would do
+_WORDS = {"\t": "tab", WHITESPACE: "white space"}
+_SPOKEN = {
+    **dict.fromkeys(("tab", r"\t"), "\t"),
+    **dict.fromkeys(("space", "whitespace", r"\s+"), WHITESPACE),
+    **{"comma": ",", "semicolon": ";"},
+}
+_SAMPLE_ROWS = 100
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of a text: its number, counted from 1, and its line."""
+
+    number: int
+    line: str
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How to cut the rows of one file into cells, and the cells into numbers."""
+
+    delimiter: str
+    """One character; a blank stands for any run of blanks and tabs."""
+    decimal: str
+    names: tuple[str, ...]
+    """The header; empty where the file has none."""
+    header_row: int
+    """Number of the row that holds the header, 0 where there is none."""
+    width: int
+    """Cells per row; empty cells beyond it are passed over."""
+
+
+@dataclass(frozen=True)
+class _Trial:
+    delimiter: str
+    decimal: str
+    even: float
+    """Share of rows that have the commonest number of cells."""
+    numeric: float
+    """Share of cells of those rows that hold a number or nothing."""
+    several: bool
+    fitting_header: bool
+
+    @property
+    def score(self) -> tuple[float, bool, bool]:
+        return self.even * self.numeric, self.fitting_header, self.several
+
+
+def is_data(line: str) -> bool:
+    """Whether a line holds cells: no comment, not blank, not delimiters alone."""
+    text = line.strip(" \t,;")
+    if text.startswith("#"):
+        return text[:4].lower() == "#n/a"
+    return bool(text) and not text.startswith("%")
+
+
+def cut(line: str, delimiter: str) -> list[str]:
+    """The cells of one line, without quotes and surrounding blanks; csv.Error for bad quotes."""
+    if '"' in line:
+        if delimiter == WHITESPACE:
+            line = line.strip().replace("\t", " ")
+        row = csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True)
+        return [cell.strip() for cell in next(row)]
+    if delimiter == WHITESPACE:
+        return line.split()
+    return [cell.strip() for cell in line.split(delimiter)]
+
+
+def recognise(
+    rows: list[Row],
+    name: str,
+    *,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    header: bool | None = None,
+) -> Dialect:
+    """The dialect of a text from its first rows (those that hold data), as far as not stated.
+
+    Raises InputError when what is stated cannot be so, or when a first row of both text and
+    numbers leaves open whether it is a header.
+    """
+    rows = rows[:_SAMPLE_ROWS]
+    stated = _SPOKEN.get(delimiter, delimiter) if delimiter else None
+    _check_stated(stated, decimal, name)
+    marks = decimal or ".,"
+
+    def best_of(delimiters: Sequence[str]) -> _Trial:
+        return max((_try(rows, d, m) for d in delimiters for m in marks), key=lambda t: t.score)
+
+    best = best_of([stated] if stated else _DELIMITERS)
+    if not best.several and stated:
+        _check_fits(best, best_of(_DELIMITERS), rows, name)
+    cells = [_cells(row, best.delimiter, name) for row in rows]
+    first = rows[0]
+    if header is None:
+        header = is_header(cells, best.decimal, f"{name}, row {first.number}")
+    names = tuple(_without_empty_end(cells[0])) if header else ()
+    if header:
+        _check_header(names, [_without_empty_end(row) for row in cells[1:]], first, name)
+    width = len(names) or _width(cells)
+    return Dialect(best.delimiter, best.decimal, names, first.number if names else 0, width)
+
+
+def _check_stated(delimiter: str | None, decimal: str | None, name: str) -> None:
+    if delimiter is not None and (len(delimiter) != 1 or delimiter.isalnum() or delimiter in '"\n'):
+        raise InputError(
+            f"{delimiter!r} is no delimiter", place=name, remedy="state one character: , ; tab ..."
+        )
+    if decimal not in (None, ".", ","):
+        raise InputError(
+            f"{decimal!r} is no decimal mark", place=name, remedy="state a point or a comma"
+        )
+
+
+def _check_fits(given: _Trial, best: _Trial, rows: list[Row], name: str) -> None:
+    if not given.several and best.several and best.even * best.numeric > 0.3:
+        raise InputError(
+            f"the delimiter is stated as {spoken(given.delimiter)}, which does not divide this "
+            f"row: {rows[0].line.strip()[:60]!r}",
+            place=f"{name}, row {rows[0].number}",
+            remedy=f"state {spoken(best.delimiter)}, or leave the delimiter out",
+        )
+
+
+def spoken(delimiter: str) -> str:
+    """A delimiter as messages call it."""
+    return _WORDS.get(delimiter, repr(delimiter))
+
+
+def _try(rows: list[Row], delimiter: str, decimal: str) -> _Trial:
+    try:
+        cells = [_without_last_empty(cut(row.line, delimiter)) for row in rows]
+    except csv.Error:
+        return _Trial(delimiter, decimal, 0.0, 0.0, False, False)
+    body = cells[1:] or cells
+    lengths = [len(row) for row in body]
+    width = max(set(lengths), key=lambda n: (lengths.count(n), n == len(cells[0]), n))
+    even = [row for row in body if len(row) == width]
+    good = sum(is_missing(c) or is_number(c, decimal) for row in even for c in row)
+    return _Trial(
+        delimiter,
+        decimal,
+        len(even) / len(body),
+        good / (width * len(even)),
+        width > 1,
+        len(cells[0]) == width,
+    )
+
+
+def _cells(row: Row, delimiter: str, name: str) -> list[str]:
+    try:
+        return cut(row.line, delimiter)
+    except csv.Error:
+        raise quote_error(name, row) from None
+
+
+def quote_error(name: str, row: Row) -> InputError:
+    """The error for a quote that does not end on its line."""
+    return InputError(
+        f"a quoted cell does not end: {row.line.strip()[:60]!r}",
+        place=f"{name}, row {row.number}",
+        remedy="close the quotes on the same line, or remove them",
+    )
+
+
+def is_header(cells: Sequence[Sequence[object]], decimal: str, place: str) -> bool:
+    """Whether the first of these rows is a header.
+
+    A header holds no number; a row of data holds text only where the next one does too. Raises
+    InputError where neither is so.
+    """
+    numeric = [is_number(cell, decimal) for cell in cells[0]]
+    text = [i for i, c in enumerate(cells[0]) if not numeric[i] and not is_missing(c)]
+    if not any(numeric):
+        return bool(text)
+    below = cells[1] if len(cells) > 1 else cells[0]
+    if all(i < len(below) and not is_number(below[i], decimal) for i in text):
+        return False
+    raise InputError(
+        f"this row holds both numbers and text ({str(cells[0][text[0]])[:60]!r}): header or data?",
+        place=f"{place}, column {text[0] + 1}",
+        remedy="state header = true or header = false, or correct the cell",
+    )
+
+
+def _check_header(names: tuple[str, ...], body: list[list[str]], row: Row, name: str) -> None:
+    if body and all(len(cells) > len(names) for cells in body):
+        raise InputError(
+            f"the header names {len(names)} columns ({row.line.strip()[:60]!r}), the rows below "
+            f"it have {len(body[0])}",
+            place=f"{name}, row {row.number}",
+            remedy="name every column, start a line that is no data with #, or state the delimiter",
+        )
+
+
+def _width(cells: list[list[str]]) -> int:
+    """The commonest number of cells of a row, less those that are empty in all such rows."""
+    lengths = [len(row) for row in cells]
+    width = max(set(lengths), key=lambda length: (lengths.count(length), length))
+    even = [row for row in cells if len(row) == width]
+    while width > 1 and not any(row[width - 1] for row in even):
+        width -= 1
+    return width
+
+
+def _without_empty_end(row: list[str]) -> list[str]:
+    end = len(row)
+    while end > 1 and not row[end - 1]:
+        end -= 1
+    return row[:end]
+
+
+def _without_last_empty(row: list[str]) -> list[str]:
+    return row[:-1] if len(row) > 1 and not row[-1] else row

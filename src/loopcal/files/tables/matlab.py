@@ -1,0 +1,158 @@
+"""Variables of a MATLAB file (format 4 to 7, not 7.3) as a table.
+
+Three habits are read: a numeric matrix, its columns by number; vectors, columns by their names;
+a struct whose fields are vectors, or an array of structs with one number or text per field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loopcal.errors import InputError, nearest
+from loopcal.files.tables.cells import Cells
+from loopcal.files.tables.raw import existing_file, sha256_of
+from loopcal.files.tables.table import Table, find_column
+from loopcal.measurements.source import file_name
+
+
+def read_matlab(
+    path: str | Path,
+    *,
+    variable: str | None = None,
+    wanted: Collection[str | int] | None = None,
+) -> Table:
+    """The variable stated; else the only one there is; else all vectors, by their names.
+
+    Of vectors and fields only those wanted (all for None) must be of equal length. Raises
+    InputError for format 7.3, a broken file, a variable that is not there or is no table.
+    """
+    path = existing_file(path)
+    variables = _load(path)
+    if variable is not None and variable not in variables:
+        raise InputError(
+            f"there is no variable {variable!r}",
+            place=path.name,
+            remedy=nearest(variable, variables),
+        )
+    chosen = variable or (next(iter(variables)) if len(variables) == 1 else None)
+    if chosen is None:
+        columns = {n: v for n, v in variables.items() if _is_vector(v)}
+        if not columns:
+            raise InputError(
+                f"there are {len(variables)} variables and none is a vector",
+                place=path.name,
+                remedy=f"state variable = ..., one of {_listed(variables)}",
+            )
+        return _from_vectors(columns, path, None, wanted)
+    value, part = variables[chosen], f"variable {chosen!r}"
+    name = file_name(path.name, part)
+    if value.dtype.names:
+        return _from_vectors(_fields(value, name), path, part, wanted)
+    if value.ndim != 2 or value.size == 0:
+        raise InputError(
+            f"its shape is {_shape(value)}", place=name, remedy="name a matrix with a row per pose"
+        )
+    matrix = value.reshape(-1, 1) if value.shape[0] == 1 else value
+    cells = {i: _cells(matrix[:, i], name) for i in range(matrix.shape[1])}
+    rows = np.arange(1, len(matrix) + 1, dtype=np.int64)
+    return Table(path.name, part, sha256_of(path), (), cells, rows)
+
+
+def _load(path: Path) -> dict[str, Any]:
+    with path.open("rb") as file:
+        head = file.read(16)
+    if head.startswith((b"MATLAB 7.3", b"\x89HDF")):
+        raise InputError(
+            "this is a MATLAB 7.3 file (HDF5), which is not read",
+            place=path.name,
+            remedy="save it in MATLAB with save(name, '-v7')",
+        )
+    from scipy.io import loadmat
+
+    try:
+        found = loadmat(path, chars_as_strings=True)
+    except (
+        Exception
+    ) as error:  # a broken file ends in any error there is, from zlib's to IndexError
+        raise InputError(
+            f"this is no MATLAB file that can be read ({error})",
+            place=path.name,
+            remedy="save it in MATLAB with save(name, '-v7'), or as CSV",
+        ) from None
+    variables = {
+        n: v for n, v in found.items() if not n.startswith("__") and isinstance(v, np.ndarray)
+    }
+    if not variables:
+        raise InputError(
+            "it holds no arrays", place=path.name, remedy="save a matrix or vectors in it"
+        )
+    return variables
+
+
+def _is_vector(value: Any) -> bool:
+    return bool(value.ndim <= 2 and value.size > 1 and value.size == max(value.shape))
+
+
+def _fields(value: Any, name: str) -> dict[str, Any]:
+    """The columns of a struct of vectors, or of an array of structs with one entry per field."""
+    if value.size == 1:
+        return {field: np.atleast_1d(value[field].item()) for field in value.dtype.names}
+    columns = {}
+    for field in value.dtype.names:
+        entries = [np.asarray(entry) for entry in value[field].ravel()]
+        if any(entry.size > 1 for entry in entries):
+            raise InputError(
+                f"field {field!r} has several numbers per struct",
+                place=name,
+                remedy="give each number a field of its own",
+            )
+        columns[field] = np.array(
+            [entry.ravel()[0] if entry.size else None for entry in entries], dtype=object
+        )
+    return columns
+
+
+def _from_vectors(
+    columns: dict[str, Any], path: Path, part: str | None, wanted: Collection[str | int] | None
+) -> Table:
+    names, name = tuple(columns), file_name(path.name, part)
+    asked = range(1, len(names) + 1) if wanted is None else wanted
+    positions = sorted({find_column(column, names, len(names), name) for column in asked})
+    vectors = {i: columns[names[i]].ravel() for i in positions}
+    lengths = {names[i]: len(vector) for i, vector in vectors.items()}
+    if len(set(lengths.values())) != 1:
+        listed = ", ".join(f"{n} has {length}" for n, length in lengths.items())
+        raise InputError(
+            f"the vectors differ in length: {listed}",
+            place=name,
+            remedy="ask only for columns of one length, or state variable = ...",
+        )
+    rows = np.arange(1, next(iter(lengths.values())) + 1, dtype=np.int64)
+    cells = {i: _cells(vector, name) for i, vector in vectors.items()}
+    return Table(path.name, part, sha256_of(path), names, cells, rows)
+
+
+def _cells(vector: Any, name: str) -> Cells:
+    """The entries of one vector: numbers as such, texts and cell arrays as a list."""
+    if vector.dtype.kind in "fiu":
+        return np.asarray(vector, dtype=np.float64)
+    if vector.dtype.kind in "UO":
+        entries = [v.item() if isinstance(v, np.ndarray) and v.size == 1 else v for v in vector]
+        return ["" if isinstance(v, np.ndarray) else v for v in entries]
+    raise InputError(
+        f"it holds {vector.dtype.name} values, not real numbers",
+        place=name,
+        remedy="save real numbers (double)",
+    )
+
+
+def _shape(value: Any) -> str:
+    return "×".join(map(str, value.shape))
+
+
+def _listed(variables: dict[str, Any]) -> str:
+    return ", ".join(f"{name} ({_shape(value)})" for name, value in variables.items())

@@ -1,0 +1,179 @@
+"""A Parquet file, or a folder of them, as a table; only columns and rows asked for are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.files.tables.cells import ids
+from loopcal.files.tables.raw import empty, existing_file, sha256_of, unreadable
+from loopcal.files.tables.table import Table, find_column
+
+if TYPE_CHECKING:
+    import polars as pl
+
+ENDINGS = (".parquet", ".pq")
+BLOCK = 1 << 20
+"""Rows read at once where few of them are kept."""
+
+
+@dataclass(frozen=True)
+class ParquetFile:
+    """path: absolute; names: of its columns, in the order of the first file of a folder.
+
+    mark: SHA-256 of the end of the file, where Parquet says what is in it.
+    """
+
+    path: Path
+    rows: int
+    names: tuple[str, ...]
+    mark: str
+
+
+def parquet_files(path: str | Path) -> tuple[ParquetFile, ...]:
+    """The file, or the files of a folder by name; hidden ones are none of them.
+
+    Raises InputError for what is no Parquet, for other columns, and for a folder without any.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        return (_file(path),)
+    try:
+        paths = sorted(p for p in path.iterdir() if p.suffix.lower() in ENDINGS)
+    except OSError as error:
+        raise unreadable(path, error) from None
+    files = [_file(p) for p in paths if not p.name.startswith(".")]
+    if not files:
+        raise InputError(
+            "this is a folder, and it holds no Parquet file; folders in it are not looked into",
+            place=str(path),
+            remedy="put *.parquet files there, or name a file",
+        )
+    for file in files[1:]:
+        if set(file.names) != set(files[0].names):
+            raise InputError(
+                f"its columns are not those of {files[0].path.name}",
+                place=file.path.name,
+                remedy="give all files of the folder the same columns",
+            )
+    return tuple(replace(file, names=files[0].names) for file in files)
+
+
+def read_parquet(
+    path: str | Path,
+    *,
+    wanted: Collection[str | int] | None = None,
+    every: int = 1,
+    pose: str | int | None = None,
+    also: Collection[str] = (),
+) -> Table:
+    """The columns wanted (all of them for None); null is missing, rows count from 1.
+
+    Rows are the 1st, (every + 1)th, ... of the file, or of all files of a folder, and those with
+    the ids `also` in the column `pose` (their numbers for None). Raises InputError for what
+    `parquet_files` refuses, a column that is not there or of several kinds, no rows.
+    """
+    path = Path(path)
+    files = parquet_files(path)
+    names, begins = files[0].names, begins_of(files)
+    total = sum(file.rows for file in files)
+    if not total:
+        raise empty(path.name)
+    asked = range(1, len(names) + 1) if wanted is None else wanted
+    positions = sorted({find_column(c, names, len(names), path.name) for c in asked})
+    column = None if pose is None else names[find_column(pose, names, len(names), path.name)]
+    frames: list[pl.DataFrame] = []
+    kept: list[NDArray[np.int64]] = []
+    for file in files:
+        size = file.rows if every == 1 else BLOCK
+        for offset in range(0, file.rows, size or 1):
+            frame = _read(file, [names[i] for i in positions], offset, size)
+            rows = begins[file.path.name] + offset + np.arange(len(frame), dtype=np.int64)
+            keep = rows % every == 0
+            if also:
+                its = map(str, (rows + 1).tolist()) if column is None else ids(frame[column])
+                keep |= np.array([i in also for i in its])
+            frames.append(frame if keep.all() else frame.filter(keep))
+            kept.append(rows[keep] + 1)
+    return Table(
+        path.name,
+        None,
+        sha256_of_all([sha256_of(file.path) for file in files]),
+        names,
+        dict(zip(positions, _together(frames, path.name).get_columns(), strict=True)),
+        np.concatenate(kept),
+        total=total,
+        begins=begins if len(files) > 1 else {},
+    )
+
+
+def begins_of(files: Sequence[ParquetFile]) -> dict[str, int]:
+    """The name of each file of a folder, and how many rows those before it have."""
+    begins = np.cumsum([0, *(file.rows for file in files)]).tolist()
+    return dict(zip((file.path.name for file in files), begins, strict=False))
+
+
+def sha256_of_all(own: Sequence[str]) -> str:
+    """Of one file its own, of several that of the list of their own."""
+    return own[0] if len(own) == 1 else sha256("\n".join(own).encode()).hexdigest()
+
+
+def mark_of(path: Path) -> str:
+    """A Parquet file ends in where its columns lie, their extremes, and the length of all that."""
+    with path.open("rb") as file:
+        file.seek(-8, 2)
+        length = int.from_bytes(file.read(4), "little")
+        file.seek(-8 - length, 2)
+        return sha256(file.read()).hexdigest()
+
+
+def _file(path: Path) -> ParquetFile:
+    import polars as pl
+
+    path = existing_file(path)
+    try:
+        rows = pl.scan_parquet(path, glob=False).select(pl.len()).collect().item()
+        names = tuple(pl.read_parquet_schema(path))
+        return ParquetFile(path.absolute(), int(rows), names, mark_of(path))
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise _unusable(path, error) from None
+
+
+def _read(file: ParquetFile, names: Sequence[str], offset: int, rows: int) -> pl.DataFrame:
+    import polars as pl
+
+    try:
+        frame = pl.scan_parquet(file.path, glob=False).select(names).slice(offset, rows)
+        return frame.collect()
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise _unusable(file.path, error) from None
+
+
+def _unusable(path: Path, error: Exception) -> InputError:
+    return InputError(
+        f"this is no Parquet file that can be read ({str(error).splitlines()[0]})",
+        place=path.name,
+        remedy="write it again, or save it as CSV",
+    )
+
+
+def _together(frames: Sequence[pl.DataFrame], place: str) -> pl.DataFrame:
+    """Frames with the same columns as one; numbers of several types as one that holds them all."""
+    import polars as pl
+
+    for name in frames[0].columns:
+        kinds = {frame[name].dtype for frame in frames} - {pl.Null()}
+        if len(kinds) > 1 and not all(kind.is_numeric() for kind in kinds):
+            raise InputError(
+                f"the column {name!r} is {' and '.join(sorted(map(str, kinds)))}",
+                place=place,
+                remedy="write it as the same type in all files of the folder",
+            )
+    return frames[0] if len(frames) == 1 else pl.concat(frames, how="vertical_relaxed")

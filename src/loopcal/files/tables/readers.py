@@ -1,0 +1,238 @@
+"""Datasets from files: which columns are which quantities, in which unit, from which poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.files.tables.columns import (
+    Column,
+    ColumnLike,
+    all_numeric,
+    refuse_doubles,
+    specified,
+    wanted,
+)
+from loopcal.files.tables.delimited import read_delimited
+from loopcal.files.tables.matlab import read_matlab
+from loopcal.files.tables.parquet import parquet_files, read_parquet
+from loopcal.files.tables.raw import read_text
+from loopcal.files.tables.spreadsheet import read_spreadsheet
+from loopcal.files.tables.table import Table
+from loopcal.measurements.dataset import Array, Dataset, checked_every
+from loopcal.measurements.poses import asked_ids, positions_of
+from loopcal.measurements.source import Source, row_name
+from loopcal.units import to_si, unit
+
+
+@dataclass(frozen=True)
+class _How:
+    """What a caller may state of how a file is written."""
+
+    sheet: str | int | None
+    header: bool | None
+    delimiter: str | None
+    decimal: str | None
+    encoding: str | None
+    variable: str | None
+
+
+_MEANT_FOR: dict[str, set[str]] = {
+    "text": {"header", "delimiter", "decimal", "encoding"},
+    "XLSX": {"sheet", "header", "decimal"},
+    "Parquet": set(),
+    "MATLAB": {"variable"},
+}
+_NAMELESS = frozenset(("", "None", "nan"))
+"""Ids made of cells without anything in them."""
+_ENDINGS = {
+    **dict.fromkeys((".xlsx", ".xlsm"), "XLSX"),
+    **dict.fromkeys((".parquet", ".pq"), "Parquet"),
+    ".mat": "MATLAB",
+}
+
+
+def read_dataset(
+    path: str | Path | BinaryIO,
+    columns: Mapping[str, ColumnLike] | None = None,
+    *,
+    pose: str | int | None = None,
+    exclude: Iterable[object] = (),
+    every: int = 1,
+    sheet: str | int | None = None,
+    header: bool | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    encoding: str | None = None,
+    units: Mapping[str, str] | None = None,
+    variable: str | None = None,
+) -> Dataset:
+    """Readings from CSV, TSV or other text, XLSX, Parquet or MATLAB (by the ending of the name).
+
+    A folder is read as its Parquet files one after the other.
+    `columns` maps quantity -> column: its name, its number counted from 1, or a mapping with the
+    keys of `Column` (column, unit, sd_column, sd_unit, check). None takes every column of
+    numbers under its own name ("column_1" ... without a header). `units` maps quantity -> unit
+    where `columns` states none; without a unit values are taken as SI. `pose` is the column of
+    ids, else poses are counted "1" to "N". Thinning comes first and counts rows of the file: the
+    1st, (every + 1)th, ... is kept; then the ids to `exclude` go. What is left out is not looked
+    at otherwise. "-" is standard input, and an open binary stream is read as text.
+
+    How a text is written is recognised: `header` or none, `delimiter`, `decimal` mark,
+    `encoding`; each may be stated. `sheet` (name, or number from 1) is for XLSX, `variable` for
+    MATLAB. Blank, NaN, NA, n/a, #N/A, null, none and - are missing readings (NaN).
+
+    Raises InputError, naming file, row and column, for all that cannot be read as stated.
+    """
+    how = _How(sheet, header, delimiter, decimal, encoding, variable)
+    asked = None if columns is None else specified(columns, units or {})
+    step, gone = checked_every(every), asked_ids(exclude)
+    if asked is None:
+        table = _table(path, how, None)
+        asked = all_numeric(table, pose, units or {})
+    else:
+        table = _table(path, how, wanted(asked, pose), every=step, pose=pose, also=gone)
+    refuse_doubles(table, asked)
+
+    number = np.arange(len(table.rows)) if table.total is None else table.rows - 1
+    if pose is None:
+        ids = tuple(map(str, (number + 1).tolist()))
+    else:
+        ids = table.ids(table.position(pose))
+    excluded = positions_of(gone, ids, table.name)
+    used = number % step == 0
+    used[excluded] = False
+    source = Source(
+        file=table.file,
+        part=table.part,
+        sha256=table.sha256,
+        rows_read=len(number) if table.total is None else table.total,
+        excluded=tuple(dict.fromkeys(ids[i] for i in excluded)),
+        every=step,
+    )
+    return dataset_of(table, asked, np.flatnonzero(used), ids, source)
+
+
+def dataset_of(
+    table: Table,
+    asked: Mapping[str, Column],
+    keep: NDArray[np.int64],
+    ids: Sequence[str],
+    source: Source,
+) -> Dataset:
+    """The readings of some rows of a table, by position; ids of all its rows.
+
+    source: what is known of the file; its rows and columns are filled in here.
+    """
+
+    def values(column: str | int, given: str | None) -> Array:
+        numbers = to_si(table.numbers(table.position(column), keep), given or "1")
+        numbers.flags.writeable = False  # is kept then, without another copy
+        return numbers
+
+    _refuse_nameless(table, keep, ids)
+    with_sd = {q: (c.sd_column, c.sd_unit or c.unit) for q, c in asked.items() if c.sd_column}
+    stated = {q: c.unit for q, c in asked.items() if c.unit}
+    return Dataset(
+        {q: values(c.column, c.unit) for q, c in asked.items()},
+        {q: unit(u).si for q, u in stated.items()},
+        tuple(ids) if len(keep) == len(ids) else tuple(ids[i] for i in keep.tolist()),
+        {q: values(column, given) for q, (column, given) in with_sd.items()},
+        replace(
+            source,
+            rows=table.rows[keep],
+            begins=table.begins,
+            columns={q: table.label(table.position(c.column)) for q, c in asked.items()},
+            sd_columns={q: table.label(table.position(c)) for q, (c, _) in with_sd.items()},
+            stated=stated,
+            trusted=frozenset(q for q, c in asked.items() if not c.check),
+        ),
+    )
+
+
+def _refuse_nameless(table: Table, keep: NDArray[np.int64], ids: Sequence[str]) -> None:
+    """Raise InputError where a pose to keep has no id; ids of all rows."""
+    if _NAMELESS.isdisjoint(ids):
+        return
+    nameless = [i for i in keep.tolist() if ids[i] in _NAMELESS]
+    if nameless:
+        raise InputError(
+            "this pose has no id"
+            + (f", nor have {len(nameless) - 1} others" if len(nameless) > 1 else ""),
+            place=f"{table.name}, {row_name(int(table.rows[nameless[0]]), table.begins)}",
+            remedy="fill them in, or leave out pose = ...: poses are counted then",
+        )
+
+
+def read_poses(path: str | Path, pose: str | int, **how: Any) -> Dataset:
+    """The ids of the poses of a file, without readings; read as `read_dataset` reads it."""
+    table = _table(path, _How(**{f.name: how.get(f.name) for f in fields(_How)}), None)
+    ids = table.ids(table.position(pose))
+    _refuse_nameless(table, np.arange(len(ids)), ids)
+    source = Source(
+        table.file, table.part, table.sha256, len(ids), rows=table.rows, begins=table.begins
+    )
+    return Dataset({}, {}, tuple(ids), source=source)
+
+
+def column_labels(
+    path: str | Path | BinaryIO,
+    *,
+    sheet: str | int | None = None,
+    header: bool | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    encoding: str | None = None,
+    variable: str | None = None,
+) -> tuple[str, ...]:
+    """Names of the columns of a file, read as `read_dataset` reads it; none without a header."""
+    how = _How(sheet, header, delimiter, decimal, encoding, variable)
+    if isinstance(path, str | Path) and _kind(path, how) == "Parquet":
+        return parquet_files(path)[0].names
+    return _table(path, how, None).names
+
+
+def _table(
+    path: str | Path | BinaryIO, how: _How, asked: frozenset[str | int] | None, **rows: Any
+) -> Table:
+    """The columns asked for; rows: which of them to read from Parquet, others are read whole."""
+    kind = _kind(path, how)
+    if isinstance(path, str | Path):
+        if kind == "XLSX":
+            return read_spreadsheet(path, sheet=how.sheet, header=how.header, decimal=how.decimal)
+        if kind == "Parquet":
+            return read_parquet(path, wanted=asked, **rows)
+        if kind == "MATLAB":
+            return read_matlab(path, variable=how.variable, wanted=asked)
+    return read_delimited(
+        read_text(path, how.encoding),
+        delimiter=how.delimiter,
+        decimal=how.decimal,
+        header=how.header,
+    )
+
+
+def _kind(path: str | Path | BinaryIO, how: _How) -> str:
+    """What kind of file this is. Raises InputError for others, and for options of others."""
+    ending = Path(path).suffix.lower() if isinstance(path, str | Path) else ""
+    if ending in (".xls", ".xlsb", ".ods"):
+        raise InputError(
+            "only XLSX workbooks are read", place=str(path), remedy="save it as XLSX or CSV"
+        )
+    kind = _ENDINGS.get(ending, "text")
+    if isinstance(path, str | Path) and Path(path).is_dir():
+        kind = "Parquet"
+    for option in fields(how):
+        if getattr(how, option.name) is not None and option.name not in _MEANT_FOR[kind]:
+            raise InputError(
+                f"{option.name} is stated, which means nothing for {kind} files",
+                place=str(path),
+                remedy=f"leave {option.name} out, or give the file the ending of its kind",
+            )
+    return kind

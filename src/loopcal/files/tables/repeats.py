@@ -1,0 +1,84 @@
+"""Files of repeated readings: which columns are sensors, by project, by request, or all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from loopcal.errors import InputError, UsageError
+from loopcal.files.project.project_file import Project
+from loopcal.files.tables.columns import Column
+from loopcal.files.tables.readers import read_dataset
+from loopcal.measurements.dataset import Dataset
+from loopcal.units import unit
+
+_IDS = ("pose", "id", "point", "nr", "no", "row")
+
+
+def columns_of(text: str) -> dict[str, Column]:
+    """Columns and units from "S=rad,L=rad,x=m"; a unit may be left out.
+
+    Raises UsageError for a text that says something else, InputError for a unit that is none.
+    """
+    found: dict[str, Column] = {}
+    for part in filter(None, (p.strip() for p in text.split(","))):
+        name, _, stated = (word.strip() for word in part.partition("="))
+        if not name or name in found:
+            raise UsageError(
+                f"{part!r} in --columns {'names no column' if not name else 'is there twice'}",
+                remedy="name each column once, say --columns S=rad,L=rad,x=m",
+            )
+        if stated:
+            unit(stated)
+        found[name] = Column(int(name) if name.isdigit() else name, stated or None)
+    if not found:
+        raise UsageError("--columns is empty", remedy="say --columns S=rad,L=rad,x=m")
+    return found
+
+
+def read_repeats(
+    files: Sequence[str | Path],
+    *,
+    project: Project | None = None,
+    columns: str | None = None,
+    pose: str | None = None,
+) -> tuple[Dataset, ...]:
+    """One dataset for each file; the columns of the project, those asked for, or all of numbers.
+
+    A column of ids is no sensor: `pose`, or one called pose, id, point, nr, no or row.
+    Raises InputError for files that cannot be read so, UsageError where options clash.
+    """
+    if project is not None and columns is not None:
+        raise UsageError(
+            "--project and --columns are both given", remedy="the project names the columns"
+        )
+    if project is None:
+        asked = None if columns is None else columns_of(columns)
+        return tuple(_series(file, asked, pose) for file in files)
+    if project.data is None:
+        raise InputError(
+            "the project names no columns",
+            place=project.name,
+            remedy='add [data] with file = "poses.csv" and the columns',
+        )
+    its = {q: replace(c, sd_column=None, sd_unit=None) for q, c in project.data.columns.items()}
+    how = {k: v for k, v in project.data.options.items() if k not in ("exclude", "every")}
+    if pose is not None:
+        how["pose"] = pose
+    return tuple(read_dataset(file, its, **how) for file in files)
+
+
+def _series(file: str | Path, columns: dict[str, Column] | None, pose: str | None) -> Dataset:
+    read = read_dataset(file, columns, pose=pose)
+    aside = [q for q in read.quantities if q.strip().lower() in _IDS]
+    if columns is not None or pose is not None or not aside:
+        return read
+    kept = {q: v for q, v in read.readings.items() if q != aside[0]}
+    if not kept:
+        raise InputError(
+            "there is no column of readings beside the ids",
+            place=read.source.name,
+            remedy="name the columns: --columns S=rad,x=m",
+        )
+    return replace(read, readings=kept)

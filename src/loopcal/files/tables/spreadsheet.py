@@ -1,0 +1,84 @@
+"""One sheet of an XLSX workbook as a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from loopcal.errors import InputError, nearest
+from loopcal.files.tables.cells import is_missing
+from loopcal.files.tables.dialect import is_header
+from loopcal.files.tables.raw import empty, existing_file, sha256_of
+from loopcal.files.tables.table import Table
+from loopcal.measurements.source import file_name
+
+
+def read_spreadsheet(
+    path: str | Path,
+    *,
+    sheet: str | int | None = None,
+    header: bool | None = None,
+    decimal: str | None = None,
+) -> Table:
+    """The cells of a sheet, by its name or its number from 1; the first sheet if not stated.
+
+    Rows without any entry are passed over; cells of a formula have the value last computed.
+    Raises InputError for a file that is no workbook, a sheet that is not there or is empty, and
+    a first row that may or may not be a header.
+    """
+    import python_calamine
+
+    path = existing_file(path)
+    try:
+        workbook = python_calamine.CalamineWorkbook.from_path(path)
+        title = _title(workbook.sheet_names, sheet, path.name)
+        found = workbook.get_sheet_by_name(title).to_python(skip_empty_area=False)
+    except python_calamine.CalamineError as error:
+        raise InputError(
+            f"this is no XLSX workbook that can be read ({error})",
+            place=path.name,
+            remedy="save it again as XLSX or as CSV",
+        ) from None
+    part = f"sheet {title!r}"
+    name = file_name(path.name, part)
+    rows = [(i, row) for i, row in enumerate(found, 1) if not all(map(is_missing, row))]
+    if not rows:
+        raise empty(name)
+    mark = decimal or "."
+    first = rows[0][1]
+    if header is None:
+        header = is_header([row for _, row in rows[:2]], mark, f"{name}, row {rows[0][0]}")
+    if header and len(rows) == 1:
+        raise InputError(
+            "there is a header, but no row of data",
+            place=f"{name}, row {rows[0][0]}",
+            remedy="give one row per pose; if the row is data, state header = false",
+        )
+    body = rows[1:] if header else rows
+    return Table(
+        path.name,
+        part,
+        sha256_of(path),
+        tuple("" if is_missing(cell) else str(cell).strip() for cell in first) if header else (),
+        {i: list(cells) for i, cells in enumerate(zip(*(row for _, row in body), strict=True))},
+        np.array([i for i, _ in body], dtype=np.int64),
+        mark,
+    )
+
+
+def _title(titles: list[str], sheet: str | int | None, name: str) -> str:
+    if isinstance(sheet, str):
+        if sheet not in titles:
+            raise InputError(
+                f"there is no sheet {sheet!r}", place=name, remedy=nearest(sheet, titles)
+            )
+        return sheet
+    number = 1 if sheet is None else sheet
+    if not 1 <= number <= len(titles):
+        raise InputError(
+            f"there is no sheet {number}",
+            place=name,
+            remedy=f"give a number from 1 to {len(titles)}, or a name: {', '.join(titles)}",
+        )
+    return titles[number - 1]

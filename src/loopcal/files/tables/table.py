@@ -1,0 +1,118 @@
+"""A table as it was found in a file: named or numbered columns of cells, and where each row is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, nearest
+from loopcal.files.tables import cells as cell_rules
+from loopcal.files.tables.cells import Cells, NotANumber
+from loopcal.measurements.source import file_name, row_name
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns of cells, addressed by name or by number from 1; no unit is known here."""
+
+    file: str
+    """Name of the file, "-" for standard input."""
+    part: str | None
+    """The sheet or variable of a file that may hold several."""
+    sha256: str
+    names: tuple[str, ...]
+    """Names of all columns; empty where the file has no header."""
+    columns: Mapping[int, Cells]
+    """Position from 0 -> cells (N,) of one column; those not asked for may be left out."""
+    rows: NDArray[np.int64]
+    """(N,) row of each pose in the file, counted from 1."""
+    decimal: str = "."
+    total: int | None = None
+    """Rows of the file where only some are here, of which `rows` tells which; None: all are."""
+    begins: Mapping[str, int] = field(default_factory=dict)
+    """Of a folder: file -> rows in the files before it; `rows` count through all of them."""
+
+    @property
+    def name(self) -> str:
+        """How messages call the table."""
+        return file_name(self.file, self.part)
+
+    def position(self, column: str | int) -> int:
+        """Where a column stands, from 0; InputError naming the nearest if there is none."""
+        width = len(self.names) or len(self.columns)
+        return find_column(column, self.names, width, self.name)
+
+    def label(self, position: int) -> str:
+        """The column's name, or its number where it has no name."""
+        return (self.names[position] if self.names else "") or str(position + 1)
+
+    def numbers(self, position: int, keep: NDArray[np.int64]) -> NDArray[np.float64]:
+        """One column at the rows to keep; InputError for a cell that is not a number."""
+        try:
+            return cell_rules.numbers(self.columns[position], keep, self.decimal)
+        except NotANumber as wrong:
+            text = str(wrong.cell)
+            shown = text if len(text) <= 60 else text[:57] + "..."
+            row = row_name(int(self.rows[wrong.index]), self.begins)
+            raise InputError(
+                f"{shown!r} is not a number",
+                place=f"{self.name}, {row}, column {self.label(position)!r}",
+                remedy=_remedy(text, self.decimal),
+            ) from None
+
+    def ids(self, position: int) -> tuple[str, ...]:
+        """One column as ids of poses, all rows."""
+        return cell_rules.ids(self.columns[position])
+
+    def numeric(self) -> list[int]:
+        """Positions of the columns whose cells are numbers for the most part."""
+        return [i for i, c in self.columns.items() if cell_rules.mostly_numbers(c, self.decimal)]
+
+
+def find_column(column: str | int, names: Sequence[str], width: int, place: str) -> int:
+    """Position from 0 of a column given by its name, or by its number from 1.
+
+    Raises InputError for one that is not there, with the nearest name and all the names, and for
+    a name that stands twice in the header.
+    """
+    if isinstance(column, int):
+        if 1 <= column <= width:
+            return column - 1
+        raise InputError(
+            f"there is no column {column}", place=place, remedy=f"give a number from 1 to {width}"
+        )
+    found = [i for i, name in enumerate(names) if name == column]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        numbers = " and ".join(str(i + 1) for i in found)
+        raise InputError(
+            f"the header has {column!r} more than once (columns {numbers})",
+            place=place,
+            remedy="rename one of them, or give the column by its number",
+        )
+    if not names:
+        raise InputError(
+            f"there is no column {column!r}: the file has no header",
+            place=place,
+            remedy=f"give the column by its number, from 1 to {width}",
+        )
+    listed = ", ".join(repr(name) for name in names[:40]) + (", ..." if len(names) > 40 else "")
+    close = nearest(column, names)
+    remedy = f"{close} The" if close.startswith("did") else "the"
+    raise InputError(
+        f"there is no column {column!r}", place=place, remedy=f"{remedy} columns are {listed}"
+    )
+
+
+def _remedy(text: str, decimal: str) -> str:
+    if "," in text and "." in text:
+        return "write the number without thousands separators"
+    if decimal == "." and "," in text:
+        return "if the comma is the decimal mark, state decimal = ','"
+    if decimal == "," and "." in text:
+        return "if the point is the decimal mark, state decimal = '.'"
+    return "correct it, leave the cell blank if nothing was measured, or leave the pose out"

@@ -1,0 +1,1 @@
+"""TOML files: read with the place of every entry, checked against schemas."""

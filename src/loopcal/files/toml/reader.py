@@ -1,0 +1,115 @@
+"""TOML files as plain data: read whole, within bounds, and with a place for every complaint."""
+
+from __future__ import annotations
+
+import re
+import sys
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from loopcal.errors import InputError
+from loopcal.files.tables.raw import unreadable
+from loopcal.files.toml.place import Place
+
+MOST_BYTES = 4_000_000
+"""A project or mechanism is written by hand; what is larger is some other file."""
+SCHEMA = 1
+_AT = re.compile(r"\s*\(at (?:line (?P<line>\d+), column (?P<column>\d+)|end of document)\)$")
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """The contents of a TOML file, "-" being standard input.
+
+    Raises InputError, with line and column, for what is no TOML file of a reasonable size.
+    """
+    return toml_data(read_text(path), shown(path))
+
+
+def read_text(path: str | Path) -> bytes:
+    """The bytes of a TOML file, "-" being standard input; at most one more than are read of one.
+
+    Raises InputError for a file that cannot be read.
+    """
+    if str(path) == "-":
+        return sys.stdin.buffer.read(MOST_BYTES + 1)
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise InputError("this is a folder", place=shown(path), remedy="name a file inside it")
+        with path.open("rb") as stream:
+            return stream.read(MOST_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise unreadable(path, error) from None
+
+
+def shown(path: str | Path) -> str:
+    """How messages call the file."""
+    return "standard input" if str(path) == "-" else str(path)
+
+
+def toml_data(content: bytes | str, name: str) -> dict[str, Any]:
+    """TOML text as plain data; `name` is how messages call it."""
+    if isinstance(content, str):
+        content = content.encode("utf-8", "surrogatepass")
+    if len(content) > MOST_BYTES:
+        raise InputError(
+            f"this file is larger than {MOST_BYTES // 1_000_000} MB, too large for a project "
+            "or a mechanism",
+            place=name,
+            remedy="name a TOML file; readings belong in a file of their own (data.file)",
+        )
+    text = _decoded(content, name)
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise InputError(
+            "this TOML is nested too deeply", place=name, remedy="close the brackets"
+        ) from None
+    except ValueError as error:  # TOMLDecodeError, and numbers of too many digits
+        words = str(error)
+        at = _AT.search(words)
+        place = name
+        if at and at["line"]:
+            place = f"{name}, line {at['line']}, column {at['column']}"
+        elif at:
+            place = f"{name}, end of the file"
+        raise InputError(
+            f"this is not valid TOML: {_AT.sub('', words)}",
+            place=place,
+            remedy="mend the line; `loopcal new` writes a project to compare with",
+        ) from None
+
+
+def checked_schema(data: Mapping[str, Any], place: Place) -> None:
+    """Raise InputError unless the file states the schema that is read here."""
+    remedy = f"write schema = {SCHEMA} in the first line"
+    if "schema" not in data:
+        raise InputError("the file does not say its schema", place=str(place), remedy=remedy)
+    stated = data["schema"]
+    if isinstance(stated, bool) or stated != SCHEMA:
+        if isinstance(stated, int) and stated > SCHEMA:
+            remedy = "use the loopcal that wrote this file, or a newer one"
+        raise InputError(
+            f"schema is {stated!r}, and only schema {SCHEMA} can be read",
+            place=str(place.at("schema")),
+            remedy=remedy,
+        )
+
+
+def _decoded(content: bytes, name: str) -> str:
+    if (nul := content.find(b"\0")) >= 0:
+        raise InputError(
+            "this is no TOML file: it holds a NUL byte",
+            place=f"{name}, line {content.count(bytes([10]), 0, nul) + 1}",
+            remedy="save the file as UTF-8 text",
+        )
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"the text is not UTF-8: it holds the byte 0x{content[error.start]:02x}",
+            place=f"{name}, line {content.count(bytes([10]), 0, error.start) + 1}",
+            remedy="save the file as UTF-8",
+        ) from None

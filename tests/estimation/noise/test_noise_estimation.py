@@ -1,0 +1,228 @@
+"""The sds of sensors are learnt: right on average, with the uncertainty they state, zero if so."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.special import chdtri
+
+import loopcal as lc
+from analyses.variance_components import SMALL, SmallNoise
+from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model
+from loopcal.estimation.noise.linear_model import fit as mixed_fit
+from loopcal.estimation.noise.variance_components import estimate_ratios, upper_bound
+from loopcal.estimation.problem.problem import build_problem
+from loopcal.estimation.result import Result
+from loopcal.mechanisms.model_error import with_model_error
+
+
+def planar_poses() -> dict[str, np.ndarray[Any, Any]]:
+    turns = np.radians(np.arange(0, 100, 10.0))
+    phi2, phi3 = np.meshgrid(turns, turns)
+    return {"phi2": phi2.ravel(), "phi3": phi3.ravel()}
+
+
+def learnt(result: Result) -> dict[str, tuple[float, float | None]]:
+    return {entry.quantities[0]: (entry.sd, entry.sd_of_sd) for entry in result.noise}
+
+
+def test_the_criterion_s_slope_is_its_score() -> None:
+    arm, poses = lc.planar_two_link(), planar_poses()
+    noise = lc.Noise({"?P": 1e-4, "phi?": 1e-3})
+    data = lc.simulate(arm, poses, noise=noise, seed=1).dataset
+    result = calibrate(arm, data, noise=noise)
+    corrections = np.array(list(result.corrections.values()))
+    parameters = np.array(list(result.value.values()))
+    problem = build_problem(arm, data, noise)
+    model = linear_model(problem, parameters, corrections, [[0, 1], [2], [3]])
+    at = np.array([1.3, 0.7, 1.1])
+    found = mixed_fit(model, at)
+    assert found is not None
+    for j in range(3):
+        step = 1e-5 * np.eye(3)[j]
+        up, down = mixed_fit(model, at + step), mixed_fit(model, at - step)
+        assert up is not None
+        assert down is not None
+        slope = (up.criterion - down.criterion) / 2e-5
+        assert slope == pytest.approx(-2 * found.score[j], rel=1e-5, abs=1e-5)
+
+
+def test_parameters_that_are_hardly_told_apart_cost_the_criterion_no_digits() -> None:
+    """J A dp' describes the same poses as J dp: the criterion changes by 2 log |det A| at most."""
+    rng = np.random.default_rng(2)
+    e, J = rng.normal(size=(100, 3)), rng.normal(size=(100, 3, 8))
+    parts = np.array([rng.uniform(1, 2, (100, 1, 1)) * np.diag(d) for d in ([1, 1, 0], [0, 1, 1])])
+    A = np.eye(8)
+    A[0, 1], A[1, 1] = 1.0, 1e-6
+    at = np.array([1.0, 1.0])
+    flat = np.zeros(8)
+    changes = []
+    for ratios in (at, 1.1 * at):
+        found = [
+            mixed_fit(LinearModel((ModelBlock(e, D, np.zeros((100, 3, 3)), parts),), flat, flat), r)
+            for D, r in ((J, ratios), (J @ A, ratios))
+        ]
+        assert found[0] is not None
+        assert found[1] is not None
+        changes.append(found[1].criterion - found[0].criterion)
+    assert changes[0] == pytest.approx(2 * math.log(1e-6), abs=1e-7)
+    assert changes[1] == pytest.approx(changes[0], abs=1e-8)
+
+
+@pytest.mark.parametrize("method", ["implicit-loop", "reweighted"])
+def test_joint_and_tracker_sds_from_far_off_starts(method: str) -> None:
+    arm = lc.motoman_ma1400()
+    rng = np.random.default_rng(0)
+    start = lc.Noise({"theta_*": 1e-4, "xyz": 1e-5}, estimate={"theta_*": "group", "xyz": "group"})
+    joints, trackers = [], []
+    for draw in range(25):
+        q = {f"theta_{i}": rng.uniform(-1.5, 1.5, 200) for i in range(1, 7)}
+        truth = lc.Noise({"theta_*": 4e-5, "xyz": 3e-5})
+        data = lc.simulate(arm, q, noise=truth, seed=draw).dataset
+        found = learnt(calibrate(arm, data, noise=start, method=method))
+        joints.append(found["theta_1"])
+        trackers.append(found["x"])
+    for sds, true in ((joints, 4e-5), (trackers, 3e-5)):
+        values = np.array([sd for sd, _ in sds])
+        stated = float(np.median([s for _, s in sds if s is not None]))
+        assert values.mean() == pytest.approx(true, abs=4 * stated / math.sqrt(len(values)))
+        assert values.std(ddof=1) == pytest.approx(stated, rel=4 / math.sqrt(2 * len(values)))
+
+
+@pytest.mark.parametrize("bad", ["phi2", "phi3"])
+def test_an_encoder_a_hundred_times_worse_than_said_is_found_out(bad: str) -> None:
+    """Tables 5 and 7 of the seed, with equal sds assumed."""
+    arm, poses = lc.planar_two_link(), planar_poses()
+    sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3} | {bad: 0.1}
+    equal = lc.Noise({"?P": 1e-4, "phi?": 1e-3}, estimate={"phi?": "each"})
+    known, guessed = [], []
+    for draw in range(12):
+        data = lc.simulate(arm, poses, noise=lc.Noise(sds), seed=draw).dataset
+        known.append(list(calibrate(arm, data, noise=lc.Noise(sds)).value.values()))
+        result = calibrate(arm, data, noise=equal)
+        guessed.append(list(result.value.values()))
+        assert learnt(result)[bad][0] == pytest.approx(0.1, rel=0.35)
+    true = [parameter.nominal for parameter in arm.parameters]
+    rms = [np.sqrt(np.square(np.array(v) - true).mean(axis=0)) for v in (known, guessed)]
+    assert np.all(rms[1] <= 1.1 * rms[0])
+
+
+def test_noise_that_is_not_there_ends_at_zero_below_a_bound() -> None:
+    arm, poses = lc.planar_two_link(), planar_poses()
+    truth = lc.Noise({"?P": 1e-4, "phi2": 1e-3, "phi3": 0.0})
+    start = lc.Noise({"?P": 1e-4, "phi?": 1e-3}, estimate={"phi?": "each"})
+    ended, below = 0, 0
+    for draw in range(20):
+        data = lc.simulate(arm, poses, noise=truth, seed=draw).dataset
+        result = calibrate(arm, data, noise=start)
+        entry = next(e for e in result.noise if e.quantities == ("phi3",))
+        if entry.sd == 0.0:
+            ended += 1
+            assert any("estimated as zero" in w for w in result.warnings)
+        assert entry.upper is not None or entry.p_value is not None
+        below += entry.sd < 1.5e-4
+    assert ended >= 6  # about half, by symmetry about zero
+    assert below >= 18
+
+
+def test_two_sensors_that_only_show_as_a_sum_are_named() -> None:
+    machine = lc.Mechanism.from_function(
+        lambda x, p: x.a + x.b - p.c, {"a": "m", "b": "m"}, {"c": (0.0, "m")}
+    )
+    rng = np.random.default_rng(1)
+    readings = {"a": rng.normal(size=200), "b": rng.normal(size=200)}
+    noise = lc.Noise({"a": 0.5, "b": 0.5}, estimate={"?": "each"})
+    result = calibrate(machine, readings, noise=noise)
+    assert any("'a'" in w and "'b'" in w and "told apart" in w for w in result.warnings)
+    for entry, true in zip(result.noise, (1.0, 1.0), strict=True):
+        assert entry.sd_of_sd is None  # any share of the sum fits as well
+        assert entry.upper is not None
+        assert entry.upper > true
+
+
+def test_the_model_s_own_error_takes_what_no_sensor_explains() -> None:
+    arm, poses = lc.planar_two_link(), planar_poses()
+    noise = {"?P": 1e-4, "phi?": 1e-4}
+    data = lc.simulate(arm, poses, noise=lc.Noise(noise), seed=3).dataset
+    rng = np.random.default_rng(4)
+    bent = {q: np.array(data[q]) for q in data.quantities}
+    for q in ("xP", "yP"):
+        bent[q] = bent[q] + rng.normal(scale=2e-3, size=len(data))
+    known = lc.Noise({**noise, "model": 1e-4}, estimate={"model": "group"})
+    result = calibrate(arm, bent, noise=known)
+    sd, sd_of_sd = learnt(result)["model_xP"]
+    assert sd_of_sd is not None
+    assert abs(sd - 2e-3) < 4 * sd_of_sd
+    assert any("not a sensor" in w for w in result.warnings)
+    assert result.accuracy_after is not None
+    assert result.calibrated.description == arm.description
+
+
+def test_a_disturbed_machine_is_the_machine_where_the_disturbance_is_zero() -> None:
+    arm = lc.motoman_ma1400()
+    disturbed = with_model_error(arm)
+    assert disturbed.quantity_group("model") == ("model_x", "model_y", "model_z")
+    assert with_model_error(disturbed) is disturbed
+    own = lc.Mechanism.from_function(lambda x, p: x.a * p.g - 1.0, {"a": "1"}, {"g": (1.0, "1")})
+    assert with_model_error(own).tape.quantities == ("a", "model_loop 1")
+
+
+def test_the_real_grid_tells_its_encoders_apart(shared_data: Callable[[str], Path]) -> None:
+    """Independent estimates: 73 over one encoder sd, 93 over one end-point sd."""
+    file = shared_data("motoman_ma1400_leica/left_arm_grid.csv")
+    columns = {f"theta_{i}": c for i, c in enumerate("SLURBT", 1)} | {k: k for k in "xyz"}
+    data = lc.read_dataset(file, columns, pose="pose")
+    arm = lc.motoman_ma1400({"x6B": 0.05, "y6B": 0.0, "z6B": -0.45}, before={"rz": math.pi / 2})
+
+    def criterion(noise: lc.Noise) -> float:
+        result = calibrate(arm, data, noise=noise, method="reweighted")
+        assert result.restricted_criterion is not None
+        return result.restricted_criterion
+
+    tracker = {"xyz": 5e-6}
+    each = criterion(lc.Noise({"theta_*": 5e-5} | tracker, estimate={"theta_*": "each"}))
+    common = criterion(lc.Noise({"theta_*": 5e-5} | tracker, estimate={"theta_*": "group"}))
+    point = criterion(lc.Noise({"theta_*": 0.0, "xyz": 5e-5}, estimate={"xyz": "group"}))
+    assert common - each > 65
+    assert point - each > 85
+
+
+def test_what_cannot_be_estimated_is_refused() -> None:
+    arm, poses = lc.planar_two_link(), planar_poses()
+    data = lc.simulate(arm, poses, noise=lc.Noise({"*": 1e-3}), seed=1).dataset
+    with pytest.raises(lc.InputError, match="no size to begin from"):
+        calibrate(arm, data, noise=lc.Noise({"*": 1e-3, "phi2": 0}, estimate={"phi2": "each"}))
+    with pytest.raises(lc.InputError, match="no quantity is called"):
+        calibrate(arm, data, noise=lc.Noise({"*": 1e-3}, estimate={"theta_1": "each"}))
+    with pytest.raises(lc.InputError, match="to be estimated 'all'"):
+        lc.Noise({"*": 1e-3}, estimate={"*": "all"})
+    shared = lc.Noise({"phi?": 1e-3, ("xP", "yP"): 1e-8 * np.eye(2)}, estimate={"xP": "each"})
+    with pytest.raises(lc.InputError, match="share a covariance"):
+        calibrate(arm, data, noise=shared)
+
+
+@pytest.mark.parametrize("case", SMALL[:3], ids=str)
+def test_the_bound_of_a_small_noise_holds_it(case: SmallNoise) -> None:
+    """`analyses/variance_components.py` does the same, and a fourth case, at full size."""
+    bounds = np.array([b for b in case.bounds(range(30)) if b is not None])
+    assert len(bounds) > 12
+    assert np.mean(bounds >= 1.0) >= 0.9
+    assert np.median(bounds) < 3.0  # and is of use
+
+
+def test_the_bound_of_one_sd_of_equal_readings_is_that_of_chi_squared() -> None:
+    """Where theory has it: n readings of one mean, S / quantile of n - 1 degrees."""
+    machine = lc.Mechanism.from_function(lambda x, p: x.a - p.c, {"a": "m"}, {"c": (0.0, "m")})
+    readings = {"a": np.random.default_rng(3).normal(size=6)}
+    noise = lc.Noise({"a": 1.0}, estimate={"a": "each"})
+    problem = build_problem(machine, lc.Dataset.from_arrays(readings), noise)
+    model = linear_model(problem, np.zeros(1), np.zeros((1, 6)), [[0]])
+    bound = upper_bound(model, estimate_ratios(model), 0)
+    sum_of_squares = float(np.square(readings["a"] - readings["a"].mean()).sum())
+    assert bound == pytest.approx(sum_of_squares / chdtri(5, 0.975), rel=1e-3)

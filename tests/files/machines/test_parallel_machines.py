@@ -1,0 +1,68 @@
+"""Parallel machines in mechanism files: read, refused and written as they were."""
+
+from __future__ import annotations
+
+import pytest
+
+from loopcal.errors import InputError
+from loopcal.files.machines.mechanism_file import mechanism_from_data
+from loopcal.files.machines.mechanism_writer import mechanism_to_toml
+from loopcal.files.machines.parallel_entries import MAKERS
+from loopcal.files.toml.place import Place
+from loopcal.files.toml.reader import toml_data
+from loopcal.mechanisms.mechanism import Mechanism
+
+PASSIVE = {"four-bar": "theta_2", "five-bar": "phi_1", "three-rrr": "phi_3"}
+PASSIVE["stewart-gough"] = "alpha_2"
+
+
+def read(text: str) -> Mechanism:
+    data = {k: v for k, v in toml_data(text, "machine.toml").items() if k != "schema"}
+    return mechanism_from_data(data, Place("machine.toml"))
+
+
+@pytest.mark.parametrize("kind", MAKERS)
+@pytest.mark.parametrize("instrument", ["", '[[instrument]]\ntype = "point"\n'])
+def test_they_are_written_again_bit_for_bit_also_where_held_parameters_are_freed(
+    kind: str, instrument: str
+) -> None:
+    passive = f'passive = ["{PASSIVE[kind]}"]\n' if kind in PASSIVE else ""
+    x = "platform_rz" if kind == "four-bar" else "platform_x"
+    text = f'type = "{kind}"\nname = "mine"\nunits = {{ length = "mm", angle = "deg" }}\n{passive}'
+    text += f"home = {{ {x} = 12.3 }}\n{instrument}"
+    text += "[parameters]\na1_x = { value = 3.1, fixed = false }\na2_x = { sd = 0.5 }\n"
+    machine = read(text)
+    assert machine.parameters["a1_x"].nominal == pytest.approx(0.0031)
+    assert not machine.parameters["a1_x"].fixed
+    assert machine.parameters["a1_y"].fixed
+    again = read(mechanism_to_toml(machine))
+    assert again == machine
+    assert dict(again.home) == dict(machine.home)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('type = "five-bar"\npassive = ["phi_3"]', "machine.toml: .*no passive joint 'phi_3'"),
+        ('type = "five-bar"\nhome = { platform_u = 1 }', "'platform_u', which is no quantity"),
+        (
+            'type = "five-bar"\nhome = { platform_x = { value = 3, unit = "deg" } }',
+            r"home.platform_x: deg is a unit of angle",
+        ),
+        ('type = "linear-delta"\npassive = ["theta_1"]', "passive: unknown key"),
+        ('type = "stewart-gough"\n[parameters]\ncrank = 1', "no parameter is called 'crank'"),
+        ('type = "stewart-gouch"', "did you mean 'stewart-gough'"),
+        (
+            'type = "five-bar"\n[[instrument]]\ntype = "point"\nreadings = ["x", "y", "z"]',
+            "reads 3 coordinates of a point in a space of 2",
+        ),
+        (
+            'type = "stewart-gough"\n[[instrument]]\ntype = "point"\n'
+            'readings = ["leg_1", "y", "z"]',
+            "'leg_1' names two readings",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_told_where_it_stands(text: str, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        read(text)

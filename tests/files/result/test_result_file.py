@@ -1,0 +1,247 @@
+"""result.json says what the result is, is valid JSON of its schema, and reads back as it was."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+
+from loopcal.errors import InputError
+from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.result import Result
+from loopcal.files.machines.mechanism_file import read_mechanism
+from loopcal.files.result.residuals_file import residuals_csv
+from loopcal.files.result.result_file import (
+    finite_only,
+    read_result,
+    result_document,
+    result_json,
+    result_schema,
+    write_result,
+)
+from loopcal.files.result.truth_file import read_truth, truth_json
+from loopcal.files.tables.writer import LARGE, table_bytes
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.planar import planar_two_link
+from loopcal.mechanisms.prior import Prior
+from loopcal.simulation.poses import grid_poses
+from loopcal.simulation.simulate import simulate
+
+NOISE = Noise({"?P": 1e-4, "phi?": 1e-3})
+POSES = grid_poses({"phi2": np.arange(0, 6, 0.75), "phi3": np.arange(0.3, 6, 0.75)})
+MADE = simulate(planar_two_link(), POSES, noise=NOISE, seed=4, truth={"l2": 0.803})
+
+
+def loose() -> Result:
+    """One parameter has no effect at all, one is fixed, one has a prior."""
+    mechanism = Mechanism.from_function(
+        lambda x, p: p.a * x.u + p.b + p.c * 0.0 + p.d - x.v,
+        {"u": "m", "v": "m"},
+        {"a": (1.0, "1"), "b": (0.0, "m"), "c": (5.0, "m"), "d": (0.5, "m")},
+    )
+    u = np.linspace(0, 1, 20)
+    data = Dataset.from_arrays({"u": u, "v": 1.1 * u + 0.3 + 1e-3 * np.cos(40 * u)})
+    fixed = mechanism.with_parameters(mechanism.parameters.with_fixed(["d"]))
+    prior = Prior({"*": math.inf, "a": 0.5})
+    return calibrate(fixed, data, noise=Noise({"*": 1e-3}), prior=prior)
+
+
+def with_gaps() -> Result:
+    readings = {q: MADE.dataset[q].copy() for q in MADE.dataset.quantities}
+    readings["xP"][3] = np.nan
+    noise = Noise({"xP": 1e-4, "yP": 0.0, "phi?": 1e-3})
+    return calibrate(planar_two_link(), Dataset.from_arrays(readings), noise=noise)
+
+
+RESULTS = {
+    "implicit loop": lambda: calibrate(planar_two_link(), MADE.dataset, noise=NOISE),
+    "least squares": lambda: calibrate(planar_two_link(), MADE.dataset, method="least-squares"),
+    "undamped": lambda: calibrate(
+        planar_two_link(), MADE.dataset, noise=NOISE, method="implicit-loop-undamped"
+    ),
+    "not converged": lambda: calibrate(
+        planar_two_link({"phi30": 2.0}), MADE.dataset, noise=NOISE, max_iterations=1
+    ),
+    "not identifiable": loose,
+    "with gaps": with_gaps,
+}
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_every_result_keeps_to_the_published_schema_and_reads_back(
+    name: str, tmp_path: Path
+) -> None:
+    result = RESULTS[name]()
+    inputs = {"prior": {"*": {"sd": math.inf}}, "data": {"exclude": ["1"], "every": 1}}
+    written = write_result(result, tmp_path, title="µ", inputs=inputs, warnings=("odd",))
+    text = (tmp_path / "result.json").read_text("utf-8")
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    document = json.loads(text)
+    jsonschema.Draft202012Validator(result_schema()).validate(document)
+    assert read_result(tmp_path / "result.json") == document == written.document
+    assert document["inputs"]["prior"]["*"]["sd"] == "inf"
+    assert document["warnings"][0] == "odd"
+    assert result_json(document) == text
+
+
+def test_floats_are_the_same_bits() -> None:
+    result = RESULTS["implicit loop"]()
+    document = json.loads(result_json(result_document(result)))
+    assert [p["value"] for p in document["parameters"]] == list(result.value.values())
+    assert [p["sd"] for p in document["parameters"]] == list(result.sd.values())
+    np.testing.assert_array_equal(document["covariance"]["matrix"], result.covariance)
+
+
+def test_what_is_unknown_is_null() -> None:
+    result = loose()
+    document = result_document(result)
+    by_name = {p["name"]: p for p in document["parameters"]}
+    assert by_name["c"]["sd"] is None
+    assert by_name["c"]["identifiable"] is False
+    assert by_name["d"]["fixed"] is True
+    assert by_name["d"]["sd"] is None
+    assert by_name["d"]["identifiable"] is None
+    assert by_name["a"]["prior_sd"] == 0.5
+    assert by_name["b"]["prior_sd"] is None
+    names = document["covariance"]["names"]
+    assert names == ["a", "b", "c"]
+    unknown = [[value is None for value in row] for row in document["covariance"]["matrix"]]
+    assert unknown == [[False, False, True], [False, False, True], [True, True, True]]
+    assert document["identifiability"]["rank"] == 2
+    assert document["identifiability"]["condition_number"] is None
+    assert document["identifiability"]["not_identifiable"][0]["combination"] == {"c": 1.0}
+    for key in ("accuracy", "validation", "observability", "outliers"):
+        assert document[key] is None
+
+
+def test_the_basic_method_knows_neither_noise_nor_chi_squared() -> None:
+    document = result_document(RESULTS["least squares"]())
+    assert document["noise"] == []
+    assert document["chi_squared"] is None
+
+
+def test_the_poses_left_out_are_listed() -> None:
+    data = MADE.dataset.thin(2).exclude(["1", "5"])
+    document = result_document(calibrate(planar_two_link(), data, noise=NOISE))
+    told = document["data"]
+    assert told["used"] == len(data) == 30
+    assert told["poses"] == 64
+    assert told["excluded"] == ["1", "5"]
+    assert told["every"] == 2
+
+
+def rows_of(result: Result) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(residuals_csv(result).decode())))
+
+
+def test_residuals_hold_readings_corrections_and_loops() -> None:
+    result = RESULTS["implicit loop"]()
+    rows = rows_of(result)
+    assert [row["pose"] for row in rows] == list(MADE.dataset.poses)
+    for i, row in enumerate(rows):
+        assert float(row["phi2 [rad]"]) == MADE.dataset["phi2"][i]
+        correction = float(row["phi2 correction [rad]"])
+        assert correction == result.corrections["phi2"][i]
+        assert float(row["phi2 correction/sd"]) == pytest.approx(correction / 1e-3, rel=1e-12)
+        assert float(row["residual xP before [m]"]) == result.residuals_before["xP"][i]
+        assert abs(float(row["residual xP after [m]"])) < 1e-14
+
+
+def test_what_was_not_measured_or_is_exact_is_empty() -> None:
+    rows = rows_of(with_gaps())
+    assert rows[3]["xP [m]"] == rows[3]["xP correction [m]"] == rows[3]["xP correction/sd"] == ""
+    assert rows[4]["xP [m]"] != ""
+    assert rows[4]["yP correction [m]"] == "0.0"
+    assert rows[4]["yP correction/sd"] == ""
+
+
+def test_the_three_files_are_written_and_the_mechanism_reads_back(tmp_path: Path) -> None:
+    result = RESULTS["implicit loop"]()
+    written = write_result(result, tmp_path / "a" / "b")
+    assert sorted(written.files) == sorted(path.name for path in written.folder.iterdir())
+    again = read_mechanism(written.folder / "mechanism.toml")
+    assert {p.name: p.nominal for p in again.parameters} == dict(result.value)
+
+
+def document_with(**changes: Any) -> dict[str, Any]:
+    return {**result_document(RESULTS["implicit loop"]()), **changes}
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("", "empty"),
+        ("{", "line 1"),
+        ("[]", "schema"),
+        ('{"schema": 2}', "schema is 2"),
+        ('{"schema": 1}', "is missing"),
+        ('{"schema": 1, "closure": NaN}', "NaN"),
+        (json.dumps(document_with(methd="x")), "did you mean 'method'"),
+        (json.dumps(document_with(method=3)), "method"),
+        (json.dumps(document_with(status={"converged": "yes"})), "status"),
+        ("[" * 100_000, "JSON"),
+        (b"\xff\xfe\x00", "JSON"),
+    ],
+)
+def test_what_is_no_result_is_told(content: str | bytes, told: str, tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    with pytest.raises(InputError) as caught:
+        read_result(path)
+    assert told in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_a_missing_result_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_result(tmp_path / "result.json")
+
+
+def test_the_truth_reads_back_bit_for_bit(tmp_path: Path) -> None:
+    path = tmp_path / "truth.json"
+    path.write_text(truth_json(MADE, planar_two_link()))
+    assert dict(read_truth(path, planar_two_link())) == dict(MADE.parameters)
+    stated = json.loads(path.read_text())
+    assert stated["seed"] == 4
+    np.testing.assert_array_equal(stated["quantities"]["xP"]["values"], MADE.quantities["xP"])
+
+
+def test_infinite_inputs_become_text() -> None:
+    assert finite_only({"a": [math.inf, -math.inf, 1.0]}) == {"a": ["inf", "-inf", 1.0]}
+
+
+@pytest.mark.parametrize("rows", [50, LARGE])
+@pytest.mark.parametrize("ending", [".csv", ".tsv"])
+def test_tables_hold_the_same_bits(rows: int, ending: str) -> None:
+    values = np.random.default_rng(1).standard_normal(rows) * 10.0 ** np.arange(rows).clip(0, 300)
+    values[7] = np.nan
+    values[8] = -0.0
+    names = tuple(f"p,{i}" for i in range(rows))
+    text = table_bytes({"pose": names, "x [m]": values}, ending).decode()
+    read = list(csv.reader(io.StringIO(text), delimiter="," if ending == ".csv" else "\t"))
+    assert read[0] == ["pose", "x [m]"]
+    assert [row[0] for row in read[1:]] == list(names)
+    assert read[8][1] == ""
+    back = np.array([float(row[1] or "nan") for row in read[1:]])
+    np.testing.assert_array_equal(back, values)
+
+
+def test_errors_of_the_parameters_are_kept() -> None:
+    result = replace(RESULTS["implicit loop"](), errors={"l2": 1e-5})
+    by_name = {p["name"]: p["error"] for p in result_document(result)["parameters"]}
+    assert by_name["l2"] == 1e-5
+    assert by_name["l3"] is None
+    lines = str(result).splitlines()
+    assert "error" in next(line for line in lines if line.startswith("parameter"))
+    assert "(error: true minus estimate)" in lines
