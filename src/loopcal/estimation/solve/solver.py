@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
+from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.reduction import (
     WELL_CONDITIONED,
     Spectrum,
@@ -98,33 +99,46 @@ def solve(
     problem: Problem,
     *,
     exact: bool = False,
+    loss: Loss | None = None,
     max_iterations: int = 100,
+    tolerance: float | None = None,
     progress: Progress | None = None,
 ) -> Solution:
     """The parameters of maximum likelihood, from the problem's start.
 
     exact: sensors are exact, minimise the loop values instead (the basic method; the prior
-    takes no part). Never returns a point with a larger merit than the start's.
+    takes no part). loss: None is the gaussian one. tolerance: converged when what the next step
+    leaves is this small beside the sds that the residuals suggest, RELATIVE_STEP if None. Never
+    returns a point with a larger merit than the start's.
 
     Raises InputError (DomainError) where the loops cannot be evaluated or closed at the start.
     """
     reuse_memory(8)
     with one_blas_thread():
         return solve_with(
-            Sweeper(problem, exact=exact), max_iterations=max_iterations, progress=progress
+            Sweeper(problem, exact=exact, loss=loss),
+            max_iterations=max_iterations,
+            tolerance=tolerance,
+            progress=progress,
         )
 
 
 def solve_with(
-    sweeper: Sweeper, *, max_iterations: int = 100, progress: Progress | None = None
+    sweeper: Sweeper,
+    *,
+    max_iterations: int = 100,
+    tolerance: float | None = None,
+    progress: Progress | None = None,
 ) -> Solution:
     """The same for any sweeper: the solver knows no more of a method than its sweeps."""
-    return _Solver(sweeper, progress).run(max_iterations)
+    step = RELATIVE_STEP if tolerance is None else tolerance
+    return _Solver(sweeper, step, progress).run(max_iterations)
 
 
 class _Solver:
-    def __init__(self, sweeper: Sweeper, progress: Progress | None) -> None:
+    def __init__(self, sweeper: Sweeper, tolerance: float, progress: Progress | None) -> None:
         self.sweeper = sweeper
+        self.tolerance = tolerance
         self.prior_sd = sweeper.prior_sd
         self.progress = progress
         self.triangular = False
@@ -279,13 +293,13 @@ class _Solver:
             return False
         rate = min(decrement / self.before, 1.0) if math.isfinite(self.before) else 1.0
         stuck = math.isfinite(self.before) and rate > 0.25
-        return stuck or rate * decrement <= self._limit(point.merit, RELATIVE_STEP)
+        return stuck or rate * decrement <= self._limit(point.merit, self.tolerance)
 
     def _negligible(self, point: _Point) -> bool:
         """Whether the loops close and the next step is too small to matter."""
         if point.spectrum is None or not math.isfinite(point.merit):
             return False
-        return point.spectrum.decrement <= self._limit(point.merit, _NEGLIGIBLE_STEP)
+        return point.spectrum.decrement <= self._limit(point.merit, max(_NEGLIGIBLE_STEP, self.tolerance))
 
     def _limit(self, merit: float, step: float) -> float:
         """The decrement of a step of so many sds in each of the n directions."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.fit import Fit
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.closing import Closed
 from loopcal.estimation.solve.reduction import Accumulator
@@ -154,7 +155,7 @@ class StreamSweeper(Sweeper):
 def solve_stream(
     sweeper: StreamSweeper,
     *,
-    max_iterations: int = 100,
+    fit: Fit,
     progress: Progress | None = None,
     reached: Callable[[Array], None] | None = None,
 ) -> Solution:
@@ -170,7 +171,9 @@ def solve_stream(
         if progress:
             progress(iteration, merit, decrement)
 
-    return solve_with(sweeper, max_iterations=max_iterations, progress=told)
+    return solve_with(
+        sweeper, max_iterations=fit.max_iterations, tolerance=fit.tolerance, progress=told
+    )
 
 
 def _without_poses(task: Task, first: Problem, begin: Mapping[str, float]) -> StreamedProblem:

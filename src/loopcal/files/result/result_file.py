@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from loopcal.estimation.on_request import Interval
-from loopcal.estimation.result import Accuracy, Closure, Result
+from loopcal.estimation.accuracy import Accuracy, Closure
+from loopcal.estimation.result import Result
 from loopcal.files.atomic import write_files
 from loopcal.files.json_reader import read_json
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
