@@ -1,12 +1,12 @@
 """The globalised solver: damped Gauss-Newton steps on the profile of chi-squared.
 
-The merit function is Phi(p), the least weighted square of the corrections that close all loops
-at p, plus the prior's (`loopcal.estimation.solve.sweep`); its gradient is
--2 (sum D^T E - prior), exact where the corrections are. A step is tried in full and damped
-(Levenberg 1944, Marquardt 1963) only if Phi does not fall as predicted, so that near the solution this is the seed's iteration
-(3.24) to (3.30). Far from the solution, closing the loops of every trial would be work for
-nothing: there a trial is linearised where the readings stand, and its loops are closed only when
-that estimate speaks against the step. The end point is always evaluated with closed loops.
+The merit function is Phi(p), the least weighted square of the corrections that close all loops at
+p, plus the prior's (`loopcal.estimation.solve.sweep`); its gradient is -2 (sum D^T E - prior),
+exact where the corrections are. A step is tried in full and damped (Levenberg 1944, Marquardt 1963)
+only if Phi does not fall as predicted, so that near the solution this is the seed's iteration
+(3.24) to (3.30). Far from the solution, closing the loops of every trial would be work for nothing:
+there a trial is linearised where the readings stand, and its loops are closed only when that
+estimate speaks against the step. The end point is always evaluated with closed loops.
 """
 
 from __future__ import annotations
