@@ -38,7 +38,6 @@ def toml_path(keys: Sequence[str | int]) -> str:
         if isinstance(key, int):
             words += f"[{key + 1}]"
         else:
-            words += ("." if words else "") + (
-                short(key) if _BARE.fullmatch(key) else f'"{short(key)}"'
-            )
+            name = short(key) if _BARE.fullmatch(key) else f'"{short(key)}"'
+            words += ("." if words else "") + name
     return words
