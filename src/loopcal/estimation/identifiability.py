@@ -55,7 +55,7 @@ class Identifiability:
         system = alone = solution.spectrum
         count = len(problem.free)
         if np.isfinite(problem.prior_sd).any():
-            alone = spectrum(solution.sweep.data, np.zeros(count), np.full(count, np.inf))
+            alone = spectrum(solution.data, np.zeros(count), np.full(count, np.inf))
         condition = system.condition
         return cls(
             system.rank,

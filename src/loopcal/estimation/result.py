@@ -106,7 +106,7 @@ class Result:
     @property
     def information(self) -> Accumulator:
         """The parameter system without the prior."""
-        return self.solution.sweep.data
+        return self.solution.data
 
     @property
     def freedom(self) -> int:

@@ -10,8 +10,8 @@ from loopcal.estimation.rounding import rounded_by_sd, significant
 from loopcal.units import from_si
 
 if TYPE_CHECKING:
-    from loopcal.estimation.on_request import ModelComparison, Validation
     from loopcal.estimation.accuracy import Accuracy
+    from loopcal.estimation.on_request import ModelComparison, Validation
     from loopcal.estimation.result import Result
 
 SHOWN = {"m": "mm", "rad": "deg"}

@@ -64,10 +64,8 @@ def _cost(problem: Problem, loss: Loss) -> float:
     sweeper = Sweeper(problem, loss=loss)
     corrections = start_corrections(sweeper, problem.start)
     sweep = sweeper.sweep(problem.start, corrections, closing=NEAR)
-    offset = problem.nominal - problem.start[problem.free]
-    prior = float(np.square(offset / problem.prior_sd).sum())
-    bad = sweep.open_poses.size or sweep.singular.size or not sweep.finite
-    return np.inf if bad else sweep.cost + prior
+    bad = sweep.late or sweep.singular or not sweep.finite
+    return np.inf if bad else sweep.cost + problem.unknowns.prior_square(problem.start)
 
 
 def robust_covariance(

@@ -25,7 +25,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import Progress
 from loopcal.estimation.stream.ending import Ending, Parts
 from loopcal.estimation.stream.pieces import Chunk, Stream, Task, do
-from loopcal.estimation.stream.sweeps import StreamSweeper, solve_stream
+from loopcal.estimation.stream.sweeps import StreamMerit, solve_stream
 from loopcal.execution.executor import Executor, InProcess
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -77,11 +77,9 @@ def calibrate_stream(
                 reached(dict(zip(names, parameters.tolist(), strict=True)))
 
         with (executor or InProcess()).crew(do, task) as crew:
-            sweeper = StreamSweeper(task, crew, problem, begin or {})
-            solution = solve_stream(
-                sweeper, fit=fit, progress=progress, reached=told
-            )
-            return Ending(task, fit, solution).result(crew, sweeper, parts)
+            merit = StreamMerit(task, crew, problem, begin or {})
+            solution = solve_stream(merit, fit=fit, progress=progress, reached=told)
+            return Ending(task, fit, solution).result(crew, merit, parts)
 
 
 def _task(mechanism: Mechanism, stream: Stream, *, exact: bool) -> Task:

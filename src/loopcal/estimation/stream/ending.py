@@ -17,11 +17,11 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import AllPoses, Result
-from loopcal.estimation.solve.solver import Solution
+from loopcal.estimation.solve.solver import End
 from loopcal.estimation.solve.sweep import NEGLIGIBLE
 from loopcal.estimation.stream.pieces import Task
 from loopcal.estimation.stream.shown import Shown, joined, misfits
-from loopcal.estimation.stream.sweeps import StreamedProblem, StreamSweeper
+from loopcal.estimation.stream.sweeps import StreamedProblem, StreamMerit
 from loopcal.execution.executor import Crew, in_order
 from loopcal.measurements.dataset import Dataset
 
@@ -50,12 +50,12 @@ class Ending:
 
     task: Task
     fit: Fit
-    solution: Solution
+    solution: End[bool]
 
-    def result(self, crew: Crew, sweeper: StreamSweeper, parts: Parts[Any] | None) -> Result:
-        poses = sum(sweeper.sizes)
+    def result(self, crew: Crew, merit: StreamMerit, parts: Parts[Any] | None) -> Result:
+        poses = sum(merit.sizes)
         stride, made = max(1, poses // SHOWN), parts and parts.made
-        begins = [0, *np.cumsum(sweeper.sizes).tolist()]
+        begins = [0, *np.cumsum(merit.sizes).tolist()]
         pieces = [
             _EndPiece(number, begins[number], poses, stride, self.solution, self.fit, made)
             for number in range(self.task.stream.count)
@@ -74,9 +74,9 @@ class Ending:
                     worst = joined([worst, ended.worst] if worst else [ended.worst]).worst()
                 if parts:
                     parts.done(ended.part)
-        sample, equations = joined(kept), sweeper.problem.equations
+        sample, equations = joined(kept), merit.equations
         # else a few poses make chi-squared what it is
-        alike = bool(sample.square.mean() > _ALIKE * self.solution.sweep.cost / poses)
+        alike = bool(sample.square.mean() > _ALIKE * self.solution.cost / poses)
         found = self._shown(sample, equations, poses)
         words = "figures and residuals.csv show"
         told = f"Calibrated from a stream of {poses} poses; {words} {len(found.dataset)} of them"
@@ -100,13 +100,12 @@ class Ending:
         return _closed(self.task, self.fit, self.solution, whole, shown.chunk.data)
 
 
-def _closed(task: Task, fit: Fit, solution: Solution, problem: Problem, data: Dataset) -> Result:
+def _closed(task: Task, fit: Fit, solution: End[bool], problem: Problem, data: Dataset) -> Result:
     """The arrays of some poses, at the parameters of all."""
     sweeper = task.sweeper(problem)
     begun = start_corrections(sweeper, solution.parameters)
     corrections = sweeper.close(solution.parameters, begun, NEGLIGIBLE, 1.0).corrections
-    found = replace(solution, corrections=corrections)
-    return Result(fit, data, problem, found, problem)
+    return Result(fit, data, problem, solution.with_state(corrections), problem)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +132,7 @@ class _EndPiece:
     begin: int
     poses: int
     stride: int
-    solution: Solution
+    solution: End[bool]
     fit: Fit
     part_of: Callable[[Result], Any] | None
 

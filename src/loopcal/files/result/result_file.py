@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from loopcal.estimation.on_request import Interval
 from loopcal.estimation.accuracy import Accuracy, Closure
+from loopcal.estimation.on_request import Interval
 from loopcal.estimation.result import Result
 from loopcal.files.atomic import write_files
 from loopcal.files.json_reader import read_json

@@ -21,7 +21,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, nearest, short
 from loopcal.files.toml.place import Place, toml_path
 from loopcal.units import unit
 
@@ -184,5 +184,4 @@ _EXPECTED = {
 
 
 def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return short(repr(value))
