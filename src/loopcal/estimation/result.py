@@ -264,6 +264,8 @@ class Result:
             found += self.chi_squared.warnings(self.model_discrepancy, unit)
         if self.estimate is not None:
             found += words(self.estimate, self.noise, self.chi_squared_shares)
+        if self.validation is not None:
+            found += self.validation.warnings
         return (*found, *self.notes)
 
     def noted(self, *notes: str) -> Result:
@@ -283,6 +285,8 @@ class Result:
                 f"the method {self.method!r} with the loss {self.loss!r} has no variance factor",
                 remedy="use it with the implicit loop or reweighted, and the gaussian loss",
             )
+        if self.variance_factor_applied:
+            return self
         return replace(self, variance_factor_applied=True)
 
     @property
