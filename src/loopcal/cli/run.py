@@ -9,10 +9,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from typer.exceptions import Abort, TyperException
-
 from loopcal.cli.commands import app
 from loopcal.errors import LoopcalError
+
+try:
+    from typer.exceptions import Abort, TyperException
+except ModuleNotFoundError:  # typer before 0.26 raises the exceptions of click
+    from click.exceptions import Abort
+    from click.exceptions import ClickException as TyperException
 
 INTERRUPTED = 130
 
