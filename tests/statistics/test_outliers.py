@@ -10,6 +10,7 @@ import pytest
 
 import loopcal as lc
 from analyses.gross_errors import Counts, run, sds
+from analyses.instruments import setup
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.statistics.column_faults import column_faults
@@ -60,6 +61,26 @@ def test_gross_errors_are_named_and_good_readings_are_not() -> None:
     assert counts.named >= 0.95 * counts.gross
     assert counts.false_readings < 0.01 * counts.good_readings
     assert counts.false_poses < 0.01 * counts.good_poses
+
+
+@pytest.mark.parametrize(
+    ("instrument", "reading"),
+    [("draw-wire", "wire"), ("distance", "wire"), ("relative distance", "span")],
+)
+def test_a_gross_error_of_an_instruments_only_reading_may_be_blamed_on_it(
+    instrument: str, reading: str
+) -> None:
+    """Without it the pose has no loop; its size is found from the loop that it was read for."""
+    given = setup(f"six-axis {instrument}")
+    data = lc.simulate(given.truth, given.driven, noise=given.noise, seed=2).dataset
+    wrong = data[reading] + np.where(np.arange(len(data)) == 30, 5e-3, 0.0)
+    data = replace(data, readings={**data.readings, reading: wrong})
+    start = given.nominal(2)
+    start = start.with_parameters(start.parameters.with_fixed(given.held))
+    (found,) = lc.find_outliers(lc.calibrate(start, data, noise=given.noise)).found
+    assert found.pose == "31"
+    assert reading in (found.quantity, *found.indistinct)
+    assert found.size
 
 
 def test_good_data_have_no_outliers() -> None:
