@@ -13,6 +13,7 @@ from analyses.gross_errors import Counts, run, sds
 from analyses.instruments import setup
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import build_problem
+from loopcal.statistics import causes
 from loopcal.statistics.column_faults import column_faults
 from loopcal.units import from_si
 from tests.reference.simulated import ma1400, planar_arm
@@ -179,6 +180,20 @@ def test_what_happened_to_a_row_is_named(change, words) -> None:
     assert [(o.pose, o.quantity, o.verified) for o in found] == [("8", None, True)]
     assert words in (found[0].cause or "")
     assert "pose 8" in str(found[0])
+
+
+def test_only_columns_that_were_read_can_be_exchanged() -> None:
+    """The small turns of an orientation have no column."""
+    given = setup("six-axis pose")
+    data = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1).dataset
+    data = replace(
+        data, readings={q: v for q, v in data.readings.items() if q not in given.truth.implied}
+    )
+    problem = build_problem(given.truth, data, given.noise)
+    guesses = list(causes._guesses(problem, data, causes.Suspect(3, 100.0, 6, {})))
+    assert given.truth.implied
+    assert any("exchanged" in guess.words for guess in guesses)
+    assert not any(q in guess.words for guess in guesses for q in given.truth.implied)
 
 
 def test_outliers_do_not_hide_each_other() -> None:

@@ -197,12 +197,22 @@ def left_unmeasured(problem: Problem, without: NDArray[np.bool_]) -> Problem:
 
 
 def _exact(mechanism: Mechanism, dataset: Dataset) -> Noise:
-    """Every reading exact; what has a home and no reading at all is read by nobody."""
-    sds = dict.fromkeys(mechanism.tape.quantities, 0.0)
-    for name in mechanism.home:
-        if not np.isfinite(dataset.readings.get(name, np.nan)).any():
-            sds[name] = math.inf
-    return Noise(sds)
+    """Every reading exact; unmeasured are instruments without readings and what has a home.
+
+    Raises InputError for any other quantity without readings.
+    """
+    names = mechanism.tape.quantities
+    unread = {q for q in names if not np.isfinite(dataset.readings.get(q, np.nan)).any()}
+    instruments = [f.readings for f in mechanism.families if unread.issuperset(f.readings)]
+    unmeasured = unread & {*mechanism.home, *(q for its in instruments for q in its)}
+    for name in names:
+        if name in unread - unmeasured:
+            raise InputError(
+                f"least squares has no readings of the quantity {name!r}",
+                remedy=f"name its column; if {name!r} is not measured, use another method and give "
+                "it the sd inf",
+            )
+    return Noise({q: math.inf if q in unmeasured else 0.0 for q in names})
 
 
 def _check_units(mechanism: Mechanism, dataset: Dataset) -> None:
