@@ -17,7 +17,6 @@ _EPS = 2.0**-53
 _CLOSED_FORM = 40
 """Up to so many degrees of freedom, arrays are evaluated by the finite sum."""
 _STIRLING = (1 / 12, -1 / 360, 1 / 1260, -1 / 1680, 1 / 1188, -691 / 360360)
-_ERFC = np.frompyfunc(math.erfc, 1, 1)
 
 
 @overload
@@ -35,7 +34,7 @@ def tail(x: float | Array, freedom: ArrayLike) -> float | Array:
     """
     if isinstance(x, np.ndarray):
         return _tails(x, np.asarray(freedom, dtype=np.float64))
-    return _parts(float(x), float(freedom))[1]  # type: ignore[arg-type]
+    return _parts(x, float(np.asarray(freedom)))[1]
 
 
 def lower(x: float, freedom: float) -> float:
@@ -90,7 +89,7 @@ def _finite_sum(x: Array, k: int) -> Array:
     half = 0.5 * x
     with np.errstate(under="ignore", invalid="ignore", over="ignore"):
         if k % 2:
-            total = _ERFC(np.sqrt(half)).astype(np.float64)
+            total = np.array([math.erfc(root) for root in np.sqrt(half)])
             term = np.sqrt(half / math.pi) * 2.0 * np.exp(-half)
             steps = [0.5 * j for j in range(3, k, 2)]
             total = total + term if k > 1 else total
@@ -101,7 +100,7 @@ def _finite_sum(x: Array, k: int) -> Array:
             term = term * (half / step)
             total = total + term
     total[np.isposinf(x)] = 0.0
-    return np.minimum(total, 1.0)
+    return np.asarray(np.minimum(total, 1.0), dtype=np.float64)
 
 
 def _parts(x: float, freedom: float) -> tuple[float, float]:

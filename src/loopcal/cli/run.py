@@ -16,8 +16,8 @@ from loopcal.errors import LONGEST_TEXT, LoopcalError, short
 try:
     from typer.exceptions import Abort, TyperException
 except ModuleNotFoundError:  # typer before 0.26 raises the exceptions of click
-    from click.exceptions import Abort
-    from click.exceptions import ClickException as TyperException
+    from click.exceptions import Abort  # type: ignore[assignment]
+    from click.exceptions import ClickException as TyperException  # type: ignore[assignment]
 
 INTERRUPTED = 130
 
