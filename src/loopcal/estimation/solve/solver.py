@@ -11,9 +11,9 @@ closed only when that estimate rejects the step. The end point always has closed
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,12 +109,53 @@ class _Point(Generic[State]):
 
 
 @dataclass(frozen=True)
-class _Start(Generic[State]):
-    """Where the search began."""
+class Place(Generic[State]):
+    """An evaluated point, without the arrays by pose: what it takes to evaluate it again."""
 
     parameters: Array
     state: State
+    closing: float | None
     merit: float
+
+    @classmethod
+    def of(cls, point: _Point[State]) -> Place[State]:
+        """The place of a point."""
+        return cls(point.parameters, point.found.state, point.found.closing, point.merit)
+
+
+@dataclass(frozen=True)
+class Checkpoint(Generic[State]):
+    """What the solver keeps at the beginning of an iteration: all it needs to go on exactly.
+
+    first, current: where the search began, and where it is; before: the decrement one iteration
+    ago; floor: the decrement that rounding hides; triangular: whether the parameter system is
+    kept as a triangle; iterations, evaluations: done so far.
+    """
+
+    first: Place[State]
+    current: Place[State]
+    damping: float
+    before: float
+    floor: float
+    triangular: bool
+    iterations: int
+    evaluations: int
+
+    def document(self) -> dict[str, Any]:
+        """The checkpoint in plain lists, numbers and names; the state must be such itself."""
+        found = asdict(self)
+        for place in found["first"], found["current"]:
+            place["parameters"] = place["parameters"].tolist()
+        return found
+
+    @classmethod
+    def read(cls, document: Mapping[str, Any]) -> Checkpoint[Any]:
+        """The checkpoint from its document. Raises TypeError or KeyError for any other."""
+        places = {
+            name: Place(**{**document[name], "parameters": np.array(document[name]["parameters"])})
+            for name in ("first", "current")
+        }
+        return cls(**{**document, **places})
 
 
 def solve(
@@ -138,27 +179,41 @@ def solve(
 
 
 def solve_with(
-    merit: Merit[State], *, max_iterations: int = 100, progress: Progress | None = None
+    merit: Merit[State],
+    *,
+    max_iterations: int = 100,
+    progress: Progress | None = None,
+    reached: Callable[[Checkpoint[State]], None] | None = None,
+    resume: Checkpoint[State] | None = None,
 ) -> End[State]:
-    """The same for any merit function: the solver knows no more of a method."""
-    return _Solver(merit, progress).run(max_iterations)
+    """The same for any merit function: the solver knows no more of a method.
+
+    reached: called at the beginning of each iteration; resume: what it was called with in an
+    interrupted run, from which this one goes on to the same end.
+    """
+    return _Solver(merit, progress, reached).run(max_iterations, resume)
 
 
 class _Solver(Generic[State]):
-    def __init__(self, merit: Merit[State], progress: Progress | None) -> None:
+    def __init__(
+        self,
+        merit: Merit[State],
+        progress: Progress | None,
+        reached: Callable[[Checkpoint[State]], None] | None,
+    ) -> None:
         self.merit = merit
         self.unknowns = merit.unknowns
-        self.progress = progress
+        self.progress, self.reached = progress, reached
         self.triangular = False
+        self.counted = 0  # evaluations of an interrupted run
         self.floor = 0.0
         self.iterations = 0
         self.before = np.inf
 
-    def run(self, max_iterations: int) -> End[State]:
-        current = self._first()
-        # of the first point only what it takes to return to it: arrays by pose are large
-        first = _Start(current.parameters, current.found.state, current.merit)
-        damping = 0.0
+    def run(self, max_iterations: int, resume: Checkpoint[State] | None) -> End[State]:
+        current = self._resumed(resume) if resume else self._first()
+        first = resume.first if resume else Place.of(current)
+        damping = resume.damping if resume else 0.0
         while True:
             assert current.spectrum is not None
             if not self.triangular and current.spectrum.condition > WELL_CONDITIONED:
@@ -176,6 +231,8 @@ class _Solver(Generic[State]):
             assert current.spectrum is not None
             if self.iterations >= max_iterations:
                 return self._give_up(first, current, "max_iterations")
+            if self.reached:
+                self.reached(self._checkpoint(first, current, damping))
             self.iterations += 1
             if self.progress:
                 self.progress(self.iterations, current.merit, current.spectrum.decrement)
@@ -194,6 +251,28 @@ class _Solver(Generic[State]):
         assert point.spectrum is not None
         if point.closed is None and not self._far(point, point.spectrum.decrement):
             return self._evaluate(start, found.state, _NEAR)
+        return point
+
+    def _checkpoint(
+        self, first: Place[State], current: _Point[State], damping: float
+    ) -> Checkpoint[State]:
+        return Checkpoint(
+            first,
+            Place.of(current),
+            damping,
+            self.before,
+            self.floor,
+            self.triangular,
+            self.iterations,
+            self.counted + self.merit.evaluations,
+        )
+
+    def _resumed(self, kept: Checkpoint[State]) -> _Point[State]:
+        self.before, self.floor = kept.before, kept.floor
+        self.triangular, self.iterations = kept.triangular, kept.iterations
+        place = kept.current
+        point = self._evaluate(place.parameters, place.state, place.closing)
+        self.counted = kept.evaluations - self.merit.evaluations
         return point
 
     def _evaluate(
@@ -309,14 +388,14 @@ class _Solver(Generic[State]):
             return self._solution(point, "converged")
         return self._solution(replace(point, parameters=parameters), "converged", closed)
 
-    def _stalled(self, first: _Start[State], current: _Point[State]) -> End[State]:
+    def _stalled(self, first: Place[State], current: _Point[State]) -> End[State]:
         """The end where no step lowers the merit: given up, unless only rounding is in the way."""
         end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
         if self._negligible(end):
             return self._converged(end)
         return self._give_up(first, current, "stalled")
 
-    def _give_up(self, first: _Start[State], current: _Point[State], reason: str) -> End[State]:
+    def _give_up(self, first: Place[State], current: _Point[State], reason: str) -> End[State]:
         end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
         late = end.found.late
         if late or end.spectrum is None:
@@ -340,7 +419,7 @@ class _Solver(Generic[State]):
         assert end.spectrum is not None
         if reason in ("max_iterations", "stalled"):
             detail = _weakness(hardly_determined(end.spectrum, self.unknowns.names))
-        evaluations = self.merit.evaluations / end.found.poses
+        evaluations = (self.counted + self.merit.evaluations) / end.found.poses
         if closed is None:
             near = end.found.step <= 1.0  # a longer step may lead anywhere
             closed = end.found.proposal if near else end.found.state
