@@ -12,7 +12,7 @@ import pytest
 from loopcal import Dataset, Noise, calibrate
 from loopcal.errors import DomainError, InputError
 from loopcal.estimation.result import Result
-from loopcal.estimation.solve.solver import Checkpoint
+from loopcal.estimation.solve.checkpoint import Checkpoint
 from loopcal.estimation.stream.calibrate import calibrate_stream
 from loopcal.estimation.stream.pieces import Chunk
 from loopcal.execution.executor import AHEAD, Executor

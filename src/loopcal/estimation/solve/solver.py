@@ -11,29 +11,29 @@ closed only when that estimate rejects the step. The end point always has closed
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Generic, TypeVar
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Generic
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.solve.checkpoint import Checkpoint, Place
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.merit import NONE_FAILED, Evaluation, Failed, Merit, State
 from loopcal.estimation.solve.reduction import (
     WELL_CONDITIONED,
-    Accumulator,
     Spectrum,
     hardly_determined,
     spectrum,
 )
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
+from loopcal.estimation.solve.solution import End, Solution
 from loopcal.estimation.solve.status import Status
 from loopcal.estimation.solve.sweep import NEAR, NEGLIGIBLE, Sweeper
 
 Array = NDArray[np.float64]
-Other = TypeVar("Other")
 Progress = Callable[[int, float, float], None]
 """Called with iteration, chi-squared and the predicted decrease."""
 
@@ -54,50 +54,6 @@ on the way, where that does not do, and at the end."""
 
 
 @dataclass(frozen=True)
-class End(Generic[State]):
-    """Where a fit ended.
-
-    parameters: (n_all,) [SI]; state: of the merit, with loops closed there; data, cost: the
-    parameter system and the summed loss of all poses; spectrum: of data and prior; prior_square:
-    (p - nominal)^2 over prior variance, summed; status.
-    """
-
-    parameters: Array
-    state: State
-    data: Accumulator
-    cost: float
-    spectrum: Spectrum
-    prior_square: float
-    status: Status
-
-    def with_state(self, state: Other) -> End[Other]:
-        """The same end, with the state of another merit."""
-        return End(
-            self.parameters,
-            state,
-            self.data,
-            self.cost,
-            self.spectrum,
-            self.prior_square,
-            self.status,
-        )
-
-    @property
-    def corrections(self: End[Array]) -> Array:
-        """Of poses in memory: the corrections (k, N) [SI] that close the loops."""
-        return self.state
-
-    @property
-    def chi_squared(self) -> float:
-        """The merit: corrections, or what the loss makes of them, and prior together."""
-        return self.cost + self.prior_square
-
-
-Solution = End[Array]
-"""Where a fit of poses in memory ended."""
-
-
-@dataclass(frozen=True)
 class _Point(Generic[State]):
     """A trial: parameters, evaluation, merit and parameter system; closed: how well loops are."""
 
@@ -106,56 +62,6 @@ class _Point(Generic[State]):
     merit: float
     spectrum: Spectrum | None
     closed: float | None
-
-
-@dataclass(frozen=True)
-class Place(Generic[State]):
-    """An evaluated point, without the arrays by pose: what it takes to evaluate it again."""
-
-    parameters: Array
-    state: State
-    closing: float | None
-    merit: float
-
-    @classmethod
-    def of(cls, point: _Point[State]) -> Place[State]:
-        """The place of a point."""
-        return cls(point.parameters, point.found.state, point.found.closing, point.merit)
-
-
-@dataclass(frozen=True)
-class Checkpoint(Generic[State]):
-    """What the solver keeps at the beginning of an iteration: all it needs to go on exactly.
-
-    first, current: where the search began, and where it is; before: the decrement one iteration
-    ago; floor: the decrement that rounding hides; triangular: whether the parameter system is
-    kept as a triangle; iterations, evaluations: done so far.
-    """
-
-    first: Place[State]
-    current: Place[State]
-    damping: float
-    before: float
-    floor: float
-    triangular: bool
-    iterations: int
-    evaluations: int
-
-    def document(self) -> dict[str, Any]:
-        """The checkpoint in plain lists, numbers and names; the state must be such itself."""
-        found = asdict(self)
-        for place in found["first"], found["current"]:
-            place["parameters"] = place["parameters"].tolist()
-        return found
-
-    @classmethod
-    def read(cls, document: Mapping[str, Any]) -> Checkpoint[Any]:
-        """The checkpoint from its document. Raises TypeError or KeyError for any other."""
-        places = {
-            name: Place(**{**document[name], "parameters": np.array(document[name]["parameters"])})
-            for name in ("first", "current")
-        }
-        return cls(**{**document, **places})
 
 
 def solve(
@@ -212,7 +118,7 @@ class _Solver(Generic[State]):
 
     def run(self, max_iterations: int, resume: Checkpoint[State] | None) -> End[State]:
         current = self._resumed(resume) if resume else self._first()
-        first = resume.first if resume else Place.of(current)
+        first = resume.first if resume else self._place(current)
         damping = resume.damping if resume else 0.0
         while True:
             assert current.spectrum is not None
@@ -258,7 +164,7 @@ class _Solver(Generic[State]):
     ) -> Checkpoint[State]:
         return Checkpoint(
             first,
-            Place.of(current),
+            self._place(current),
             damping,
             self.before,
             self.floor,
@@ -266,6 +172,9 @@ class _Solver(Generic[State]):
             self.iterations,
             self.counted + self.merit.evaluations,
         )
+
+    def _place(self, point: _Point[State]) -> Place[State]:
+        return Place(point.parameters, point.found.state, point.found.closing, point.merit)
 
     def _resumed(self, kept: Checkpoint[State]) -> _Point[State]:
         self.before, self.floor = kept.before, kept.floor

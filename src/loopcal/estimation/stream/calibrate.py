@@ -19,8 +19,9 @@ from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.checkpoint import Checkpoint
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.solve.solver import Checkpoint, Progress, solve_with
+from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.stream.ending import Ending
 from loopcal.estimation.stream.pieces import Chunk, Stream, Task, do
 from loopcal.estimation.stream.sweeps import StreamMerit

@@ -8,7 +8,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from loopcal.estimation.solve.solver import Checkpoint
+from loopcal.estimation.solve.checkpoint import Checkpoint
 from loopcal.files.atomic import write_atomic
 
 NAME = "unfinished.json"
