@@ -35,7 +35,8 @@ from loopcal.estimation.solve.reweighted import solve_reweighted
 from loopcal.estimation.solve.robust import robust_covariance, solve_robust
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.seed_iteration import iterate_undamped
-from loopcal.estimation.solve.solver import Progress, Solution, solve
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import Progress, solve
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage
 from loopcal.measurements.dataset import Dataset

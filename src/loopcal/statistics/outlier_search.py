@@ -19,7 +19,8 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.reweighted import solve_reweighted
-from loopcal.estimation.solve.solver import Solution, solve_with
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import solve_with
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.mechanisms.model_error import disturbances
 from loopcal.statistics.pose_tests import Fit, PoseTests, pose_tests, settle

@@ -262,9 +262,9 @@ def _patterns(
 
 
 def _pattern(mechanism: Mechanism, code: NDArray[np.bool_]) -> Pattern:
-    """What holds in all poses where `code` says, (2 k,), what is unmeasured and what is blind."""
+    """The pattern of all poses in which this is unmeasured and, in the second half, blind."""
     tape = mechanism.tape
-    unmeasured, blind = np.split(code, 2)
+    unmeasured, blind = code.reshape(2, -1)
     missing = {tape.quantities[i] for i in np.flatnonzero(unmeasured)}
     unread = {tape.quantities[i] for i in np.flatnonzero(blind)}
     silent = {loop for f in mechanism.families if unread.issuperset(f.readings) for loop in f.loops}
