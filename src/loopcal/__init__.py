@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from loopcal.errors import InputError, LoopcalError
     from loopcal.estimation.accuracy import Accuracy, Closure
     from loopcal.estimation.calibrate import calibrate
-    from loopcal.estimation.chi_squared import ChiSquared
     from loopcal.estimation.fit import Fit
+    from loopcal.estimation.goodness_of_fit import ChiSquared
     from loopcal.estimation.identifiability import Identifiability, Undetermined
     from loopcal.estimation.noise.noise_entry import NoiseEntry
     from loopcal.estimation.on_request import (
@@ -72,7 +72,7 @@ _HOME = {
     "errors": ("InputError", "LoopcalError"),
     "estimation.accuracy": ("Accuracy", "Closure"),
     "estimation.calibrate": ("calibrate",),
-    "estimation.chi_squared": ("ChiSquared",),
+    "estimation.goodness_of_fit": ("ChiSquared",),
     "estimation.fit": ("Fit",),
     "estimation.identifiability": ("Identifiability", "Undetermined"),
     "estimation.noise.noise_entry": ("NoiseEntry",),

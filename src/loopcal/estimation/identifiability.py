@@ -11,7 +11,7 @@ import numpy as np
 
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.reduction import spectrum, undetermined
-from loopcal.estimation.solve.solver import Solution
+from loopcal.estimation.solve.solution import Solution
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Closure
-from loopcal.estimation.chi_squared import ChiSquared
 from loopcal.estimation.distances import distances
 from loopcal.estimation.fit import Fit
+from loopcal.estimation.goodness_of_fit import ChiSquared
 from loopcal.estimation.identifiability import Identifiability
 from loopcal.estimation.noise.discrepancy import model_discrepancy
 from loopcal.estimation.noise.estimation import NoiseEstimate
@@ -27,7 +27,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.residuals import by_name, residuals
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
 from loopcal.estimation.solve.robust import robust_covariance
-from loopcal.estimation.solve.solver import Solution
+from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
