@@ -57,16 +57,17 @@ def test_parameters_that_are_hardly_told_apart_cost_the_criterion_no_digits() ->
     """J A dp' describes the same poses as J dp: the criterion changes by 2 log |det A| at most."""
     rng = np.random.default_rng(2)
     e, J = rng.normal(size=(100, 3)), rng.normal(size=(100, 3, 8))
-    parts = np.array([rng.uniform(1, 2, (100, 1, 1)) * np.diag(d) for d in ([1, 1, 0], [0, 1, 1])])
+    sizes = rng.uniform(1, 2, (100, 4)) ** 0.5
+    G, owner = np.eye(3)[:, [0, 1, 1, 2]] * sizes[:, None, :], np.array([0, 0, 1, 1])
     A = np.eye(8)
     A[0, 1], A[1, 1] = 1.0, 1e-6
     at = np.array([1.0, 1.0])
-    flat = np.zeros(8)
+    flat, none = np.zeros(8), np.zeros((100, 3, 3))
     changes = []
     for ratios in (at, 1.1 * at):
         found = [
-            mixed_fit(LinearModel((ModelBlock(e, D, np.zeros((100, 3, 3)), parts),), flat, flat), r)
-            for D, r in ((J, ratios), (J @ A, ratios))
+            mixed_fit(LinearModel((ModelBlock(e, D, none, G, owner),), flat, flat, 2), ratios)
+            for D in (J, J @ A)
         ]
         assert found[0] is not None
         assert found[1] is not None

@@ -153,16 +153,15 @@ class _Search:
                 self.positions,
                 at_readings=self.at_readings,
             )
-            found = estimate_ratios(model, ratios, vanish=vanish)
+            lowest = np.zeros(len(ratios)) if vanish else ratios / _SLOWLY
+            found = estimate_ratios(model, ratios, lowest=lowest)
             change = _change(ratios, found.ratios)
             ended = change <= _SETTLED or abs(before - found.criterion) <= _BETTER
             if ended and vanish:
                 return _Round(present, solution, model, found, found.converged, iterations)
             # No component may vanish before the others are roughly right.
             vanish = vanish or ended or change <= _ROUGHLY or number >= _MOST // 2
-            lowest = 0.0 if vanish else ratios / _SLOWLY
-            ratios = np.maximum(found.ratios, lowest)
-            before = found.criterion
+            ratios, before = found.ratios, found.criterion
         return _Round(present, solution, model, found, False, iterations)
 
 
