@@ -128,13 +128,13 @@ def linear_model(
 class _Joined:
     """The whitened columns of all blocks at some ratios, and [J e] with the prior as a triangle.
 
-    rows: (b, r, n + 1) each, W = L^-1 G: (b, r, K) each; R: (n + 1, n + 1).
+    rows: (b, r, n + 1) each, W = L^-1 G: (b, r, K) each; R: (n + 1, n + 1); volume: sum log|V|.
     """
 
     rows: list[Array]
     W: list[Array]
     R: Array
-    log_V: float
+    volume: float
 
 
 def fit(model: LinearModel, ratios: Array) -> MixedFit | None:
@@ -157,7 +157,7 @@ def fit(model: LinearModel, ratios: Array) -> MixedFit | None:
     log_H = 2.0 * float(np.log(values[kept]).sum() - np.log(scale).sum())
     residual = float(np.linalg.norm(R[:, n] - U[:, kept] @ along))
     score, information = _slopes(model, joined, root, root @ along)
-    return MixedFit(joined.log_V + log_H + residual**2, score, information)
+    return MixedFit(joined.volume + log_H + residual**2, score, information)
 
 
 def _joined(model: LinearModel, ratios: Array) -> _Joined | None:

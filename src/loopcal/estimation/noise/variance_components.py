@@ -30,6 +30,8 @@ _RIDGE = 1e-12
 """Of a component's own information, so that what only shows in a sum has a step of its own."""
 _OPEN = 1e-4
 """Information on the logarithm of a ratio, below which the data leave it open."""
+_NO_PULL = 0.1
+"""Chi-squared with which the data hold a ratio at zero, below which it is there by chance."""
 _FEW, _MANY = 0.05, 1e6
 """Degrees of freedom outside which the rise to a bound is at its limit."""
 _FARTHEST = 20.0
@@ -61,17 +63,43 @@ class Estimate:
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance (c, c) of the ratios; those at zero have none here, see `upper_bound`."""
+        """Covariance (c, c) of the ratios.
+
+        A ratio at zero has none (see `upper_bound`), unless it is there by chance: part of a sum
+        that could as well be all its own.
+        """
+        return self._inverse((self.ratios > 0.0) | self._by_chance)
+
+    @property
+    def alike(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of components so correlated that these data cannot separate them."""
+        pairs = np.argwhere(np.tril(_correlated(self.covariance), -1))
+        return tuple((int(j), int(i)) for i, j in pairs)
+
+    @cached_property
+    def _by_chance(self) -> NDArray[np.bool_]:
+        """Ratios at zero that the likelihood lets rise at the cost of another's."""
+        everything = self._inverse(np.diag(self.at.information) > 0.0)
+        pull = np.square(self.at.score) * np.diag(everything)
+        flat: NDArray[np.bool_] = (self.ratios == 0.0) & (pull < _NO_PULL)
+        return flat & _correlated(everything).any(axis=1)
+
+    def _inverse(self, which: NDArray[np.bool_]) -> Array:
+        """The inverse information on some of the ratios, scaled to logarithms; else zero."""
         covariance = np.zeros_like(self.at.information)
-        index = np.flatnonzero(self.ratios)
-        if index.size:
-            scale = self.ratios[index]
-            own = self.at.information[np.ix_(index, index)] * np.outer(scale, scale)
-            values, vectors = np.linalg.eigh(own)
-            # what only shows in a sum is left open by the data: almost no information on it
-            values = np.maximum(values, _OPEN / 10.0)
-            root = scale[:, None] * vectors / np.sqrt(values)
-            covariance[np.ix_(index, index)] = root @ root.T
+        index = np.flatnonzero(which)
+        if not index.size:
+            return covariance
+        information = self.at.information[np.ix_(index, index)]
+        present, root = self.ratios[index], np.sqrt(np.diag(information))
+        # a ratio at zero counts as what would make up for the largest other
+        most = float((present * root).max()) or 1.0
+        scale = np.where(present > 0.0, present, most / np.maximum(root, 1e-150))
+        values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+        # what only shows in a sum is left open by the data: almost no information on it
+        values = np.maximum(values, _OPEN / 10.0)
+        root = scale[:, None] * vectors / np.sqrt(values)
+        covariance[np.ix_(index, index)] = root @ root.T
         return covariance
 
     def sd_of_root(self, which: int) -> float | None:
@@ -213,6 +241,14 @@ def upper_bound(
             return None
         low, high = high, high + 1.0
     return math.exp(float(brentq(excess, low, high, xtol=1e-4)))
+
+
+def _correlated(covariance: Array) -> NDArray[np.bool_]:
+    """Which pairs of a covariance (c, c) are correlated too much to be separated."""
+    sd = np.sqrt(np.diag(covariance))
+    limit = ALIKE * np.outer(sd, sd)
+    alike: NDArray[np.bool_] = (limit > 0.0) & (np.abs(covariance) > limit)
+    return alike & ~np.eye(len(sd), dtype=bool)
 
 
 def _left(found: Estimate, which: int) -> float:
