@@ -13,7 +13,14 @@ from typing import Any
 
 from loopcal.errors import InputError
 from loopcal.mechanisms.effects.effect import joints
-from loopcal.mechanisms.effects.gravity import ACCELERATION, Load, acting, carries, unit_forces
+from loopcal.mechanisms.effects.gravity import (
+    ACCELERATION,
+    Load,
+    acting,
+    carries,
+    refuse_beyond,
+    unit_forces,
+)
 from loopcal.mechanisms.frame import Values
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, matching
@@ -71,6 +78,8 @@ class Compliance:
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """One for each joint or parameter that yields, lumped: for each load on it as well."""
         made: dict[str, Parameter] = {}
+        for load in self.loads:
+            refuse_beyond(mechanism, load)
         for name in self._yielding(mechanism):
             si = self._unit(mechanism, name)
             loads = [load for load in self.loads if carries(mechanism.chain, name, load)]
