@@ -20,7 +20,7 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, nearest, short
 from loopcal.files.toml.place import Place, toml_path
 from loopcal.units import unit
 
@@ -173,5 +173,4 @@ _EXPECTED = {
 
 
 def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return short(repr(value))
