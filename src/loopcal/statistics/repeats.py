@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import quantile
 from loopcal.errors import InputError
 from loopcal.measurements.checks import lost_rows, refuse_lost
 from loopcal.measurements.dataset import Dataset
@@ -165,11 +166,11 @@ def scatter(sum_of_squares: float, degrees: float) -> Scatter:
 
     sd of sd = sd sqrt(1 - c4^2), c4 = sqrt(2/nu) Gamma((nu+1)/2) / Gamma(nu/2).
     """
-    from scipy.special import chdtri, gammaln
+    from scipy.special import gammaln
 
     sd = math.sqrt(sum_of_squares / degrees)
     c4 = math.sqrt(2.0 / degrees) * math.exp(gammaln((degrees + 1) / 2) - gammaln(degrees / 2))
-    low, high = (sd * math.sqrt(degrees / float(chdtri(degrees, tail))) for tail in (0.025, 0.975))
+    low, high = (sd * math.sqrt(degrees / quantile(tail, degrees)) for tail in (0.025, 0.975))
     return Scatter(sd, sd * math.sqrt(1.0 - c4 * c4), low, high, degrees)
 
 
