@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import tail
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.distances import distances
 from loopcal.estimation.noise.discrepancy import model_discrepancy
@@ -34,7 +35,8 @@ from loopcal.estimation.solve.reweighted import solve_reweighted
 from loopcal.estimation.solve.robust import robust_covariance, solve_robust
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.seed_iteration import iterate_undamped
-from loopcal.estimation.solve.solver import Progress, Solution, solve
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import Progress, solve
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage
 from loopcal.measurements.dataset import Dataset
@@ -248,9 +250,7 @@ def _too_small_sds(result: Result) -> bool:
 
 
 def _p_value(chi_squared: float, freedom: int) -> float | None:
-    from scipy.special import chdtrc
-
-    return float(chdtrc(freedom, chi_squared)) if freedom > 0 else None
+    return tail(chi_squared, freedom) if freedom > 0 else None
 
 
 def _ratio(chi_squared: float, freedom: int) -> float | None:

@@ -19,7 +19,8 @@ from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.reweighted import solve_reweighted
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.solve.solver import Progress, Solution, solve_with
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 
 Array = NDArray[np.float64]
