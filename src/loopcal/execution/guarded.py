@@ -63,7 +63,12 @@ class _Children:
         with self.lock:
             child = self._running()
             late = threading.Event()
-            timer = threading.Timer(seconds, lambda: (late.set(), child.kill()))
+
+            def stop() -> None:
+                late.set()
+                child.kill()
+
+            timer = threading.Timer(seconds, stop)
             timer.daemon = True
             timer.start()
             try:
