@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import tail
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.distances import distances
 from loopcal.estimation.noise.discrepancy import model_discrepancy
@@ -34,7 +35,8 @@ from loopcal.estimation.solve.reweighted import solve_reweighted
 from loopcal.estimation.solve.robust import robust_covariance, solve_robust
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.seed_iteration import iterate_undamped
-from loopcal.estimation.solve.solver import Progress, Solution, solve
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import Progress, solve
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage
 from loopcal.measurements.dataset import Dataset
@@ -226,7 +228,7 @@ def result_of(
         dataset=data,
         problem=problem,
         spectrum=solution.spectrum,
-        information=solution.sweep.data,
+        information=solution.data,
         loss=loss,
     )
     if result.status.converged and alike and _too_small_sds(result):
@@ -248,9 +250,7 @@ def _too_small_sds(result: Result) -> bool:
 
 
 def _p_value(chi_squared: float, freedom: int) -> float | None:
-    from scipy.special import chdtrc
-
-    return float(chdtrc(freedom, chi_squared)) if freedom > 0 else None
+    return tail(chi_squared, freedom) if freedom > 0 else None
 
 
 def _ratio(chi_squared: float, freedom: int) -> float | None:
@@ -262,7 +262,7 @@ def _identifiability(problem: Problem, solution: Solution) -> Identifiability:
     alone = system
     if np.isfinite(problem.prior_sd).any():
         flat = np.full(len(problem.free), np.inf)
-        alone = spectrum(solution.sweep.data, np.zeros(len(problem.free)), flat)
+        alone = spectrum(solution.data, np.zeros(len(problem.free)), flat)
     directions = undetermined(system, problem.names)
     condition = system.condition
     return Identifiability(

@@ -15,6 +15,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.distances import measured_points
 from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.model_error import PREFIX
@@ -108,14 +109,14 @@ def find_causes(
 
 
 def _repeated(problem: Problem, suspect: Suspect) -> Cause | None:
-    """A reading that stands in the row before as well, where that is no habit of its column."""
-    i = suspect.pose
+    """A point of zeros, or a reading of the row before again where its column rarely repeats."""
+    i, x = suspect.pose, problem.readings
+    names = problem.mechanism.tape.quantities
+    for point in measured_points(problem.mechanism):
+        if len(point) > 1 and not x[[names.index(q) for q in point], i].any():
+            return Cause(f"no reflector: {', '.join(point)} read 0", None, True)
     if i == 0:
         return None
-    x = problem.readings
-    outputs = _outputs(problem)
-    if outputs and not x[outputs, i].any():
-        return Cause("no reflector: every coordinate reads 0", None, True)
     for j in suspect.explained:
         same = x[j, 1:] == x[j, :-1]
         if same[i - 1] and same.mean() < _OFTEN:
@@ -134,7 +135,7 @@ def _guesses(problem: Problem, dataset: Dataset, suspect: Suspect) -> Iterator[_
             if abs(value - (x[j] - size)) <= 0.1 * abs(size):
                 yield _Guess(words, j, _with(x, [j], [value]))
     if not suspect.explained or suspect.freedom < 2:
-        yield from _of_several(problem, x, units)
+        yield from _of_several(problem, dataset, x, units)
     for j, (size, _) in suspect.explained.items():
         name = problem.mechanism.tape.quantities[j]
         stated = dataset.source.stated.get(name, units[j])
@@ -162,10 +163,14 @@ def _same_point(problem: Problem, i: int) -> Iterator[_Guess]:
         yield _Guess("the point of the row before again (reflector lost?)", None, before.copy())
 
 
-def _of_several(problem: Problem, x: Array, units: list[str]) -> Iterator[_Guess]:
-    """Several readings of a row: two exchanged, or all of one kind in another unit."""
+def _of_several(problem: Problem, dataset: Dataset, x: Array, units: list[str]) -> Iterator[_Guess]:
+    """Several columns of a row: two exchanged, or all of one kind in another unit."""
     names = problem.mechanism.tape.quantities
-    real = [j for j, name in enumerate(names) if not name.startswith(PREFIX)]
+    real = [
+        j
+        for j, name in enumerate(names)
+        if name in dataset.readings and not name.startswith(PREFIX)
+    ]
     for j, other in combinations(real, 2):
         if units[j] == units[other]:
             words = f"{names[j]} and {names[other]} exchanged"

@@ -19,11 +19,12 @@ from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.checkpoint import Checkpoint
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.solve.solver import Progress
+from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.stream.ending import Ending
 from loopcal.estimation.stream.pieces import Chunk, Stream, Task, do
-from loopcal.estimation.stream.sweeps import StreamSweeper, solve_stream
+from loopcal.estimation.stream.sweeps import StreamMerit
 from loopcal.execution.executor import Executor, InProcess
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -41,23 +42,23 @@ def calibrate_stream(
     prior: Prior | None = None,
     method: str = "implicit-loop",
     start: str = "auto",
-    begin: dict[str, float] | None = None,
+    resume: Checkpoint[bool] | None = None,
     max_iterations: int = 100,
     executor: Executor | None = None,
     progress: Progress | None = None,
-    reached: Callable[[dict[str, float]], None] | None = None,
+    reached: Callable[[Checkpoint[bool]], None] | None = None,
     part_of: Callable[[Result], Part] | None = None,
     part_done: Callable[[Part], None] | None = None,
 ) -> Result:
     """Calibrate from more poses than memory holds; memory does not grow with their number.
 
     stream: its chunks bring data and noise; method, prior and start: as in `calibrate`, with
-    methods "implicit-loop" and "least-squares"; begin: parameter values [SI] that an earlier,
-    interrupted run had reached; executor: who reads the chunks and does their part of the work, by
-    default this process, to the same result to the last bit; reached: called with the values that
-    each iteration begins with; part_of: made at the end of the result of each chunk, with all its
-    arrays, where the chunk is read (a function at the top of a module); part_done: called here
-    with what it made, in the order of the chunks.
+    methods "implicit-loop" and "least-squares"; reached: called with a checkpoint at the beginning
+    of each iteration; resume: such a checkpoint of an interrupted run, from which this one goes on
+    to the same result to the last bit; executor: who reads the chunks and does their part of the
+    work, by default this process, again to the same result to the last bit; part_of: called with
+    the result of each chunk, with all its arrays, where the chunk is read (a function at the top of
+    a module); part_done: called here with what it returned, in the order of the chunks.
 
     Raises InputError as `calibrate` does, and for what needs all poses at once.
     """
@@ -80,18 +81,17 @@ def calibrate_stream(
         problem = task.problem(first)
         task = _settled(task, problem)
 
-        def told(parameters: Array) -> None:
-            if reached:
-                names = task.mechanism.parameters.names
-                reached(dict(zip(names, parameters.tolist(), strict=True)))
-
         with (executor or InProcess()).crew(do, task) as crew:
-            sweeper = StreamSweeper(task, crew, problem, begin or {})
-            solution = solve_stream(
-                sweeper, max_iterations=max_iterations, progress=progress, reached=told
+            merit = StreamMerit(task, crew, problem)
+            solution = solve_with(
+                merit,
+                max_iterations=max_iterations,
+                progress=progress,
+                reached=reached,
+                resume=resume,
             )
             ending = Ending(task, method, solution)
-            return ending.result(crew, sweeper, part_of, part_done)
+            return ending.result(crew, merit, part_of, part_done)
 
 
 def _task(mechanism: Mechanism, stream: Stream, *, exact: bool) -> Task:
