@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.execution.guarded import Stopped, guarded
+from loopcal.files.guarded import Stopped, guarded
 from loopcal.files.tables.raw import existing_file
 from loopcal.files.tables.table import Table
 

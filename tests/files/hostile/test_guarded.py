@@ -8,10 +8,10 @@ import sys
 import pytest
 
 from loopcal.errors import InputError
-from loopcal.execution import guarded as module
-from loopcal.execution.guarded import Stopped, guarded
+from loopcal.files import guarded as module
+from loopcal.files.guarded import Stopped, guarded
 
-READING = "tests.execution.reading"
+READING = "tests.files.hostile.reading"
 
 
 def test_arguments_go_in_and_bytes_come_back() -> None:
