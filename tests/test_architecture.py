@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "src" / "loopcal"
 # From the ground up. Names on one line do not import each other; imports point downwards only.
 LAYERS = (
     ("errors",),
-    ("expressions", "units"),
+    ("chi_squared", "expressions", "units"),
     ("execution",),
     ("mechanisms", "measurements"),
     ("estimation", "simulation"),
@@ -27,9 +27,9 @@ LAYERS = (
     ("cli", "app"),
 )
 HEIGHT = {name: height for height, names in enumerate(LAYERS) for name in names}
-# The public face, the package and its two namespaces, may import anything, and nothing imports it;
+# The public face, the package and its namespaces, may import anything, and nothing imports it;
 # `python -m loopcal` starts the command.
-FACE = {"__init__", "machines", "instruments"}
+FACE = {"__init__", "effects", "instruments", "machines"}
 ABOVE_ALL = {*FACE, "__main__"}
 
 MOST_LINES = 400

@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from loopcal import instruments, machines
+    from loopcal import effects, instruments, machines
     from loopcal.errors import InputError, LoopcalError
     from loopcal.estimation.calibrate import calibrate
     from loopcal.estimation.on_request import (
@@ -40,14 +40,8 @@ if TYPE_CHECKING:
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
     from loopcal.measurements.noise import Noise
-    from loopcal.mechanisms.effects.backlash import Backlash
-    from loopcal.mechanisms.effects.compliance import Compliance
-    from loopcal.mechanisms.effects.drift import Drift, Shift
     from loopcal.mechanisms.effects.effect import with_effects
-    from loopcal.mechanisms.effects.gravity import Load
-    from loopcal.mechanisms.effects.harmonics import Harmonics
     from loopcal.mechanisms.effects.model import Model
-    from loopcal.mechanisms.effects.scale import Scale
     from loopcal.mechanisms.machine import Instrument, Machine, assemble
     from loopcal.mechanisms.mechanism import Mechanism
     from loopcal.mechanisms.motoman import motoman_ma1400
@@ -94,14 +88,8 @@ _HOME = {
     "measurements.dataset": ("Dataset",),
     "measurements.datasheet": ("Tracker", "encoder_sd", "tracker_covariance"),
     "measurements.noise": ("Noise",),
-    "mechanisms.effects.backlash": ("Backlash",),
-    "mechanisms.effects.compliance": ("Compliance",),
-    "mechanisms.effects.drift": ("Drift", "Shift"),
     "mechanisms.effects.effect": ("with_effects",),
-    "mechanisms.effects.gravity": ("Load",),
-    "mechanisms.effects.harmonics": ("Harmonics",),
     "mechanisms.effects.model": ("Model",),
-    "mechanisms.effects.scale": ("Scale",),
     "mechanisms.machine": ("Instrument", "Machine", "assemble"),
     "mechanisms.mechanism": ("Mechanism",),
     "mechanisms.motoman": ("motoman_ma1400",),
@@ -125,12 +113,11 @@ _HOME = {
     "statistics.repeats": ("Repeats", "repeated_readings"),
     "workflow.calibration": ("write_result",),
 }
-_NAMESPACES = ("instruments", "machines")
+_NAMESPACES = ("effects", "instruments", "machines")
 _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name in names}
 
 __all__ = [
     "Accuracy",
-    "Backlash",
     "Check",
     "ChiSquared",
     "Closure",
@@ -138,17 +125,13 @@ __all__ = [
     "ColumnFault",
     "Compared",
     "ComparedModel",
-    "Compliance",
     "Dataset",
-    "Drift",
     "Findings",
-    "Harmonics",
     "Identifiability",
     "InputError",
     "Instrument",
     "Interval",
     "Joint",
-    "Load",
     "LoadedData",
     "LoopcalError",
     "Machine",
@@ -168,8 +151,6 @@ __all__ = [
     "Project",
     "Repeats",
     "Result",
-    "Scale",
-    "Shift",
     "Simulation",
     "Status",
     "Threads",
@@ -187,6 +168,7 @@ __all__ = [
     "compare_models",
     "cross",
     "dot",
+    "effects",
     "encoder_sd",
     "find_outliers",
     "findings",

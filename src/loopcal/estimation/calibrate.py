@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import tail
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.distances import distances
 from loopcal.estimation.noise.discrepancy import model_discrepancy
@@ -249,9 +250,7 @@ def _too_small_sds(result: Result) -> bool:
 
 
 def _p_value(chi_squared: float, freedom: int) -> float | None:
-    from scipy.special import chdtrc
-
-    return float(chdtrc(freedom, chi_squared)) if freedom > 0 else None
+    return tail(chi_squared, freedom) if freedom > 0 else None
 
 
 def _ratio(chi_squared: float, freedom: int) -> float | None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import quantile, tail
 from loopcal.estimation.rounding import rounded_by_sd, significant
 from loopcal.estimation.summary import SHOWN, columns
 from loopcal.units import from_si
@@ -65,11 +66,9 @@ class PointDifference:
         free: NDArray[np.bool_] | None,
     ) -> PointDifference:
         """From differences, their distances and squares in sds; free: without any bound."""
-        from scipy.special import chdtri
-
         worst = int(np.argmax(distance))
         direction = delta[worst] / max(float(distance[worst]), 1e-300)
-        limit = float(chdtri(delta.shape[1], 0.05))
+        limit = quantile(0.05, delta.shape[1])
         within = square <= limit
         if free is not None:
             within = within | free
@@ -105,11 +104,9 @@ class Compared:
     @property
     def p_value(self) -> float | None:
         """Probability of a difference at least this large between two right calibrations."""
-        from scipy.special import chdtrc
-
         if not self.degrees_of_freedom:
             return None
-        return float(chdtrc(self.degrees_of_freedom, self.chi_squared))
+        return tail(self.chi_squared, self.degrees_of_freedom)
 
     def document(self) -> dict[str, Any]:
         """Plain values, SI, for JSON."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.estimation.solve import searching
 from loopcal.estimation.solve.block import Block, BlockNoise
-from loopcal.estimation.solve.block_kernel import BlockKernel, Reduced, kernel_for
+from loopcal.estimation.solve.block_kernel import BlockKernel, kernel_for
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.kernel import unweighted, whiten
 from loopcal.estimation.solve.loss import Huber, Loss
@@ -177,7 +177,7 @@ def test_a_search_gives_the_same_bits_whatever_the_width_and_the_threads(
 
 
 def test_no_pose_adds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = random_block("sd", (1,), 0).summed(kernel_on("compiled", monkeypatch))
+    found = kernel_on("compiled", monkeypatch).equations(random_block("sd", (1,), 0), summed=True)
     assert found.total is not None
     assert not found.total.any()
     assert found.correction.shape == (K, 0)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.distances import measured_points
 from loopcal.files.paths import expanded
 from loopcal.files.project.data_entries import DataSpec, implied_by, named_columns, refuse_unread
 from loopcal.files.project.noise_entries import CovarianceColumns
@@ -55,7 +56,8 @@ def load_dataset(project: Project) -> LoadedData:
     read, told = _read(project, spec, place, columns_aside(project))
     loaded = loaded_from(project, read)
     own = {**project.mechanism.quantities, **project.mechanism.known}
-    return replace(loaded, warnings=(*told, *check_dataset(loaded.dataset, own)))
+    odd = check_dataset(loaded.dataset, own, points=measured_points(project.mechanism))
+    return replace(loaded, warnings=(*told, *odd))
 
 
 def columns_aside(project: Project) -> dict[str, Column]:

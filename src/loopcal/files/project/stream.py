@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.distances import measured_points
 from loopcal.estimation.stream.ending import SHOWN
 from loopcal.estimation.stream.pieces import Chunk
 from loopcal.files.paths import expanded
@@ -96,7 +97,8 @@ class ParquetStream:
         """
         loaded = self._loaded(self._parts[0])
         mechanism = self.project.mechanism
-        odd = check_dataset(loaded.dataset, {**mechanism.quantities, **mechanism.known})
+        own = {**mechanism.quantities, **mechanism.known}
+        odd = check_dataset(loaded.dataset, own, points=measured_points(mechanism))
         return (*odd, *self._repeated_files(), *self._folders_inside())
 
     def _repeated_files(self) -> Iterator[DataWarning]:

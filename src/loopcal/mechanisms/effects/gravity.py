@@ -12,15 +12,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import cross, rotate, vector
 from loopcal.mechanisms.chain import Step, apply
 from loopcal.mechanisms.frame import Values, Vector
+from loopcal.mechanisms.keys import Key
 
 ACCELERATION = 9.80665
 """Standard gravity [m/s^2], 3rd CGPM (1901); the Earth's own differs by up to 0.3 %."""
+
+Point = Annotated[
+    tuple[float, float, float],
+    Key("Place of the load in the frame directly behind the motion of that joint.", unit="m"),
+]
+Mass = Annotated[
+    float | None,
+    Key("Mass, for all loads or for none; without it, masses and compliance are one.", unit="kg"),
+]
 
 
 @dataclass(frozen=True)
@@ -33,10 +43,10 @@ class Load:
     Raises InputError for a mass that is not positive.
     """
 
-    name: str
-    joint: str
-    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    mass: float | None = None
+    name: Annotated[str, Key("Name of the load; ends the names of its parameters.")]
+    joint: Annotated[str, Key("The joint that the load moves with.")]
+    point: Point = (0.0, 0.0, 0.0)
+    mass: Mass = None
 
     def __post_init__(self) -> None:
         if self.mass is not None and not 0.0 < self.mass < math.inf:
