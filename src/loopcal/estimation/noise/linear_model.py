@@ -100,7 +100,7 @@ def linear_model(
         if skip:
             reflections = eliminate(columns)
             f, J, D = (reflections.apply(part) for part in (f, J, D))
-e = np.einsum("kmb,kb->mb", J[:, skip:], block.corrections[measured]) - f[skip:]
+        e = np.einsum("kmb,kb->mb", J[:, skip:], block.corrections[measured]) - f[skip:]
         G = loadings(J[:, skip:], noise).transpose(2, 0, 1)
         rows = [[measured.index(i) for i in c if i in noise.measured] for c in components]
         own = [i for c in rows for i in c]
