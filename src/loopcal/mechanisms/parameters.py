@@ -140,5 +140,9 @@ def declared(parameters: Mapping[str, object]) -> Parameters:
                 remedy="give (value, unit), for example (0.8, 'm')",
             ) from None
         its = unit(str(unit_name))
-        items.append(Parameter(name, number * its.factor, its.si))
+        items.append(
+            Parameter(
+                name, number * its.factor + its.zero if its.zero else number * its.factor, its.si
+            )
+        )
     return Parameters(tuple(items))

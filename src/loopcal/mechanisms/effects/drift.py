@@ -15,7 +15,7 @@ from loopcal.mechanisms.frame import Values
 from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
-from loopcal.units import unit
+from loopcal.units import difference_to_si, to_si, unit
 
 DRIFT_SD, SHIFT_SD = 1e-3, 1e-2
 """Prior sds [m or rad]: 1 mm or 1 mrad over a drift's span, 10 mm or 10 mrad at a shift."""
@@ -63,8 +63,8 @@ class Drift:
 
     def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
         """The parameters as they are at t."""
-        its = unit(self.unit)
-        share = (x[self.column] - self.since * its.factor) * (1.0 / (self.over * its.factor))
+        since, over = to_si(self.since, self.unit), difference_to_si(self.over, self.unit)
+        share = (x[self.column] - since) * (1.0 / over)
         names = [parameter.name for parameter in _meant(mechanism, self.changing)]
         return {name: p[name] + p[f"{name}_drift"] * share for name in names}
 
@@ -121,7 +121,7 @@ class Shift:
     @property
     def _at(self) -> list[float]:
         """Beginnings of the segments [SI]."""
-        return [a * unit(self.unit).factor for a in self.at]
+        return [to_si(a, self.unit) for a in self.at]
 
 
 def _from_name(parameter: str, begin: float) -> str:
