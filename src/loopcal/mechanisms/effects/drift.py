@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.mechanisms.effects.effect import Changing, Name
+from loopcal.mechanisms.effects.effect import Changing, Name, meant
 from loopcal.mechanisms.frame import Values
 from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
@@ -54,7 +54,7 @@ class Drift:
         """P_drift of each parameter, in its unit."""
         return {
             f"{p.name}_drift": Parameter(f"{p.name}_drift", 0.0, p.unit, DRIFT_SD)
-            for p in _meant(mechanism, self.changing)
+            for p in meant(mechanism, self.changing)
         }
 
     def known(self, mechanism: Mechanism) -> dict[str, str]:
@@ -65,7 +65,7 @@ class Drift:
         """The parameters as they are at t."""
         since, over = to_si(self.since, self.unit), difference_to_si(self.over, self.unit)
         share = (x[self.column] - since) * (1.0 / over)
-        names = [parameter.name for parameter in _meant(mechanism, self.changing)]
+        names = [parameter.name for parameter in meant(mechanism, self.changing)]
         return {name: p[name] + p[f"{name}_drift"] * share for name in names}
 
 
@@ -100,7 +100,7 @@ class Shift:
         """P_fromA of each parameter and segment, in the parameter's unit."""
         return {
             (own := _from_name(p.name, a)): Parameter(own, 0.0, p.unit, SHIFT_SD)
-            for p in _meant(mechanism, self.changing)
+            for p in meant(mechanism, self.changing)
             for a in self._at
         }
 
@@ -115,7 +115,7 @@ class Shift:
         return {
             name: p[name]
             + sum(p[_from_name(name, a)] * share for a, share in zip(self._at, within, strict=True))
-            for name in (parameter.name for parameter in _meant(mechanism, self.changing))
+            for name in (parameter.name for parameter in meant(mechanism, self.changing))
         }
 
     @property
@@ -132,9 +132,3 @@ def _from(begin: float, t: Any) -> Any:
     """1 where t >= begin, else 0; t is a known constant, so no derivative is ever taken."""
     past = t - float(np.nextafter(begin, -math.inf))
     return 0.5 * (1.0 + past / abs(past))
-
-
-def _meant(mechanism: Mechanism, patterns: tuple[str, ...]) -> list[Parameter]:
-    """The parameters that names or globs stand for."""
-    names = dict.fromkeys(n for pattern in patterns for n in mechanism.parameters.matching(pattern))
-    return [mechanism.parameters[name] for name in names]
