@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -88,13 +89,14 @@ def _some(noise: Noise, index: NDArray[np.intp]) -> Noise:
 
 def _by_pose(noise: Noise, stated: Callable[[Any], Array]) -> Noise:
     """The noise with something else for what is stated pose by pose."""
-    entries = {
+    part = copy(noise)  # with its sources
+    part.entries = {
         key: stated(key)
         if isinstance(value, np.ndarray) and value.ndim == (3 if isinstance(key, tuple) else 1)
         else value
         for key, value in noise.entries.items()
     }
-    return Noise(entries, estimate=noise.estimate)
+    return part
 
 
 def _together(parts: list[Chunk]) -> Chunk:

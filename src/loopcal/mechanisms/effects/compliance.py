@@ -13,7 +13,14 @@ from typing import Annotated, Any
 
 from loopcal.errors import InputError
 from loopcal.mechanisms.effects.effect import Name, joints
-from loopcal.mechanisms.effects.gravity import ACCELERATION, Load, acting, carries, unit_forces
+from loopcal.mechanisms.effects.gravity import (
+    ACCELERATION,
+    Load,
+    acting,
+    carries,
+    refuse_beyond,
+    unit_forces,
+)
 from loopcal.mechanisms.frame import Values
 from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
@@ -86,6 +93,8 @@ class Compliance:
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """One for each joint or parameter that yields, lumped: for each load on it as well."""
         made: dict[str, Parameter] = {}
+        for load in self.loads:
+            refuse_beyond(mechanism, load)
         for name in self._yielding(mechanism):
             si = self._unit(mechanism, name)
             loads = [load for load in self.loads if carries(mechanism.chain, name, load)]

@@ -19,6 +19,7 @@ from loopcal.expressions.vectors import cross, rotate, vector
 from loopcal.mechanisms.chain import Step, apply
 from loopcal.mechanisms.frame import Values, Vector
 from loopcal.mechanisms.keys import Key
+from loopcal.mechanisms.mechanism import Mechanism
 
 ACCELERATION = 9.80665
 """Standard gravity [m/s^2], 3rd CGPM (1901); the Earth's own differs by up to 0.3 %."""
@@ -73,6 +74,29 @@ def end_of(chain: Sequence[Step], load: Load) -> int:
             remedy="name the joint behind which it sits",
         )
     return found[-1] + 1
+
+
+def refuse_beyond(mechanism: Mechanism, load: Load) -> None:
+    """Raise InputError for a load farther from its joint than the whole chain is long.
+
+    The length is the sum of the chain's nominal lengths; a chain that slides has none.
+    """
+    lengths = [step for step in mechanism.chain if step.motion[0] == "t"]
+    if any(step.joint for step in lengths):
+        return
+    nominal = {p.name: p.nominal for p in mechanism.parameters}
+    size = sum(abs(step.amount({}, nominal)) for step in lengths)
+    away = math.hypot(*load.point)
+    if 0.0 < size < away:
+        meant = (
+            " and lies within the machine if millimetres are meant" if away <= 1e3 * size else ""
+        )
+        raise InputError(
+            f"the load {load.name!r} lies {away:.4g} m from its joint {load.joint!r}{meant}; the "
+            f"whole machine is {size:.3g} m long",
+            remedy='give the point in metres, or state its unit: { value = 150, unit = "mm" } or '
+            'units = { length = "mm" }',
+        )
 
 
 def carries(chain: Sequence[Step], name: str, load: Load) -> bool:

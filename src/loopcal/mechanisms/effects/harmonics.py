@@ -47,7 +47,7 @@ class Harmonics:
                 f"the orders of {self.name!r} are {list(self.orders)}",
                 remedy="give positive numbers: 1 for once per turn of the joint",
             )
-        if len({*self.orders}) < len(self.orders):
+        if len({f"{k:.12g}" for k in self.orders}) < len(self.orders):
             raise InputError(
                 f"the orders of {self.name!r} are {list(self.orders)}, one of them twice",
                 remedy="give each order once",
