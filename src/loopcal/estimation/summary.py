@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from loopcal.estimation.on_request import ModelComparison, Validation
     from loopcal.estimation.result import Result
 
-SHOWN = {"m": "mm", "rad": "deg"}
+SHOWN = {"m": "mm", "rad": "deg", "m/K": "um/K", "rad/K": "urad/K"}
 """Units in which SI values are printed, because they are the ones drawings and controllers use."""
 FINE = {"m": "um", "rad": "urad"}
 """Units in which sds of sensors are printed."""
