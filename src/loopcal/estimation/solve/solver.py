@@ -3,9 +3,17 @@
 It minimises a merit Phi(p) (`loopcal.estimation.solve.merit`), whose gradient is
 -2 (sum D^T E - prior), exact where the loops are closed. A step is tried in full. It is damped
 (Levenberg 1944, Marquardt 1963) only if Phi does not fall as predicted, so that near the solution
-this is the seed's iteration (3.24) to (3.30). Far from the solution, a trial is linearised where
-the readings stand, because closing the loops of every trial would be wasted work. Its loops are
-closed only when that estimate rejects the step. The end point always has closed loops.
+this is the iteration of the thesis, (3.24) to (3.30).
+
+Where poses are alike, Phi has long, narrow, curved valleys. A search that must descend at every
+step follows them in hundreds of tiny steps. Here a step that keeps the direction of the one before
+may raise Phi, because the next step leads back to the floor of the valley (Transtrum and Sethna
+2012). The lowest point is kept. The search returns to it, and only descends from there on, if it
+does not find a lower one in time. So the merit never ends higher than it began.
+
+Far from the solution, a trial is linearised where the readings stand, because closing the loops of
+every trial would be wasted work. Its loops are closed only when that estimate rejects the step.
+The end point always has closed loops.
 """
 
 from __future__ import annotations
@@ -43,9 +51,21 @@ RELATIVE_STEP = 1e-11
 suggest: parameters then have ten digits. With large noise a step gains only two or three."""
 _NEGLIGIBLE_STEP = 1e-6
 """The next step must be this small; if it no longer shrinks, only rounding is left."""
+_NO_LONGER = 0.8
+"""The decrement no longer shrinks when it keeps this share from one step to the next."""
 _LAST_STEP = 0.1
 """Steps this small are taken with closed loops, so that the point they end at is final."""
-_MOST_DAMPING = 1e6
+_MOST_DAMPING = 1e8
+_RAISED, _RAISED_MOST = 2.0, 10.0
+"""A rejected step raises the damping twofold, the next one fourfold, and so on up to tenfold."""
+_POOR, _GOOD = 0.0, 0.75
+"""The damping rises when the merit rose, falls threefold when it fell, and tenfold when it fell by
+this share of what was predicted."""
+_AWAY = 30
+"""After so many iterations above its lowest merit the search returns to that point."""
+_VANISHED, _LOOSE = 1e-4, 1e-2
+"""A parameter whose effect on the loops shrinks to this share of what it was has run away, unless
+data and prior still determine it."""
 _FAR, _EXPLAINED = 100.0, 0.9
 """Where whitened residuals are this large (mean square) and parameters explain this share of
 them, the loops need not be closed yet."""
@@ -128,38 +148,65 @@ class _Solver(Generic[State]):
         self.floor = 0.0
         self.iterations = 0
         self.before = np.inf
+        self.damping = 0.0
+        self.last_step: Array | None = None
+        self.away = 0
+        self.descend = False  # at every step, after a search in vain above the lowest point
 
     def run(self, max_iterations: int, resume: Checkpoint[State] | None) -> End[State]:
         current = self._resumed(resume) if resume else self._first()
-        first = resume.first if resume else self._place(current)
-        damping = resume.damping if resume else 0.0
+        assert current.spectrum is not None
+        if resume:
+            self.first, self.lowest, self.effects = resume.first, resume.lowest, resume.effects
+        else:
+            self.first = self.lowest = self._place(current)
+            self.effects = current.found.data.lengths
         while True:
             assert current.spectrum is not None
             if not self.triangular and current.spectrum.condition > WELL_CONDITIONED:
                 self.triangular = True
                 current = self._evaluate(current.parameters, current.found.state)
                 continue
+            if current.merit < self.lowest.merit:
+                self.lowest, self.away = self._place(current), 0
+            elif self._higher(current) and (self.away > _AWAY or self._settled(current)):
+                current = self._returned()
+                continue
             if self._settled(current):
                 if current.found.step <= NEGLIGIBLE or current.closed == _CLOSED:
                     return self._converged(current)
                 current = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
                 if current.spectrum is None:
-                    return self._give_up(first, current, "cannot_close")
+                    return self._give_up(current, "cannot_close")
                 if self._settled(current):
                     continue
             assert current.spectrum is not None
             if self.iterations >= max_iterations:
-                return self._give_up(first, current, "max_iterations")
+                return self._give_up(current, "max_iterations")
             if self.reached:
-                self.reached(self._checkpoint(first, current, damping))
+                self.reached(self._checkpoint(current))
             self.iterations += 1
             if self.progress:
                 self.progress(self.iterations, current.merit, current.spectrum.decrement)
-            trial, damping = self._advance(current, damping)
+            self.away += 1
+            trial = self._advance(current)
+            if trial is None and self._higher(current):
+                trial = self._returned()
             if trial is None:
-                return self._stalled(first, current)
+                return self._stalled(current)
             self.before = current.spectrum.decrement
             current = trial
+
+    def _higher(self, point: _Point[State]) -> bool:
+        """Whether the search has left its lowest point for one that is higher by more than what
+        loops that are not quite closed make uncertain."""
+        return point.merit > self.lowest.merit + self._limit(point, _LAST_STEP)
+
+    def _returned(self) -> _Point[State]:
+        """The lowest point, from which every step must descend."""
+        self.descend, self.last_step, self.away = True, None, 0
+        self.damping, self.before = 0.0 if self.damping >= _MOST_DAMPING else self.damping, np.inf
+        return self._evaluate(self.lowest.parameters, self.lowest.state, self.lowest.closing)
 
     def _first(self) -> _Point[State]:
         start = self.unknowns.start
@@ -172,15 +219,18 @@ class _Solver(Generic[State]):
             return self._evaluate(start, found.state, _NEAR)
         return point
 
-    def _checkpoint(
-        self, first: Place[State], current: _Point[State], damping: float
-    ) -> Checkpoint[State]:
+    def _checkpoint(self, current: _Point[State]) -> Checkpoint[State]:
         return Checkpoint(
-            first,
+            self.first,
             self._place(current),
-            damping,
+            self.lowest,
+            self.effects,
+            self.last_step,
+            self.damping,
             self.before,
             self.floor,
+            self.away,
+            self.descend,
             self.triangular,
             self.iterations,
             self.counted + self.merit.evaluations,
@@ -190,7 +240,8 @@ class _Solver(Generic[State]):
         return Place(point.parameters, point.found.state, point.found.closing, point.merit)
 
     def _resumed(self, kept: Checkpoint[State]) -> _Point[State]:
-        self.before, self.floor = kept.before, kept.floor
+        self.before, self.floor, self.damping = kept.before, kept.floor, kept.damping
+        self.last_step, self.away, self.descend = kept.last_step, kept.away, kept.descend
         self.triangular, self.iterations = kept.triangular, kept.iterations
         place = kept.current
         point = self._evaluate(place.parameters, place.state, place.closing)
@@ -204,14 +255,15 @@ class _Solver(Generic[State]):
         closing: float | None = None,
         contraction: float = 1.0,
     ) -> _Point[State]:
-        found = self.merit.evaluate(
-            parameters,
-            state,
-            triangular=self.triangular,
-            closing=closing,
-            contraction=contraction,
-        )
-        return self._point(parameters, found)
+        with np.errstate(over="ignore", invalid="ignore"):  # a trial far off may overflow
+            found = self.merit.evaluate(
+                parameters,
+                state,
+                triangular=self.triangular,
+                closing=closing,
+                contraction=contraction,
+            )
+            return self._point(parameters, found)
 
     def _point(self, parameters: Array, found: Evaluation[State]) -> _Point[State]:
         merit = found.cost + self.unknowns.prior_square(parameters)
@@ -222,36 +274,39 @@ class _Solver(Generic[State]):
             system = spectrum(found.data, offset, self.unknowns.prior_sd)
         return _Point(parameters, found, np.inf if bad else merit, system, found.closing)
 
-    def _advance(
-        self, current: _Point[State], damping: float
-    ) -> tuple[_Point[State] | None, float]:
-        """The next accepted point, None where no step lowers the merit; and the damping then."""
-        while damping < _MOST_DAMPING:
+    def _advance(self, current: _Point[State]) -> _Point[State] | None:
+        """The next accepted point; None where no step is accepted."""
+        raised = _RAISED
+        while self.damping < _MOST_DAMPING:
             system = current.spectrum
             assert system is not None
-            predicted = system.predicted(damping)
-            parameters = self.unknowns.moved(current.parameters, system.step(damping))
-            trial = self._try(current, parameters, predicted)
+            predicted = system.predicted(self.damping)
+            step = system.step(self.damping)
             weakest = float(np.square(system.singular_values[system.kept].min(initial=1.0)))
+            trial = self._try(current, step, predicted)
             if trial is not None:
+                self.last_step = step
                 gain = (current.merit - trial.merit) / predicted if predicted > 0 else 1.0
-                if gain < 0.25:
-                    return trial, max(4 * damping, 0.1 * weakest)
-                damping = damping / 10 if gain > 0.75 else damping
-                return trial, damping if damping > 1e-3 * weakest else 0.0
+                if gain < _POOR:
+                    self.damping = max(2.0 * self.damping, 0.1 * weakest)
+                else:
+                    self.damping /= 10.0 if gain > _GOOD else 3.0
+                    self.damping *= self.damping > 1e-3 * weakest
+                return trial
             if current.closed in (None, _ONCE):
                 closed = self._evaluate(current.parameters, current.found.proposal, _NEAR)
                 if math.isfinite(closed.merit) and closed.spectrum is not None:
                     current = closed
                     continue
                 current = replace(current, closed=_NEAR)
-            damping = max(10 * damping, 0.1 * weakest)
-        return None, damping
+            self.damping = max(raised * self.damping, 0.1 * weakest)
+            raised = min(raised * _RAISED, _RAISED_MOST)
+        return None
 
-    def _try(
-        self, current: _Point[State], parameters: Array, predicted: float
-    ) -> _Point[State] | None:
-        """The point at these parameters if its merit falls as it should, else None."""
+    def _try(self, current: _Point[State], step: Array, predicted: float) -> _Point[State] | None:
+        """The point after a step if its merit falls as it should, or may rise; else None."""
+        assert current.spectrum is not None
+        parameters = self.unknowns.moved(current.parameters, step)
         far = self._far(current, predicted)
         last = predicted <= self._limit(current, _LAST_STEP)
         start = current.found.state if far else current.found.proposal
@@ -260,7 +315,16 @@ class _Solver(Generic[State]):
             trial = self._evaluate(parameters, start, closing, current.found.contraction)
             if self._worth(current, trial, predicted):
                 return trial
-        return None
+        turned = self._turned(current.spectrum.scale, step)
+        rises = not far and trial.spectrum is not None and turned < 1.0
+        return trial if rises and turned * trial.merit <= current.merit else None
+
+    def _turned(self, scale: Array, step: Array) -> float:
+        """One minus the cosine between a step and the one before, in scaled parameters."""
+        if self.descend or self.last_step is None:
+            return 1.0
+        one, two = step / scale, self.last_step / scale
+        return 1.0 - float(one @ two) / max(math.sqrt((one @ one) * (two @ two)), 1e-300)
 
     def _far(self, point: _Point[State], predicted: float) -> bool:
         """Whether parameters explain nearly all of a large misclosure: then readings can wait."""
@@ -282,7 +346,7 @@ class _Solver(Generic[State]):
         if not self._negligible(point):
             return False
         rate = min(decrement / self.before, 1.0) if math.isfinite(self.before) else 1.0
-        stuck = math.isfinite(self.before) and rate > 0.25
+        stuck = math.isfinite(self.before) and rate > _NO_LONGER
         return stuck or rate * decrement <= self._limit(point, self.tolerance)
 
     def _negligible(self, point: _Point[State]) -> bool:
@@ -307,26 +371,35 @@ class _Solver(Generic[State]):
         parameters = self.unknowns.moved(point.parameters, point.spectrum.step())
         start, contraction = point.found.proposal, point.found.contraction
         closed = self.merit.close(parameters, start, RELATIVE_STEP, contraction)
+        reason = "runaway" if self._vanished(point).any() else "converged"
         if closed is None:
-            return self._solution(point, "converged")
-        return self._solution(replace(point, parameters=parameters), "converged", closed)
+            return self._solution(point, reason)
+        return self._solution(replace(point, parameters=parameters), reason, closed)
 
-    def _stalled(self, first: Place[State], current: _Point[State]) -> End[State]:
+    def _vanished(self, point: _Point[State]) -> NDArray[np.bool_]:
+        """Which parameters have lost their effect on the way and are no longer determined, (n,)."""
+        assert point.spectrum is not None
+        loose = np.square(point.spectrum.directions[:, ~point.spectrum.kept]).sum(axis=1) > _LOOSE
+        gone = point.found.data.lengths < _VANISHED * self.effects
+        return np.asarray(gone & loose)
+
+    def _stalled(self, current: _Point[State]) -> End[State]:
         """The end where no step lowers the merit: given up, unless only rounding is in the way."""
         end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
         if self._negligible(end):
             return self._converged(end)
-        return self._give_up(first, current, "stalled")
+        return self._give_up(current, "stalled")
 
-    def _give_up(self, first: Place[State], current: _Point[State], reason: str) -> End[State]:
+    def _give_up(self, current: _Point[State], reason: str) -> End[State]:
         end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
         late = end.found.late
         if late or end.spectrum is None:
             end = replace(current, closed=None)
             reason = "cannot_close"
-        if not end.merit <= first.merit:
-            start = self._evaluate(first.parameters, first.state, _CLOSED)
-            end = start if start.merit <= end.merit else end
+        for place in (self.lowest, self.first):
+            if not end.merit <= place.merit:
+                other = self._evaluate(place.parameters, place.state, _CLOSED)
+                end = other if other.merit <= end.merit else end
         return self._solution(end, reason, late=late)
 
     def _solution(
@@ -340,6 +413,9 @@ class _Solver(Generic[State]):
         if reason == "cannot_close" and late:
             detail = f"Poses: {', '.join(late.poses)}."
         assert end.spectrum is not None
+        if reason == "runaway":
+            gone = np.flatnonzero(self._vanished(end))
+            detail = f"Parameters: {', '.join(self.unknowns.names[i] for i in gone)}."
         if reason in ("max_iterations", "stalled"):
             detail = _weakness(hardly_determined(end.spectrum, self.unknowns.names))
         evaluations = (self.counted + self.merit.evaluations) / end.found.poses

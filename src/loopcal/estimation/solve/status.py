@@ -15,6 +15,10 @@ REASONS = {
         "nominal values and units, scale sds that differ by many orders of magnitude, or give "
         "weakly determined parameters a prior sd."
     ),
+    "runaway": (
+        "Chi-squared falls towards infinite parameters: some have lost all effect on the loops. "
+        "Start nearer, give them a prior sd, or fix them."
+    ),
     "diverged": (
         'The undamped iteration ran away. Use method "implicit-loop", which damps its steps, '
         "or start nearer."
