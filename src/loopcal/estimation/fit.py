@@ -93,7 +93,8 @@ class Fit:
     @classmethod
     def of(cls, fit: Fit | None, options: FitOptions) -> Fit:
         """The settings given as one value, as keyword arguments, or both: these then win."""
-        return (fit or cls()).changed(**options)
+        given = fit or cls()
+        return given.changed(**options) if options else given
 
     def changed(self, **options: Unpack[FitOptions]) -> Fit:
         """These settings with others in place of some."""
