@@ -82,7 +82,9 @@ def unit(name: str) -> Unit:
     key = name.strip()
     key = _SPELLINGS.get(key, key)
     if key not in _UNITS:
-        raise InputError(f"unit {name!r} is not known", remedy=nearest(name, _UNITS))
+        raise InputError(
+            f"unit {name!r} is not known", code="unknown-unit", remedy=nearest(name, _UNITS)
+        )
     return _UNITS[key]
 
 

@@ -87,10 +87,13 @@ def calibrate(
     with its status saying so.
     """
     if method not in METHODS:
-        raise InputError(f"there is no method {method!r}", remedy=nearest(method, METHODS))
+        raise InputError(
+            f"there is no method {method!r}", code="unknown-name", remedy=nearest(method, METHODS)
+        )
     if noise is None and method != "least-squares":
         raise InputError(
             f"the method {method!r} needs to know how uncertain the readings are",
+            code="missing-sd",
             remedy="give noise=Noise({...}) with an sd for every quantity, "
             'or use method="least-squares"',
         )
@@ -139,12 +142,14 @@ def _check_loss(loss: str, method: str, noise: Noise | None) -> None:
         raise InputError(
             f"the loss {loss!r} needs to know how far off a pose may be, which the method "
             f"{method!r} does not",
+            code="unsupported",
             remedy='use method = "implicit-loop" or "reweighted" with the sds of the readings',
         )
     if noise is not None and noise.estimate:
         raise InputError(
             f"sds cannot be estimated under the loss {loss!r}: how bad readings scatter would "
             "become part of them",
+            code="unsupported",
             remedy="find the outliers with this loss first and exclude them, then estimate; or "
             'take the sds as given (leave out "estimate")',
         )
@@ -158,7 +163,9 @@ def _started(
             mechanism.parameters[name]  # raises for a name that is not there
         return build_problem(mechanism, data, noise, start)
     if start not in STARTS:
-        raise InputError(f"there is no start {start!r}", remedy=nearest(start, STARTS))
+        raise InputError(
+            f"there is no start {start!r}", code="unknown-name", remedy=nearest(start, STARTS)
+        )
     problem = build_problem(mechanism, data, noise)
     if begins_aligned(mechanism, start):
         moved, _ = placed(problem)

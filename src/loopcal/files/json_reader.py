@@ -25,19 +25,26 @@ def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:
     except json.JSONDecodeError as error:
         raise InputError(
             f"this is not valid JSON: {error.msg}",
+            code="invalid-syntax",
             place=f"{path}, line {error.lineno}, column {error.colno}",
             remedy=remedy,
         ) from None
     except (UnicodeDecodeError, RecursionError, ValueError) as error:
         why = str(error) if type(error) is ValueError else "it is no text of that form"
-        raise InputError(f"this is not valid JSON: {why}", place=str(path), remedy=remedy) from None
+        raise InputError(
+            f"this is not valid JSON: {why}", code="invalid-syntax", place=str(path), remedy=remedy
+        ) from None
     if not isinstance(document, dict) or "schema" not in document:
         raise InputError(
-            f"this is no {kind}: it does not say its schema", place=str(path), remedy=remedy
+            f"this is no {kind}: it does not say its schema",
+            code="wrong-file-type",
+            place=str(path),
+            remedy=remedy,
         )
     if document["schema"] is True or document["schema"] != schema:
         raise InputError(
             f"schema is {document['schema']!r}, and only schema {schema} can be read",
+            code="wrong-schema",
             place=f"{path}: schema",
             remedy="use the loopcal that wrote this file, or write it anew",
         )

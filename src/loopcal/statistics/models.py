@@ -68,6 +68,7 @@ def compare_models(
     if not models:
         raise InputError(
             "no model is stated to compare with the geometric one",
+            code="missing-key",
             remedy='state one or more: in a project [[compare.model]] with name = "..." and '
             "effects = [...]",
         )
@@ -125,6 +126,7 @@ def _judged(models: Sequence[ComparedModel], groups: Mapping[str, int]) -> list[
     if not known:
         raise NoTrustworthyResult(
             "no model could be validated: " + "; ".join(f"{m.name}: {m.failed}" for m in models),
+            code="not-converged",
             remedy="calibrate one of them alone and see what its summary says",
         )
     best = max(known, key=_likelihood)

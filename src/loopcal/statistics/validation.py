@@ -167,6 +167,7 @@ def _left_out(begun: _Begun, index: Index) -> _Predicted:
             raise NoTrustworthyResult(
                 f"the fit without {len(index)} of {len(given.data)} poses did not converge "
                 f"({found.status.reason}), so they cannot be predicted",
+                code="not-converged",
                 remedy="use fewer parts, or look at what the summary says of the fit of all poses",
             )
         return _predicted(found, given.data.take(index), taken(given.noise, index), index)
@@ -236,7 +237,9 @@ def compare_methods(
     Raises InputError as `validate` does, and without any method.
     """
     if not methods:
-        raise InputError("no method is given to compare", remedy="name one or more")
+        raise InputError(
+            "no method is given to compare", code="missing-key", remedy="name one or more"
+        )
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
     found = {name: validate(mechanism, data, **how, **validation) for name, how in methods.items()}

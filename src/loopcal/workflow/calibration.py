@@ -85,7 +85,9 @@ def run_calibration(
     executor without work.
     """
     if method is not None and method not in METHODS:
-        raise UsageError(f"there is no method {method!r}", remedy=nearest(method, METHODS))
+        raise UsageError(
+            f"there is no method {method!r}", code="unknown-name", remedy=nearest(method, METHODS)
+        )
     read = named_project(project, function)
     folder = default_folder(read) if out is None else Path(out)
     true = None if truth is None else read_truth(truth, read.mechanism)

@@ -29,6 +29,7 @@ def refuse_too_few(problem: Problem) -> None:
         raise InputError(
             f"{problem.equations} loop equations ({len(problem.poses)} poses) cannot determine "
             f"{needed} parameters without prior knowledge",
+            code="too-few-poses",
             remedy="measure more poses, fix parameters, or give them a finite prior sd",
         )
 
@@ -41,6 +42,7 @@ def _blind(problem: Problem, pattern: Pattern) -> InputError:
         f"pose {problem.poses[first]!r} has {len(names)} unmeasured quantities "
         f"({', '.join(names)}) and only {len(pattern.loops)} loop equations to find them: its "
         f"calibration index is {_words(problem, pattern)}",
+        code="undetermined-quantities",
         remedy="measure more quantities in this pose, or exclude it",
     )
 
@@ -50,6 +52,7 @@ def _without_redundancy(problem: Problem) -> InputError:
     if not problem.patterns:
         return InputError(
             "no pose has readings from which a loop could be closed",
+            code="no-data",
             remedy="give the columns of the instrument's readings, or measure with it",
         )
     pattern = problem.patterns[0]
@@ -59,6 +62,7 @@ def _without_redundancy(problem: Problem) -> InputError:
         f"{problem.mechanism.name!r} cannot be calibrated from these sensors: its calibration "
         f"index is {_words(problem, pattern)}. They say where the machine stands and nothing more, "
         "so any parameters would fit",
+        code="undetermined-quantities",
         remedy="add an instrument, or read a passive joint or another quantity that has no sensor"
         f"{unread}: each adds one equation to every pose",
     )

@@ -32,6 +32,7 @@ def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution
     if any(pattern.unmeasured for pattern in problem.patterns):
         raise InputError(
             "the undamped iteration of the seed knows no unmeasured quantities",
+            code="unsupported",
             remedy='use method = "implicit-loop"',
         )
     sweeper = Sweeper(problem)

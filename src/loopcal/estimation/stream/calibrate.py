@@ -63,7 +63,7 @@ def calibrate_stream(
     Raises InputError as `calibrate` does, and for what needs all poses at once.
     """
     if not stream.count:
-        raise InputError("the stream has no poses", remedy="give one pose at least")
+        raise InputError("the stream has no poses", code="no-data", remedy="give one pose at least")
     first = stream.chunk(0)
     _refuse(method, first.noise)
     if prior is not None:
@@ -111,12 +111,14 @@ def _refuse(method: str, noise: Noise) -> None:
     if method not in METHODS:
         raise InputError(
             f"the method {method!r} needs all poses in memory, and these come as a stream",
+            code="unsupported",
             remedy=f"use {' or '.join(map(repr, METHODS))}, or thin the poses (data.every) and say "
             "stream = false",
         )
     if noise.estimate and method != "least-squares":
         raise InputError(
             "sds are learnt from poses in memory, and these come as a stream",
+            code="unsupported",
             remedy="learn them from a part of the poses (data.every, stream = false), and state "
             "them here",
         )

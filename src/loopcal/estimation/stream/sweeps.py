@@ -83,6 +83,7 @@ class StreamMerit:
             raise InputError(
                 f"{found.equations} loop equations ({found.poses} poses) cannot determine "
                 f"{needed} parameters without prior knowledge",
+                code="too-few-poses",
                 remedy="measure more poses, fix parameters, or give them a finite prior sd",
             )
         return found

@@ -190,6 +190,7 @@ class ParquetStream:
         for missing in sorted(asked - set(found)):
             raise InputError(
                 f"there is no pose {missing!r} to leave out",
+                code="unknown-name",
                 place=self.name,
                 remedy="ids are compared as they are written",
             )
@@ -212,6 +213,7 @@ def project_stream(project: Project) -> ParquetStream | None:
         if spec.stream and path.is_file():
             raise InputError(
                 f"{path.name} is no Parquet file, and others are not read in chunks",
+                code="wrong-file-type",
                 place=str(place.at("stream")),
                 remedy="save it as Parquet, or leave stream out",
             )
@@ -222,6 +224,7 @@ def project_stream(project: Project) -> ParquetStream | None:
     if spec.joins:
         raise InputError(
             "readings in several files are joined in memory, and these come as a stream",
+            code="unsupported",
             place=str(place.at("join")),
             remedy="join the files beforehand, or say stream = false",
         )
@@ -294,6 +297,7 @@ def _rows(part: _Part, columns: dict[str, Column], pose: str | int | None) -> Ta
 def _elsewhere(file: ParquetFile, what: str) -> InputError:
     return InputError(
         f"on the machine {platform.node()!r} this file {what}",
+        code="unreadable-file",
         place=str(file.path),
         remedy="leave the readings alone while they are worked on; where work is shared out among "
         "machines, each must find them at this path, on a disk that all can read",

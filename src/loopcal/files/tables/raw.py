@@ -61,7 +61,12 @@ def existing_file(path: str | Path) -> Path:
     path = Path(path)
     try:
         if path.is_dir():
-            raise InputError("this is a folder", place=str(path), remedy="name a file inside it")
+            raise InputError(
+                "this is a folder",
+                code="wrong-file-type",
+                place=str(path),
+                remedy="name a file inside it",
+            )
         size = path.stat().st_size
         if path.is_file():  # a pipe can be opened only once
             path.open("rb").close()
@@ -81,13 +86,19 @@ def unreadable(path: Path, error: OSError | ValueError) -> InputError:
             beside = []
         close = nearest(path.name, beside) if beside else ""
         remedy = close if close.startswith("did") else "give the path of an existing file"
-        return InputError("there is no such file", place=str(path), remedy=remedy)
+        return InputError(
+            "there is no such file", code="missing-file", place=str(path), remedy=remedy
+        )
     if isinstance(error, PermissionError):
         return InputError(
-            "you may not read this file", place=str(path), remedy="ask for the right to read it"
+            "you may not read this file",
+            code="unreadable-file",
+            place=str(path),
+            remedy="ask for the right to read it",
         )
     return InputError(
         f"the file cannot be read ({getattr(error, 'strerror', None) or error})",
+        code="unreadable-file",
         place=str(path),
         remedy="name a readable file",
     )
@@ -95,7 +106,9 @@ def unreadable(path: Path, error: OSError | ValueError) -> InputError:
 
 def empty(name: str) -> InputError:
     """The error for a file without any data."""
-    return InputError("the file is empty", place=name, remedy="name a file with one row per pose")
+    return InputError(
+        "the file is empty", code="no-data", place=name, remedy="name a file with one row per pose"
+    )
 
 
 def sha256_of(path: Path) -> str:
@@ -135,6 +148,7 @@ def _read(stream: BinaryIO, file: str, stated: str | None) -> Text:
         if unended + first > BLOCK:
             raise InputError(
                 "this line is longer than 1 MB",
+                code="invalid-syntax",
                 place=f"{name}, row {row}",
                 remedy="end each pose by a line break; is this a table of numbers?",
             )
@@ -155,6 +169,7 @@ def _refuse_other_kinds(head: bytes, name: str) -> None:
         if head.startswith(start):
             raise InputError(
                 f"this is no text but {kind}",
+                code="wrong-file-type",
                 place=name,
                 remedy="give the file the ending of its kind, or save it as CSV",
             )
@@ -166,6 +181,7 @@ def _refuse_binary(block: bytes, name: str, row: int, *, first: bool) -> None:
         what = "a NUL byte" if found[0] == b"\0" else f"the control character 0x{found[0].hex()}"
         raise InputError(
             f"this is no text: it holds {what}",
+            code="wrong-file-type",
             place=f"{name}, row {row + block.count(bytes([10]), 0, found.start())}",
             remedy="save the table as CSV; if this is UTF-16 text, state encoding = 'utf-16'",
         )
@@ -197,6 +213,7 @@ def _as_utf8(data: bytes, encoding: str | None, name: str) -> bytes:
     except LookupError:
         raise InputError(
             f"the encoding {encoding!r} is not known",
+            code="unknown-name",
             place=name,
             remedy="state utf-8, utf-16, cp1252, ... or leave it out",
         ) from None
@@ -204,12 +221,14 @@ def _as_utf8(data: bytes, encoding: str | None, name: str) -> bytes:
         where = f" at byte {error.start}" if isinstance(error, UnicodeDecodeError) else ""
         raise InputError(
             f"the text is not {encoding or 'UTF-8 or cp1252'}{where}",
+            code="invalid-syntax",
             place=name,
             remedy="state another encoding, or save the table as UTF-8",
         ) from None
     if "\0" in text:
         raise InputError(
             "this is no text: it holds a NUL character",
+            code="wrong-file-type",
             place=f"{name}, row {text.count(chr(10), 0, text.index(chr(0))) + 1}",
             remedy="save the table as CSV",
         )

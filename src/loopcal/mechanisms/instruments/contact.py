@@ -154,6 +154,7 @@ def _directions(name: str, normal: Sequence[float], dimension: int) -> tuple[Any
     if dimension == 2 and (given[2] or not given.any()):
         raise InputError(
             f"the nominal normal of {name!r} is {list(normal)}, and the machine moves in a plane",
+            code="unsupported",
             remedy="give a direction in the plane, say [0, 1, 0]",
         )
     n_0 = given / np.linalg.norm(given)
@@ -185,6 +186,7 @@ def socket(
     if len(own) != dimension:
         raise InputError(
             f"the socket {name!r} has {len(own)} gaps in a space of {dimension}",
+            code="wrong-shape",
             remedy=f"name {dimension}",
         )
     fixed = Target.named(name, dimension)
