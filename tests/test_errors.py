@@ -112,8 +112,8 @@ def codes_used() -> set[str]:
                         continue
                 case _:
                     continue
-            texts = [t.value for t in ast.walk(value) if isinstance(t, ast.Constant)]
-            found |= {text for text in texts if text in get_args(Code)}
+            texts = {str(t.value) for t in ast.walk(value) if isinstance(t, ast.Constant)}
+            found |= texts & {*get_args(Code)}
     return found
 
 

@@ -20,10 +20,9 @@ from loopcal.files.tables.columns import (
     wanted,
 )
 from loopcal.files.tables.delimited import read_delimited
-from loopcal.files.tables.matlab import read_matlab
+from loopcal.files.tables.isolated import read_isolated
 from loopcal.files.tables.parquet import parquet_files, read_parquet
 from loopcal.files.tables.raw import read_text
-from loopcal.files.tables.spreadsheet import read_spreadsheet
 from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Array, Dataset, checked_every
 from loopcal.measurements.poses import asked_ids, positions_of
@@ -206,11 +205,13 @@ def _table(
     kind = _kind(path, how)
     if isinstance(path, str | Path):
         if kind == "XLSX":
-            return read_spreadsheet(path, sheet=how.sheet, header=how.header, decimal=how.decimal)
+            stated = {"sheet": how.sheet, "header": how.header, "decimal": how.decimal}
+            return read_isolated(kind, path, **stated)
         if kind == "Parquet":
             return read_parquet(path, wanted=asked, **rows)
         if kind == "MATLAB":
-            return read_matlab(path, variable=how.variable, wanted=asked)
+            names = None if asked is None else [*asked]
+            return read_isolated(kind, path, variable=how.variable, wanted=names)
     return read_delimited(
         read_text(path, how.encoding),
         delimiter=how.delimiter,
