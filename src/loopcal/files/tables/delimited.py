@@ -127,9 +127,7 @@ def _fast(text: Text, dialect: Dialect) -> Table | None:
             separator=dialect.delimiter,
             quote_char=None,
             infer_schema=False,
-            empty_string_is_null=False,
-            extra_columns="raise",
-        )
+        ).fill_null("")
     except pl.exceptions.PolarsError:
         return None
     # No row is longer than the first, and the delimiters add up: then no row is shorter either.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -27,7 +27,7 @@ from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Array, Dataset, checked_every
 from loopcal.measurements.poses import asked_ids, positions_of
 from loopcal.measurements.source import Source, row_name
-from loopcal.units import to_si, unit
+from loopcal.units import difference_to_si, to_si, unit
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,8 @@ def dataset_of(
     source: what is known of the file; its rows and columns are filled in here.
     """
 
-    def values(column: str | int, given: str | None) -> Array:
-        numbers = to_si(table.numbers(table.position(column), keep), given or "1")
+    def values(column: str | int, given: str | None, si: Callable[..., Array] = to_si) -> Array:
+        numbers = si(table.numbers(table.position(column), keep), given or "1")
         numbers.flags.writeable = False  # is kept then, without another copy
         return numbers
 
@@ -142,7 +142,7 @@ def dataset_of(
         {q: values(c.column, c.unit) for q, c in asked.items()},
         {q: unit(u).si for q, u in stated.items()},
         tuple(ids) if len(keep) == len(ids) else tuple(ids[i] for i in keep.tolist()),
-        {q: values(column, given) for q, (column, given) in with_sd.items()},
+        {q: values(c, given, difference_to_si) for q, (c, given) in with_sd.items()},
         replace(
             source,
             rows=table.rows[keep],

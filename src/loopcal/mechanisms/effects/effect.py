@@ -122,6 +122,15 @@ def joints(mechanism: Mechanism, patterns: Sequence[str], unit: str | None = Non
     return list(found)
 
 
+def meant(mechanism: Mechanism, patterns: Sequence[str]) -> list[Parameter]:
+    """The parameters that names or globs stand for.
+
+    Raises InputError for one that stands for none.
+    """
+    names = dict.fromkeys(n for pattern in patterns for n in mechanism.parameters.matching(pattern))
+    return [mechanism.parameters[name] for name in names]
+
+
 def _meaning(
     mechanism: Mechanism, effects: Sequence[Effect], x: Values, p: Values
 ) -> tuple[dict[str, Any], dict[str, Any]]:
