@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
-from loopcal.estimation.problem.problem import Pattern, Problem
+from loopcal.estimation.problem.patterns import Pattern
+from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.mechanisms.mechanism import Mechanism
