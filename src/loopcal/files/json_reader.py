@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any, NoReturn
 
 from loopcal.errors import InputError
 from loopcal.files.tables.raw import bytes_of
 
+_ESCAPED_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 MOST_BYTES = 1_000_000_000
 
 
@@ -34,6 +36,16 @@ def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:
     except (UnicodeDecodeError, RecursionError, ValueError) as error:
         why = str(error) if type(error) is ValueError else "it is no text of that form"
         raise InputError(f"this is not valid JSON: {why}", place=str(path), remedy=remedy) from None
+    if _ESCAPED_SURROGATE.search(content):
+        try:
+            json.dumps(document, ensure_ascii=False).encode("utf-8")
+        except UnicodeEncodeError as error:
+            raise InputError(
+                "this is not valid JSON: it holds half a character "
+                f"(\\u{ord(error.object[error.start]):04x})",
+                place=str(path),
+                remedy=remedy,
+            ) from None
     if not isinstance(document, dict) or "schema" not in document:
         raise InputError(
             f"this is no {kind}: it does not say its schema", place=str(path), remedy=remedy
