@@ -49,7 +49,8 @@ class _Local(Executor):
     def __post_init__(self) -> None:
         if not 1 <= self.workers <= MOST_WORKERS:
             raise UsageError(
-                f"workers is {self.workers}", remedy=f"give a number from 1 to {MOST_WORKERS}"
+                f"{self.workers} workers cannot be started",
+                remedy=f"give a number from 1 to {MOST_WORKERS}",
             )
 
     @property

@@ -26,7 +26,7 @@ def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:
             f"the file is larger than {MOST_BYTES / 1e9:g} GB", place=str(path), remedy=remedy
         )
     try:
-        document = json.loads(content, parse_constant=_refused)
+        document = json.loads(content, parse_constant=_refused, parse_int=_whole)
     except json.JSONDecodeError as error:
         raise InputError(
             f"this is not valid JSON: {error.msg}",
@@ -57,6 +57,12 @@ def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:
             remedy="use the loopcal that wrote this file, or write it anew",
         )
     return document
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > 300:
+        raise ValueError(f"it holds a number of {len(digits)} digits")
+    return int(digits)
 
 
 def _refused(constant: str) -> NoReturn:

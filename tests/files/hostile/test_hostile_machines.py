@@ -76,7 +76,7 @@ def test_a_study_of_more_draws_than_can_be_listed_is_refused() -> None:
 @pytest.mark.parametrize("kind", [Threads, Processes])
 @pytest.mark.parametrize("workers", [0, 1_000_000])
 def test_a_number_of_workers_that_cannot_be_is_refused(kind: type, workers: int) -> None:
-    with pytest.raises(UsageError, match=f"workers is {workers}"):
+    with pytest.raises(UsageError, match=f"^{workers} workers"):
         kind(workers)
 
 
@@ -87,3 +87,10 @@ def test_half_a_character_in_json_is_refused_by_name(tmp_path: Path) -> None:
         read_json(path, "result.json", 1)
     path.write_text('{"schema": 1, "title": "a\\ud83d\\ude00"}', "utf-8")
     assert read_json(path, "result.json", 1)["title"] == "a\U0001f600"
+
+
+def test_a_number_without_end_in_json_is_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "x.truth.json"
+    path.write_text(f'{{"schema": 1, "parameters": {{"l2": 1{"0" * 400}}}}}', "utf-8")
+    with pytest.raises(InputError, match="a number of 401 digits"):
+        read_json(path, "truth.json", 1)
