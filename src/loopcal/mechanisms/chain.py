@@ -30,6 +30,7 @@ def refuse_long_chain(joints: int) -> None:
     if joints > MOST_JOINTS:
         raise InputError(
             f"the chain has {joints} joints, and at most {MOST_JOINTS} can be calibrated together",
+            code="too-large",
             remedy="calibrate a shorter part of it (another base or tip)",
         )
 

@@ -42,6 +42,7 @@ def read_result_folder(
     if alone:
         raise InputError(
             f"result.json and mechanism.toml differ in the parameters {listed(alone)}",
+            code="unknown-name",
             place=str(path.parent),
             remedy="keep the files of one calibration together, or calibrate again",
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -27,7 +27,7 @@ from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Array, Dataset, checked_every
 from loopcal.measurements.poses import asked_ids, positions_of
 from loopcal.measurements.source import Source, row_name
-from loopcal.units import to_si, unit
+from loopcal.units import difference_to_si, to_si, unit
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,8 @@ def dataset_of(
     source: what is known of the file; its rows and columns are filled in here.
     """
 
-    def values(column: str | int, given: str | None) -> Array:
-        numbers = to_si(table.numbers(table.position(column), keep), given or "1")
+    def values(column: str | int, given: str | None, si: Callable[..., Array] = to_si) -> Array:
+        numbers = si(table.numbers(table.position(column), keep), given or "1")
         numbers.flags.writeable = False  # is kept then, without another copy
         return numbers
 
@@ -142,7 +142,7 @@ def dataset_of(
         {q: values(c.column, c.unit) for q, c in asked.items()},
         {q: unit(u).si for q, u in stated.items()},
         tuple(ids) if len(keep) == len(ids) else tuple(ids[i] for i in keep.tolist()),
-        {q: values(column, given) for q, (column, given) in with_sd.items()},
+        {q: values(c, given, difference_to_si) for q, (c, given) in with_sd.items()},
         replace(
             source,
             rows=table.rows[keep],
@@ -164,6 +164,7 @@ def _refuse_nameless(table: Table, keep: NDArray[np.int64], ids: Sequence[str]) 
         raise InputError(
             "this pose has no id"
             + (f", nor have {len(nameless) - 1} others" if len(nameless) > 1 else ""),
+            code="mismatched-poses",
             place=f"{table.name}, {row_name(int(table.rows[nameless[0]]), table.begins)}",
             remedy="fill them in, or leave out pose = ...: poses are counted then",
         )
@@ -224,7 +225,10 @@ def _kind(path: str | Path | BinaryIO, how: _How) -> str:
     ending = Path(path).suffix.lower() if isinstance(path, str | Path) else ""
     if ending in (".xls", ".xlsb", ".ods"):
         raise InputError(
-            "only XLSX workbooks are read", place=str(path), remedy="save it as XLSX or CSV"
+            "only XLSX workbooks are read",
+            code="wrong-file-type",
+            place=str(path),
+            remedy="save it as XLSX or CSV",
         )
     kind = _ENDINGS.get(ending, "text")
     if isinstance(path, str | Path) and Path(path).is_dir():
@@ -233,6 +237,7 @@ def _kind(path: str | Path | BinaryIO, how: _How) -> str:
         if getattr(how, option.name) is not None and option.name not in _MEANT_FOR[kind]:
             raise InputError(
                 f"{option.name} is stated, which means nothing for {kind} files",
+                code="conflicting-keys",
                 place=str(path),
                 remedy=f"leave {option.name} out, or give the file the ending of its kind",
             )
