@@ -112,7 +112,7 @@ class Result:
     def freedom(self) -> int:
         """Degrees of freedom: loop equations + finite priors - determined parameters."""
         informed = 0 if self.fit.method.exact else int(np.isfinite(self.problem.prior_sd).sum())
-        return self.problem.equations + informed - self.spectrum.rank
+        return self.solution.equations + informed - self.spectrum.rank
 
     @cached_property
     def value(self) -> Mapping[str, float]:
