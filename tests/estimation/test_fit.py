@@ -12,6 +12,7 @@ import loopcal as lc
 from loopcal.errors import InputError
 from loopcal.estimation.methods.registry import METHODS, method_named
 from tests.reference.simulated import planar_arm
+from tests.refusals import refused
 
 SDS = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3}
 ARM = planar_arm(20)
@@ -56,17 +57,17 @@ def test_a_mapping_is_a_noise_and_a_prior() -> None:
 @pytest.mark.parametrize("odd", [1e-3, [1, 2], "small"], ids=str)
 def test_what_is_neither_a_noise_nor_a_mapping_is_refused(odd: Any) -> None:
     for call in (lc.calibrate, lc.check, lc.validate):
-        with pytest.raises(InputError, match="the noise is"):
+        with refused("invalid-value", "noise"):
             call(ARM.truth, DATA, noise=odd)
-        with pytest.raises(InputError, match="the prior is"):
+        with refused("invalid-value", "prior"):
             call(ARM.truth, DATA, noise=SDS, prior=odd)
-    with pytest.raises(InputError, match="the noise is"):
+    with refused("invalid-value", "noise"):
         lc.simulate(ARM.truth, {"phi2": [0.0], "phi3": [0.0]}, noise=odd, seed=1)
 
 
 def test_an_unknown_start_is_refused_wherever_it_is_given() -> None:
     for call in (lc.calibrate, lc.check, lc.validate):
-        with pytest.raises(InputError, match="no start 'algin'") as caught:
+        with refused("unknown-name", "algin") as caught:
             call(ARM.truth, DATA, noise=SDS, start="algin")
         assert caught.value.remedy == "did you mean 'align'?"
 
@@ -85,8 +86,9 @@ def test_an_unknown_start_is_refused_wherever_it_is_given() -> None:
     ids=str,
 )
 def test_settings_that_cannot_be_are_refused(settings: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=words) as caught:
+    with pytest.raises(InputError) as caught:
         lc.Fit(**settings)
+    assert words in str(caught.value)
     assert caught.value.remedy
 
 

@@ -160,6 +160,7 @@ def _refuse_repeated(names: Sequence[str], place: Place) -> None:
         if name in names[:i]:
             raise InputError(
                 f"the name {name!r} is given twice",
+                code="duplicate-name",
                 place=str(place.at(i, "name")),
                 remedy="give each a name of its own",
             )
@@ -193,6 +194,7 @@ def _noise(
         if not learnt and (key == MODEL or entry.estimate is not None):
             raise InputError(
                 "this noise is also what the simulation draws from, so it cannot be learnt",
+                code="unsupported",
                 place=str(place.at(key)),
                 remedy='state an sd for each quantity here, and "estimate" and "model" in '
                 "[methods.noise]",
@@ -200,6 +202,7 @@ def _noise(
         if entry.covariance_columns is not None:
             raise InputError(
                 "a study has no columns of data",
+                code="unsupported",
                 place=str(place.at(key, "covariance_columns")),
                 remedy="give a covariance that is the same in all poses",
             )
@@ -237,6 +240,7 @@ def _method(entry: MethodEntry, mechanism: Mechanism, told: NoiseSpec, place: Pl
         key = "noise" if entry.noise else "prior"
         raise InputError(
             f"the method {fit.method.name} uses no {key}",
+            code="unsupported",
             place=str(place.at(key)),
             remedy="leave it out, or choose a method that weights the readings",
         )
@@ -271,6 +275,7 @@ def _published(
         if method not in names:
             raise InputError(
                 f"there is no method {method!r} in this study",
+                code="unknown-name",
                 place=str(here),
                 remedy=nearest(method, names),
             )
@@ -278,6 +283,7 @@ def _published(
             if name not in free:
                 raise InputError(
                     f"{name!r} is no parameter that is estimated",
+                    code="unknown-name",
                     place=str(here.at(name)),
                     remedy=nearest(name, free),
                 )
