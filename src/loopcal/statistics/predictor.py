@@ -72,6 +72,7 @@ def predictor_of(document: Mapping[str, Any], mechanism: Mechanism) -> Predictor
     if stored is None:
         raise InputError(
             f"{mechanism.name!r} has no outputs to predict: no instrument measures it",
+            code="no-outputs",
             remedy="add the instrument whose readings are to be predicted, and calibrate again",
         )
     sds = {q: entry["sd"] for entry in document["noise"] for q in entry["quantities"]}

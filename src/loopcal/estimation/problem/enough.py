@@ -24,6 +24,7 @@ def refuse_too_few(equations: int, poses: int, unknowns: Unknowns) -> None:
         raise InputError(
             f"{equations} loop equations ({poses} poses) cannot determine {needed} parameters "
             "without prior knowledge",
+            code="too-few-poses",
             remedy="measure more poses, fix parameters, or give them a finite prior sd",
         )
 
@@ -50,6 +51,7 @@ def _blind(mechanism: Mechanism, pattern: Pattern, poses: Sequence[str]) -> Inpu
         f"pose {poses[first]!r} has {len(names)} unmeasured quantities "
         f"({', '.join(names)}) and only {len(pattern.loops)} loop equations to find them: its "
         f"calibration index is {_words(mechanism, pattern)}",
+        code="undetermined-quantities",
         remedy="measure more quantities in this pose, or exclude it",
     )
 
@@ -59,6 +61,7 @@ def _without_redundancy(mechanism: Mechanism, patterns: Sequence[Pattern]) -> In
     if not patterns:
         return InputError(
             "no pose has readings from which a loop could be closed",
+            code="no-data",
             remedy="give the columns of the instrument's readings, or measure with it",
         )
     pattern = patterns[0]
@@ -68,6 +71,7 @@ def _without_redundancy(mechanism: Mechanism, patterns: Sequence[Pattern]) -> In
         f"{mechanism.name!r} cannot be calibrated from these sensors: its calibration "
         f"index is {_words(mechanism, pattern)}. They measure where the machine stands and nothing "
         "else, so any parameters would fit",
+        code="undetermined-quantities",
         remedy="add an instrument, or read a passive joint or another quantity that has no sensor"
         f"{unread}: each adds one equation to every pose",
     )

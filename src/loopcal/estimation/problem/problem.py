@@ -132,7 +132,9 @@ def build_problem(
     free = np.array([i for i, p in enumerate(parameters) if not p.fixed], dtype=np.intp)
     if not free.size:
         raise InputError(
-            "no parameter is left to estimate", remedy="set at least one parameter free"
+            "no parameter is left to estimate",
+            code="no-free-parameter",
+            remedy="set at least one parameter free",
         )
     estimated = [p for p in parameters if not p.fixed]
     problem = Problem(
@@ -191,6 +193,7 @@ def _exact(mechanism: Mechanism, dataset: Dataset) -> Noise:
         if name in unread - unmeasured:
             raise InputError(
                 f"least squares has no readings of the quantity {name!r}",
+                code="missing-reading",
                 remedy=f"name its column; if {name!r} is not measured, use another method and give "
                 "it the sd inf",
             )
@@ -203,6 +206,7 @@ def _check_units(mechanism: Mechanism, dataset: Dataset) -> None:
         if given is not None and given != unit:
             raise InputError(
                 f"the readings of {name!r} are in {given}, the mechanism reads {name!r} in {unit}",
+                code="wrong-unit",
                 remedy=f"give column {name!r} a unit that can be turned into {unit}",
             )
 
