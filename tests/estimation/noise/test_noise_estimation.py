@@ -26,7 +26,8 @@ from loopcal.estimation.noise.variance_components import (
 )
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.result import Result
-from loopcal.estimation.solve.solver import Solution, solve
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import solve
 from loopcal.mechanisms.model_error import with_model_error
 
 EACH = {"theta_*": "each", "model": "group"}
