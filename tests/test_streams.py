@@ -30,7 +30,7 @@ from loopcal.files.result.residual_parts import ResidualParts
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
-from loopcal.workflow.calibration import run_calibration
+from loopcal.workflow.calibration import Listeners, Request, run_calibration
 from loopcal.workflow.checking import run_check
 from tests.command_line import environment, run
 from tests.dask_cluster import dask_cluster
@@ -158,14 +158,16 @@ def test_a_calibration_interrupted_at_any_iteration_ends_as_an_uninterrupted_one
                 raise Broken
 
         with pytest.raises(Broken):
-            run_calibration(project, progress=interrupt)
+            run_calibration(project, listeners=Listeners(progress=interrupt))
         assert [path.name for path in result.iterdir()] == ["unfinished.json"]
         seen: list[int] = []
         told: list[str] = []
         done = run_calibration(
             project,
-            progress=lambda *given: seen.append(given[0]),  # noqa: B023
-            notice=told.append,
+            listeners=Listeners(
+                progress=lambda *given: seen.append(given[0]),  # noqa: B023
+                notice=told.append,
+            ),
         )
         where = f"resuming after iteration {last - 1} of an interrupted run"
         assert told == [f"{result / 'unfinished.json'}: {where}"]
@@ -267,7 +269,7 @@ def test_interrupted_with_workers_it_ends_and_goes_on(folder: Path, executor: Ex
 
     project, threads = folder / "project.toml", threading.active_count()
     with pytest.raises(KeyboardInterrupt):
-        run_calibration(project, executor=executor, progress=interrupt)
+        run_calibration(project, executor=executor, listeners=Listeners(progress=interrupt))
     assert threading.active_count() <= threads  # one of an earlier test may have ended
     assert not multiprocessing.active_children()
     result = folder / "project-result"
@@ -310,7 +312,9 @@ def test_a_file_that_is_another_one_where_the_work_is_done(folder: Path, what: s
 
     words = "is not the one" if what == "changed" else "cannot be read .No such file"
     with pytest.raises(InputError, match=rf"part-2\.parquet: on the machine .* {words}") as fault:
-        run_calibration(folder / "project.toml", executor=Threads(2), progress=meddle)
+        run_calibration(
+            folder / "project.toml", executor=Threads(2), listeners=Listeners(progress=meddle)
+        )
     assert "at this path" in str(fault.value.remedy)
     assert [path.name for path in (folder / "project-result").iterdir()] == ["unfinished.json"]
 
@@ -331,10 +335,10 @@ def test_what_was_reached_with_other_readings_is_not_gone_on_from(folder: Path) 
     stale = {"task": "another", "checkpoint": {"damping": 0.0}}
     (folder / "project-result" / "unfinished.json").write_text(json.dumps(stale))
     told: list[str] = []
-    done = run_calibration(folder / "project.toml", notice=told.append)
+    done = run_calibration(folder / "project.toml", listeners=Listeners(notice=told.append))
     assert done.result.status.converged
     assert [line.endswith("starting anew") for line in told] == [True]
-    run_calibration(folder / "project.toml", notice=told.append)
+    run_calibration(folder / "project.toml", listeners=Listeners(notice=told.append))
     assert len(told) == 1  # nothing was left
 
 
@@ -412,7 +416,7 @@ def test_folders_inside_are_told_and_not_looked_into(folder: Path) -> None:
     inside.mkdir()
     shutil.copy(folder / "poses" / "part-1.parquet", inside)
     told: list[str] = []
-    done = run_calibration(folder / "project.toml", warn=told.append)
+    done = run_calibration(folder / "project.toml", listeners=Listeners(warn=told.append))
     assert done.warnings == tuple(told)
     assert len(told) == 1
     assert "day-2/part-1.parquet" in told[0]
@@ -438,7 +442,9 @@ def test_what_is_odd_is_told_before_the_fit(folder: Path) -> None:
         told.clear()
         read(folder, text)
         with pytest.raises(KeyboardInterrupt):
-            run_calibration(folder / "project.toml", progress=interrupted, warn=told.append)
+            run_calibration(
+                folder / "project.toml", listeners=Listeners(progress=interrupted, warn=told.append)
+            )
 
 
 @pytest.mark.parametrize("where", ["part-1.parquet", "part-2.parquet"])
@@ -498,5 +504,10 @@ def test_what_a_stream_cannot_do_is_refused(folder: Path, old: str, new: str, wo
 def test_no_cluster_is_asked_for_what_is_refused(folder: Path, asked: dict[str, Any]) -> None:
     met: list[Executor] = []
     with pytest.raises(InputError, match="needs all poses in memory"):
-        run_calibration(folder / "project.toml", executor=Threads(2), sharing=met.append, **asked)
+        run_calibration(
+            folder / "project.toml",
+            Request(**asked),
+            executor=Threads(2),
+            listeners=Listeners(sharing=met.append),
+        )
     assert not met

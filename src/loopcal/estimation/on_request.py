@@ -9,10 +9,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.accuracy import Accuracy
+
 if TYPE_CHECKING:
-    from loopcal.estimation.result import Accuracy, Result
+    from loopcal.estimation.result import Result
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FailedPart:
+    """A part of a validation that could not be predicted: its number, how many poses, and why."""
+
+    number: int
+    poses: int
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +34,8 @@ class Validation:
     computed from the other readings, over all poses left out, None where no pose has both;
     log_likelihood: sum over these poses of log N(misclosure; 0, W + D Cov_p D^T) in the units of
     the loop equations, None where the method has no distribution for it; by_pose: (N,) its
-    terms, distances: (N,) between computed and measured outputs, both in the order of `poses`.
+    terms, distances: (N,) between computed and measured outputs, both in the order of `poses`;
+    parts: how many parts were to be predicted; failed: those whose fit failed, which do not count.
     """
 
     scheme: Mapping[str, Any]
@@ -33,6 +45,17 @@ class Validation:
     poses: tuple[str, ...] = ()
     distances: Array | None = None
     by_pose: Array | None = None
+    parts: int = 1
+    failed: tuple[FailedPart, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Which parts could not be predicted, and why."""
+        return tuple(
+            f"Fold {part.number} of {self.parts} ({part.poses} poses) is not validated: "
+            f"{part.reason}."
+            for part in self.failed
+        )
 
 
 @dataclass(frozen=True)

@@ -160,11 +160,13 @@ def _ended(some_done: bool) -> InputError:
     if some_done:
         return InputError(
             "a worker ended before its work was done, killed or out of memory",
+            code="worker-lost",
             remedy="use fewer workers (--workers); a study or a stream goes on where it was",
         )
     return InputError(
         "a worker ended before any work was done: it was killed, or out of memory, or the script "
         "that starts workers would do so in each of them, because they import it anew",
+        code="worker-lost",
         remedy='in a script, do the work under if __name__ == "__main__":, otherwise use fewer '
         "workers (--workers)",
     )

@@ -68,6 +68,21 @@ class Noise:
                     remedy=nearest(how, ESTIMATES),
                 )
 
+    @classmethod
+    def of(cls, given: NoiseLike | None) -> Noise | None:
+        """The noise itself, or one made of a mapping of sds.
+
+        Raises InputError for anything else.
+        """
+        if given is None or isinstance(given, Noise):
+            return given
+        if not isinstance(given, Mapping):
+            raise InputError(
+                f"the noise is {type(given).__name__} {given!r:.40}",
+                remedy='give Noise({"theta_*": 1e-4}), or a dict of sds by quantity',
+            )
+        return cls(given)
+
     def __repr__(self) -> str:
         def text(value: Any) -> str:
             if isinstance(value, Tracker):
@@ -91,6 +106,10 @@ class Noise:
     __hash__ = None  # type: ignore[assignment]
 
 
+NoiseLike = Noise | Entries
+"""A noise, or the mapping that makes one."""
+
+
 @dataclass(frozen=True)
 class CovarianceBlock:
     """The joint covariance of some quantities: indices (b,), factor (b, b) or (N, b, b).
@@ -100,6 +119,11 @@ class CovarianceBlock:
 
     indices: tuple[int, ...]
     factor: Array
+
+    def of(self, chosen: NDArray[np.intp] | slice) -> CovarianceBlock:
+        """The covariance in some poses, by their positions."""
+        by_pose = self.factor.ndim > 2
+        return CovarianceBlock(self.indices, self.factor[chosen]) if by_pose else self
 
 
 @dataclass(frozen=True)
@@ -112,8 +136,20 @@ class ReadingUncertainty:
     """
 
     sd: Array
-    blocks: tuple[CovarianceBlock, ...]
-    sources: tuple[str, ...]
+    blocks: tuple[CovarianceBlock, ...] = ()
+    sources: tuple[str, ...] = ()
+
+    @property
+    def by_pose(self) -> bool:
+        """Whether it differs from pose to pose."""
+        return self.sd.shape[1] > 1 or any(block.factor.ndim > 2 for block in self.blocks)
+
+    def of(self, chosen: NDArray[np.intp] | slice) -> ReadingUncertainty:
+        """The uncertainty in some poses, by their positions."""
+        if not self.by_pose:
+            return self
+        sd = self.sd if self.sd.shape[1] == 1 else self.sd[:, chosen]
+        return ReadingUncertainty(sd, tuple(b.of(chosen) for b in self.blocks), self.sources)
 
 
 def resolve_noise(
@@ -180,6 +216,7 @@ def _where_taken(tracker: Tracker, names: Sequence[str], dataset: Dataset) -> Ar
     if lost.size:
         raise InputError(
             f"{', '.join(names)} were read where the tracker itself stands",
+            code="lost-reflector",
             place=dataset.place(int(np.flatnonzero(whole)[lost[0]])),
             remedy="leave that pose out (a tracker writes 0, 0, 0 for a lost reflector), or give "
             "the station of the tracker in the frame of its readings",
@@ -191,13 +228,16 @@ def _where_taken(tracker: Tracker, names: Sequence[str], dataset: Dataset) -> Ar
 def _row(name: str, sds: Mapping[str, Array], dataset: Dataset) -> Array:
     remedy = f"give an sd for {name!r}: 0 if it is exact, inf if it is not measured"
     if name not in sds:
-        raise InputError(f"no sd is stated for the quantity {name!r}", remedy=remedy)
+        raise InputError(
+            f"no sd is stated for the quantity {name!r}", code="missing-sd", remedy=remedy
+        )
     row = np.asarray(sds[name], dtype=float)
     if row.ndim and np.isnan(row).any():
         without = np.flatnonzero(np.isnan(row))
         raise InputError(
             f"{len(without)} readings of {name!r} have no sd, the first at pose "
             f"{dataset.poses[without[0]]!r}",
+            code="missing-sd",
             remedy=remedy,
         )
     missing = np.isnan(dataset.readings[name]) if name in dataset.readings else None
@@ -205,6 +245,7 @@ def _row(name: str, sds: Mapping[str, Array], dataset: Dataset) -> Array:
         if not np.all(np.isinf(row)):
             raise InputError(
                 f"the data have no readings of the quantity {name!r}",
+                code="missing-reading",
                 remedy=f"name its column, or give it the sd inf if {name!r} is not measured",
             )
         return np.asarray(np.inf)
@@ -219,6 +260,7 @@ def _checked_entry(key: str | tuple[str, ...], value: Any) -> Any:
                 f"a tracker measures points, and {key!r} are not the readings of one"
                 if value.station is None or size not in (2, 3)
                 else f"the tracker's station has {len(value.station)} coordinates, {key!r} {size}",
+                code="wrong-shape",
                 remedy="name the coordinates in their order, say (x, y, z)",
             )
         return value
@@ -233,12 +275,14 @@ def _checked_entry(key: str | tuple[str, ...], value: Any) -> Any:
         if array.ndim not in (2, 3) or array.shape[-2:] != (size, size):
             raise InputError(
                 f"the covariance of {key!r} has the shape {array.shape}",
+                code="invalid-covariance",
                 remedy=f"give ({size}, {size}), or (N, {size}, {size}) with one per pose",
             )
         _check_covariance(key, array)
     elif array.ndim > 1:
         raise InputError(
             f"the sd of {key!r} has the shape {array.shape}",
+            code="wrong-shape",
             remedy="give one sd, or one per reading; a covariance belongs to a tuple of names",
         )
     elif np.any(array < 0) or (array.ndim == 0 and np.isnan(array)):
@@ -256,14 +300,20 @@ def _check_covariance(key: Any, array: Array) -> None:
     if not np.all(np.isfinite(array)):
         raise InputError(
             f"the covariance of {key!r} contains a value that is not finite",
+            code="invalid-covariance",
             remedy="list a quantity that is not measured with the sd inf instead",
         )
     if np.abs(array - np.swapaxes(array, -1, -2)).max() > 1e-9 * scale:
-        raise InputError(f"the covariance of {key!r} is not symmetric", remedy="make it symmetric")
+        raise InputError(
+            f"the covariance of {key!r} is not symmetric",
+            code="invalid-covariance",
+            remedy="make it symmetric",
+        )
     smallest = float(np.linalg.eigvalsh(array).min())
     if smallest < -1e-9 * scale:
         raise InputError(
             f"the covariance of {key!r} has the negative eigenvalue {smallest:.6g}",
+            code="invalid-covariance",
             remedy="a covariance has no negative eigenvalue: check signs and units",
         )
 
@@ -272,6 +322,7 @@ def _check_length(key: Any, value: Array, poses: int, dimensions: int) -> None:
     if value.ndim == dimensions and value.shape[0] != poses:
         raise InputError(
             f"the noise of {key!r} has {value.shape[0]} entries, the data have {poses} poses",
+            code="wrong-shape",
             remedy="give one entry for every pose that is used, or one for all",
         )
 

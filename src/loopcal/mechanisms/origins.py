@@ -129,11 +129,14 @@ def joint_chain(
     names = [joint.name for joint in joints]
     for joint in names:
         if names.count(joint) > 1:
-            raise InputError(f"{joint!r} names two joints", remedy="name each differently")
+            raise InputError(
+                f"{joint!r} names two joints", code="duplicate-name", remedy="name each differently"
+            )
     reads = [read for joint in joints if (read := joint.reads)]
     if not reads:
         raise InputError(
             "nothing moves between the base and the tip: all joints are fixed",
+            code="missing-key",
             remedy="name a base and a tip with moving joints between them",
         )
     steps = tuple(step for joint in joints for step in joint.steps(axes=axes))

@@ -9,7 +9,7 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from loopcal.errors import InputError, nearest
-from loopcal.units import unit
+from loopcal.units import to_si, unit
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,9 @@ class Parameters:
         for parameter in self.items:
             if parameter.name in seen:
                 raise InputError(
-                    f"parameter {parameter.name!r} is declared twice", remedy="name each once"
+                    f"parameter {parameter.name!r} is declared twice",
+                    code="duplicate-name",
+                    remedy="name each once",
                 )
             seen.add(parameter.name)
 
@@ -66,7 +68,9 @@ class Parameters:
         for parameter in self.items:
             if parameter.name == name:
                 return parameter
-        raise InputError(f"there is no parameter {name!r}", remedy=nearest(name, self.names))
+        raise InputError(
+            f"there is no parameter {name!r}", code="unknown-name", remedy=nearest(name, self.names)
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -116,7 +120,9 @@ def matching(pattern: str, names: Iterable[str], what: str) -> tuple[str, ...]:
         return (pattern,)
     found = tuple(name for name in known if fnmatchcase(name, pattern))
     if not found:
-        raise InputError(f"no {what} is called {pattern!r}", remedy=nearest(pattern, known))
+        raise InputError(
+            f"no {what} is called {pattern!r}", code="unknown-name", remedy=nearest(pattern, known)
+        )
     return found
 
 
@@ -139,6 +145,5 @@ def declared(parameters: Mapping[str, object]) -> Parameters:
                 f"parameter {name!r} has the value {given!r}",
                 remedy="give (value, unit), for example (0.8, 'm')",
             ) from None
-        its = unit(str(unit_name))
-        items.append(Parameter(name, number * its.factor, its.si))
+        items.append(Parameter(name, to_si(number, str(unit_name)), unit(str(unit_name)).si))
     return Parameters(tuple(items))

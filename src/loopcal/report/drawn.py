@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.distances import distances, point_outputs, points
+from loopcal.estimation.methods.registry import method_named
 from loopcal.figures.accuracy import distance_histogram, over_poses
 from loopcal.figures.correlations import correlations
 from loopcal.figures.figure import Figure
@@ -82,7 +83,7 @@ def _residuals(source: Source) -> Figure | None:
             scaled[0], scaled[1], source.columns.poses, unit, "Computed minus measured"
         )
     # without outputs the loops are all there is; that corrected readings close them says nothing
-    told = source.document["method"] == "least-squares"
+    told = method_named(source.document["method"]).exact
     loops = source.columns.residuals("after") if told else {}
     what = "Values of the loop equations"
     return over_poses(source.columns.residuals("before"), loops, source.columns.poses, "SI", what)

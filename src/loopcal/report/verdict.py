@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from loopcal.estimation.methods.registry import method_named
 from loopcal.mechanisms.model_error import PREFIX
 from loopcal.report.words import chance, size, unit_shown
 
@@ -129,7 +130,7 @@ def _of_model(document: Mapping[str, Any]) -> list[tuple[str, str]]:
                 "check the sds of the sensors, estimate them, or allow for an error of the model",
             )
         )
-    if document["method"] == "least-squares":
+    if method_named(document["method"]).exact:
         found.append(
             (
                 "all sensors but the output were taken as exact",

@@ -11,9 +11,11 @@ import pytest
 
 from loopcal import Dataset, Noise, calibrate
 from loopcal.errors import DomainError, InputError
+from loopcal.estimation.fit import Fit
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.checkpoint import Checkpoint
 from loopcal.estimation.stream.calibrate import calibrate_stream
+from loopcal.estimation.stream.ending import Parts
 from loopcal.estimation.stream.pieces import Chunk
 from loopcal.execution.executor import AHEAD, Executor
 from loopcal.execution.local import Processes, Threads
@@ -89,7 +91,7 @@ def alike(streamed: Result, whole: Result) -> None:
 def test_a_stream_gives_what_memory_gives(method: str) -> None:
     arm, data = arm_and_data()
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
-    streamed = calibrate_stream(arm, Pieces(data, noise), method=method)
+    streamed = calibrate_stream(arm, Pieces(data, noise), fit=Fit(method=method))
     alike(streamed, calibrate(arm, data, noise=noise, method=method))
 
 
@@ -116,7 +118,7 @@ def test_every_chunk_is_handed_out_with_its_corrections() -> None:
     arm, data = arm_and_data(500)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     seen: list[Result] = []
-    calibrate_stream(arm, Pieces(data, noise), part_of=whole_result, part_done=seen.append)
+    calibrate_stream(arm, Pieces(data, noise), parts=Parts(whole_result, seen.append))
     whole = calibrate(arm, data, noise=noise)
     assert [pose for part in seen for pose in part.dataset.poses] == list(data.poses)
     streamed = np.concatenate([part.corrections["theta_2"] for part in seen])
@@ -195,7 +197,7 @@ def test_poses_that_cannot_be_closed_are_named() -> None:
     data = Dataset(data.readings, data.units, ids, data.sds, data.source)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     wrong = with_y(data, "p424", 30.0)
-    found = calibrate_stream(arm, Pieces(wrong, noise), max_iterations=20)
+    found = calibrate_stream(arm, Pieces(wrong, noise), fit=Fit(max_iterations=20))
     assert found.status.reason == "cannot_close"
     assert "p424" in found.status.message
 
@@ -212,7 +214,7 @@ def test_a_parameter_whose_terms_cancel_has_no_effect_here_either(method: str) -
     b = 1.1 * np.sin(a) + 1e-3 * np.random.default_rng(1).normal(size=400)
     data, noise = Dataset.from_arrays({"a": a, "b": b}), Noise({"a": 1e-4, "b": 1e-3})
     whole = calibrate(machine, data, noise=noise, method=method)
-    found = calibrate_stream(machine, Pieces(data, noise), method=method)
+    found = calibrate_stream(machine, Pieces(data, noise), fit=Fit(method=method))
     assert [list(u.combination) for u in whole.identifiability.not_identifiable] == [["c"]]
     assert found.identifiability.not_identifiable == whole.identifiability.not_identifiable
     assert found.value["k"] == pytest.approx(whole.value["k"], rel=1e-9)
@@ -236,10 +238,10 @@ def test_whoever_does_the_chunks_the_result_is_the_same_to_the_bit(executor: Exe
     arm, data = arm_and_data(600)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     here: list[list[float]] = []
-    alone = calibrate_stream(arm, Pieces(data, noise), part_of=theta_1, part_done=here.append)
+    alone = calibrate_stream(arm, Pieces(data, noise), parts=Parts(theta_1, here.append))
     there: list[list[float]] = []
     shared = calibrate_stream(
-        arm, Pieces(data, noise), executor=executor, part_of=theta_1, part_done=there.append
+        arm, Pieces(data, noise), executor=executor, parts=Parts(theta_1, there.append)
     )
     assert told(shared) == told(alone)
     assert there == here
@@ -276,7 +278,7 @@ def test_chunks_are_not_worked_on_far_ahead_of_what_is_written() -> None:
         most.append(begun._value - len(written) + 1)
 
     stream = Pieces(data, noise, size=15)
-    calibrate_stream(arm, stream, executor=Threads(2), part_of=part_of, part_done=write)
+    calibrate_stream(arm, stream, executor=Threads(2), parts=Parts(part_of, write))
     assert written == [15] * 60
     assert max(most) <= 2 * AHEAD
 
@@ -303,7 +305,7 @@ def test_too_few_equations_are_refused() -> None:
     arm, data = arm_and_data(8)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     with pytest.raises(InputError, match=r"24 loop equations \(8 poses\) cannot determine"):
-        calibrate_stream(arm, Pieces(data, noise, 3), start="nominal")
+        calibrate_stream(arm, Pieces(data, noise, 3), fit=Fit(start="nominal"))
 
 
 @pytest.mark.parametrize("method", ["implicit-loop", "least-squares"])
@@ -320,8 +322,7 @@ def test_a_run_resumed_at_any_iteration_ends_as_the_uninterrupted_one(
     whole = calibrate_stream(
         arm,
         fresh,
-        method=method,
-        max_iterations=30,
+        fit=Fit(method=method, max_iterations=30),
         reached=lambda checkpoint: checkpoints.append(json.dumps(checkpoint.document())),
     )
     assert len(checkpoints) == whole.status.iterations >= 3
@@ -329,7 +330,9 @@ def test_a_run_resumed_at_any_iteration_ends_as_the_uninterrupted_one(
         resumed = Pieces(data, noise)
         resume = Checkpoint.read(json.loads(checkpoint))
         assert resume.iterations == number
-        again = calibrate_stream(arm, resumed, method=method, max_iterations=30, resume=resume)
+        again = calibrate_stream(
+            arm, resumed, fit=Fit(method=method, max_iterations=30), resume=resume
+        )
         assert resumed.served < fresh.served or number == 0
         assert again.status == whole.status
         assert again.value == whole.value
@@ -342,7 +345,7 @@ def test_what_needs_all_poses_at_once_is_refused() -> None:
     arm, data = arm_and_data(200)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     with pytest.raises(InputError, match="as a stream"):
-        calibrate_stream(arm, Pieces(data, noise), method="reweighted")
+        calibrate_stream(arm, Pieces(data, noise), fit=Fit(method="reweighted"))
     learnt = Noise(noise.entries, estimate={"xyz": "group"})
     with pytest.raises(InputError, match="learnt"):
         calibrate_stream(arm, Pieces(data, learnt))

@@ -88,23 +88,19 @@ def linear_model(
     sweeper = Sweeper(problem)
     sweeper.at(parameters)
     blocks = []
-    for pattern, poses in problem.blocks():
-        noise, engine = sweeper.noise(pattern, poses), sweeper.engine(pattern)
-        unmeasured = list(pattern.unmeasured)
-        start = corrections[:, poses]
-        values = engine.evaluate(problem.readings[:, poses] + start, problem.known[:, poses])
-        measured = list(noise.measured)
+    for pattern, block in sweeper.blocks(corrections):
+        noise, engine = block.noise, sweeper.engine(pattern)
+        values = engine.evaluate(block.corrected, block.known)
+        unmeasured, measured = list(noise.unmeasured), list(noise.measured)
         f, J, D = values.f.copy(), values.by_quantity[measured], values.by_parameter.copy()
         columns = values.by_quantity[unmeasured]
         if at_readings:
-            read = problem.readings[:, poses].copy()
-            read[unmeasured] += start[unmeasured]
-            D = engine.evaluate(read, problem.known[:, poses]).by_parameter.copy()
+            D = engine.evaluate(block.read, block.known).by_parameter.copy()
         skip = len(unmeasured)
         if skip:
             reflections = eliminate(columns)
             f, J, D = (reflections.apply(part) for part in (f, J, D))
-        e = np.einsum("kmb,kb->mb", J[:, skip:], start[measured]) - f[skip:]
+        e = np.einsum("kmb,kb->mb", J[:, skip:], block.corrections[measured]) - f[skip:]
         G = loadings(J[:, skip:], noise).transpose(2, 0, 1)
         rows = [[measured.index(i) for i in c if i in noise.measured] for c in components]
         own = [i for c in rows for i in c]

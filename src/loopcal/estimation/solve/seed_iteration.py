@@ -19,7 +19,9 @@ TOLERANCE = 1e-10
 """Converged when no normalised parameter or correction moves by more than this many sds."""
 
 
-def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution:
+def iterate_undamped(
+    problem: Problem, *, max_iterations: int = 100, tolerance: float | None = None
+) -> Solution:
     """Full steps in parameters and corrections together, as the seed writes them.
 
     D_i = R_i^-T J_q,i and E_i = Q_i^T y_i - R_i^-T f_i; [D; I] dq = [E; -q] in least squares;
@@ -32,8 +34,10 @@ def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution
     if any(pattern.unmeasured for pattern in problem.patterns):
         raise InputError(
             "the undamped iteration of the seed knows no unmeasured quantities",
+            code="unsupported",
             remedy='use method = "implicit-loop"',
         )
+    least = TOLERANCE if tolerance is None else tolerance
     sweeper = Sweeper(problem)
     parameters = problem.start.copy()
     corrections = np.zeros_like(problem.readings)
@@ -59,7 +63,7 @@ def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution
         sd = np.where(problem.uncertainty.sd > 0, problem.uncertainty.sd, np.inf)
         shifted = (np.abs(new - corrections) / sd).max()
         corrections = new
-        if max(moved, shifted) <= TOLERANCE * max(1.0, np.abs(corrections / sd).max()):
+        if max(moved, shifted) <= least * max(1.0, np.abs(corrections / sd).max()):
             reason = "converged"
     sweep = sweeper.sweep(parameters, corrections)
     end = spectrum(sweep.data, problem.unknowns.offset(parameters), problem.prior_sd)
@@ -84,14 +88,12 @@ def _linearised(
     data = Accumulator(len(problem.free), True, problem.units)
     steps = np.zeros((len(problem.free), *corrections.shape))
     proposals = np.zeros_like(corrections)
-    for pattern, poses in problem.blocks():
-        noise, engine = sweeper.noise(pattern, poses), sweeper.engine(pattern)
-        start = corrections[:, poses]
-        values = engine.evaluate(problem.readings[:, poses] + start, problem.known[:, poses])
-        sweeper.evaluations += start.shape[1]
-        whitened = sweeper.reduce(values, start, noise)
+    for pattern, block in sweeper.blocks(corrections):
+        values = sweeper.engine(pattern).evaluate(block.corrected, block.known)
+        sweeper.evaluations += block.count
+        whitened = sweeper.reduce(values, block)
         data.add(whitened.rows)
-        proposals[:, poses] = whitened.correction
+        proposals[:, block.poses] = whitened.correction
         for j, column in enumerate(whitened.D):
-            steps[j][:, poses] = unload(whitened.G, column, noise)
+            steps[j][:, block.poses] = unload(whitened.G, column, block.noise)
     return data, steps, proposals

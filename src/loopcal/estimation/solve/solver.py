@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.checkpoint import Checkpoint, Place
 from loopcal.estimation.solve.in_memory import InMemory
+from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import NONE_FAILED, Evaluation, Failed, Merit, State
 from loopcal.estimation.solve.reduction import (
     WELL_CONDITIONED,
@@ -68,46 +69,58 @@ def solve(
     problem: Problem,
     *,
     exact: bool = False,
+    loss: Loss | None = None,
     max_iterations: int = 100,
+    tolerance: float | None = None,
     progress: Progress | None = None,
 ) -> Solution:
     """The parameters of maximum likelihood, from the problem's start.
 
     exact: sensors are exact, minimise the loop values instead (the basic method; the prior
-    takes no part). Never returns a point with a larger merit than the start's.
+    takes no part). loss: None is the gaussian one. tolerance: converged when what the next step
+    leaves is this small beside the sds that the residuals suggest, RELATIVE_STEP if None. Never
+    returns a point with a larger merit than the start's.
 
     Raises InputError (DomainError) where the loops cannot be evaluated or closed at the start.
     """
     reuse_memory(8)
     with one_blas_thread():
-        merit = InMemory(Sweeper(problem, exact=exact))
-        return solve_with(merit, max_iterations=max_iterations, progress=progress)
+        return solve_with(
+            InMemory(Sweeper(problem, exact=exact, loss=loss)),
+            max_iterations=max_iterations,
+            tolerance=tolerance,
+            progress=progress,
+        )
 
 
 def solve_with(
     merit: Merit[State],
     *,
     max_iterations: int = 100,
+    tolerance: float | None = None,
     progress: Progress | None = None,
     reached: Callable[[Checkpoint[State]], None] | None = None,
     resume: Checkpoint[State] | None = None,
 ) -> End[State]:
     """The same for any merit function: the solver knows no more of a method.
 
-    reached: called at the beginning of each iteration; resume: what it was called with in an
-    interrupted run, from which this one goes on to the same end.
+    tolerance: as in `solve`; reached: called at the beginning of each iteration; resume: what it
+    was called with in an interrupted run, from which this one goes on to the same end.
     """
-    return _Solver(merit, progress, reached).run(max_iterations, resume)
+    solver = _Solver(merit, tolerance, progress, reached)
+    return solver.run(max_iterations, resume)
 
 
 class _Solver(Generic[State]):
     def __init__(
         self,
         merit: Merit[State],
+        tolerance: float | None,
         progress: Progress | None,
         reached: Callable[[Checkpoint[State]], None] | None,
     ) -> None:
         self.merit = merit
+        self.tolerance = RELATIVE_STEP if tolerance is None else tolerance
         self.unknowns = merit.unknowns
         self.progress, self.reached = progress, reached
         self.triangular = False
@@ -270,13 +283,14 @@ class _Solver(Generic[State]):
             return False
         rate = min(decrement / self.before, 1.0) if math.isfinite(self.before) else 1.0
         stuck = math.isfinite(self.before) and rate > 0.25
-        return stuck or rate * decrement <= self._limit(point, RELATIVE_STEP)
+        return stuck or rate * decrement <= self._limit(point, self.tolerance)
 
     def _negligible(self, point: _Point[State]) -> bool:
         """Whether the loops close and the next step is too small to matter."""
         if point.spectrum is None or not math.isfinite(point.merit):
             return False
-        return point.spectrum.decrement <= self._limit(point, _NEGLIGIBLE_STEP)
+        negligible = max(_NEGLIGIBLE_STEP, self.tolerance)
+        return point.spectrum.decrement <= self._limit(point, negligible)
 
     def _limit(self, point: _Point[State], step: float) -> float:
         """The decrement of a step of so many sds in each of the n directions."""

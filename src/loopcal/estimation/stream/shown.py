@@ -70,10 +70,11 @@ def misfits(
     sweeper.at(parameters)
     count = len(problem.poses)
     whole, ratio, middle = np.zeros(count), np.zeros(count), np.full(count, np.nan)
-    for pattern, some in problem.blocks():
+    for pattern, block in sweeper.blocks(corrections):
+        some = block.poses
         freedom = len(pattern.loops) - len(pattern.unmeasured)
         if freedom > 0:
-            whole[some] = sweeper.misfit(corrections[:, some], pattern, some)
+            whole[some] = sweeper.misfit(pattern, block)
             ratio[some] = whole[some] / quantile(1.0 / poses, freedom)
             middle[some] = whole[some] / quantile(0.5, freedom)
     known = np.isfinite(middle)

@@ -18,12 +18,19 @@ NO_UNITS: Mapping[str, str] = {}
 
 
 def in_si(
-    number: float, stated: str | None, si: str, place: Place, units: Mapping[str, str] = NO_UNITS
+    number: float,
+    stated: str | None,
+    si: str,
+    place: Place,
+    units: Mapping[str, str] = NO_UNITS,
+    *,
+    difference: bool = False,
 ) -> float:
     """A number in its stated unit, in the file's unit of that dimension, or in SI, as SI value.
 
-    si: the unit that is expected; units: dimension -> the file's unit. A number that is SI
-    already comes back as it is, bit for bit. Raises InputError for a unit of another dimension.
+    si: the unit that is expected; units: dimension -> the file's unit; difference: the number is
+    an sd, a step or a span, which has no zero. A number that is SI already comes back as it is,
+    bit for bit. Raises InputError for a unit of another dimension.
     """
     expected = unit(si)
     given = unit(stated or units.get(expected.dimension, si))
@@ -31,10 +38,12 @@ def in_si(
         raise InputError(
             f"{given.name} is a unit of {given.dimension}, and this is of the dimension "
             f"{expected.dimension} ({expected.si})",
+            code="wrong-unit",
             place=str(place),
             remedy=f"give a unit of {expected.dimension}, or none for {expected.si}",
         )
-    return number if given.factor == 1.0 else number * given.factor
+    value = number if given.factor == 1.0 else number * given.factor
+    return value if difference or not given.zero else value + given.zero
 
 
 def changed(
@@ -55,12 +64,15 @@ def changed(
             if entry.value is not None:
                 changes[name]["nominal"] = in_si(entry.value, entry.unit, si, at, units)
             if entry.sd is not None:
-                changes[name]["prior_sd"] = in_si(entry.sd, entry.unit, si, at, units)
+                changes[name]["prior_sd"] = in_si(
+                    entry.sd, entry.unit, si, at, units, difference=True
+                )
             if entry.fixed is not None:
                 changes[name]["fixed"] = entry.fixed
             if changes[name].get("prior_sd") == 0.0 and changes[name].get("fixed") is False:
                 raise InputError(
                     f"the sd of {name!r} is 0, which fixes it, and fixed = false sets it free",
+                    code="conflicting-keys",
                     place=str(here),
                     remedy="give a positive sd, or leave fixed = false out",
                 )
@@ -87,6 +99,7 @@ def declared_here(entries: Mapping[str, ParameterEntry], place: Place) -> dict[s
             if getattr(entry, key) is None:
                 raise InputError(
                     f"the parameter {name!r} is declared without a {key}",
+                    code="missing-key",
                     place=str(place.at(name)),
                     remedy=f"give {key} = {example}",
                 )

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from loopcal.errors import InputError
-from loopcal.files.tables.raw import existing_file, unreadable
+from loopcal.files.tables.raw import bytes_of
 from loopcal.files.toml.reader import shown
 
 MOST_BYTES = 50_000_000
@@ -30,12 +30,15 @@ def read_xml(path: str | Path, tag: str, remedy: str) -> Any:
     try:
         root = etree.fromstring(content, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        raise InputError(f"this is no XML: {error}", place=name, remedy=remedy) from None
+        raise InputError(
+            f"this is no XML: {error}", code="wrong-file-type", place=name, remedy=remedy
+        ) from None
     if root.getroottree().docinfo.doctype:  # in an encoding that hid it
         raise _document_type(name)
     if local(root) != tag:
         raise InputError(
             f"this is XML of another kind: it describes <{local(root)}>, not <{tag}>",
+            code="wrong-file-type",
             place=name,
             remedy=remedy,
         )
@@ -60,21 +63,18 @@ def at(element: Any, file: str) -> str:
 def _document_type(name: str) -> InputError:
     return InputError(
         "this XML has a document type, which could make a reader fetch or expand things",
+        code="wrong-file-type",
         place=name,
         remedy="delete <!DOCTYPE ...> from the file",
     )
 
 
 def _content(path: str | Path) -> bytes:
-    found = existing_file(path)
-    try:
-        with found.open("rb") as stream:
-            content = stream.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise unreadable(found, error) from None
+    content = bytes_of(path, MOST_BYTES)
     if len(content) > MOST_BYTES:
         raise InputError(
             f"this file is larger than {MOST_BYTES // 1_000_000} MB, too large for a robot",
+            code="too-large",
             place=shown(path),
             remedy="meshes belong in files of their own",
         )

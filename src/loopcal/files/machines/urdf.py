@@ -97,6 +97,7 @@ class _Robot:
             if link not in self.links:
                 raise InputError(
                     f"the robot has no link {link!r}",
+                    code="unknown-name",
                     place=self.file,
                     remedy=nearest(link, self.links),
                 )
@@ -108,6 +109,7 @@ class _Robot:
                 raise InputError(
                     f"the link {tip!r} is not below {base!r}: up from it come "
                     f"{', '.join(map(repr, passed))}",
+                    code="unknown-name",
                     place=self.file,
                     remedy=f"name one of these as the base, or a tip below {base!r}",
                 )
@@ -133,6 +135,7 @@ class _Robot:
         if not found:
             raise InputError(
                 f"base and tip are the same link {base!r}",
+                code="conflicting-keys",
                 place=self.file,
                 remedy="name a tip with moving joints between the two",
             )
@@ -278,4 +281,4 @@ def _named(elements: Iterable[Any], file: str) -> dict[str, Any]:
 
 
 def _refuse(element: Any, file: str, words: str, remedy: str) -> None:
-    raise InputError(words, place=at(element, file), remedy=remedy)
+    raise InputError(words, code="invalid-syntax", place=at(element, file), remedy=remedy)

@@ -35,6 +35,7 @@ def tracker_of(
         raise InputError(
             "a tracker measures the coordinates of a point together, or its range, azimuth and "
             f"elevation, and {', '.join(names)} are not that",
+            code="wrong-shape",
             place=str(here),
             remedy='name them in their order, say "x,y,z" or xyz',
         )
@@ -42,16 +43,18 @@ def tracker_of(
         other = "sd" if entry.sd is not None else "encoder"
         raise InputError(
             f"a tracker and {other} are stated for the same readings",
+            code="conflicting-keys",
             place=str(place),
             remedy="give one of them",
         )
     at = place.at("unit")
-    factor = in_si(1.0, entry.unit, "m", at)
+    factor = in_si(1.0, entry.unit, "m", at, difference=True)
     station = None if entry.station is None else [factor * v for v in entry.station]
     step = factor * (entry.rounded_to or 0.0)
     if station is not None and len(station) != len(names):
         raise InputError(
             f"the station has {len(station)} coordinates, {', '.join(names)} are {len(names)}",
+            code="wrong-shape",
             place=str(place.at("station")),
             remedy="give the tracker's place in the frame of its readings",
         )
@@ -69,11 +72,11 @@ def sd_of(entry: NoiseEntry, si: str, place: Place) -> float:
     Raises InputError for figures and units that do not fit the quantity.
     """
     at = place.at("unit")
-    stated = 0.0 if entry.sd is None else in_si(entry.sd, entry.unit, si, at)
+    stated = 0.0 if entry.sd is None else in_si(entry.sd, entry.unit, si, at, difference=True)
     if entry.encoder is None and entry.rounded_to is None:
         return stated
     try:
-        rounding = rounding_sd(in_si(entry.rounded_to or 0.0, entry.unit, si, at))
+        rounding = rounding_sd(in_si(entry.rounded_to or 0.0, entry.unit, si, at, difference=True))
     except InputError as error:
         raise error if error.place else error.at(str(place.at("rounded_to"))) from None
     own = 0.0 if entry.encoder is None else _encoder(entry.encoder, si, place.at("encoder"))
@@ -85,6 +88,7 @@ def _encoder(entry: EncoderEntry, si: str, place: Place) -> float:
         raise InputError(
             f"bits and counts per turn are those of an angle, and this is of the dimension "
             f"{unit(si).dimension}",
+            code="wrong-unit",
             place=str(place),
             remedy="give the step of its readings: rounded_to = 1, unit = ...",
         )

@@ -12,7 +12,7 @@ from loopcal.errors import InputError
 from loopcal.files.project.data_entries import DataSpec
 from loopcal.files.tables.writer import Column, table_bytes
 from loopcal.measurements.dataset import Dataset
-from loopcal.units import from_si, unit
+from loopcal.units import difference_from_si, from_si, unit
 
 Array = NDArray[np.float64]
 
@@ -37,6 +37,7 @@ def readings_tables(
         if part.by_name and not part.instruments:
             raise InputError(
                 f"which readings {name} shall hold is not said",
+                code="missing-key",
                 remedy="name its columns in the project: columns = { x = ... }",
             )
         tables[name] = _table(dataset, list(part.columns), part, sds, Path(name).suffix)
@@ -65,5 +66,5 @@ def _table(
         columns[name] = from_si(readings, its_unit)
         if its and isinstance(its.sd_column, str):
             sd = np.where(np.isfinite(sds[quantity]), sds[quantity], np.nan)
-            columns[its.sd_column] = from_si(sd, its.sd_unit or its_unit)
+            columns[its.sd_column] = difference_from_si(sd, its.sd_unit or its_unit)
     return table_bytes(columns, ending)

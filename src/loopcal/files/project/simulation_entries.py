@@ -65,6 +65,7 @@ class SimulationSpec:
         if self.missing is not None:
             raise InputError(
                 f"no range is given for {self.missing!r}",
+                code="missing-key",
                 place=self.place,
                 remedy=f"add {self.missing} = {{ from = ..., to = ..., unit = ... }}",
             )
@@ -103,6 +104,7 @@ def simulation_spec(
         if single:
             raise InputError(
                 "some ranges have steps and this one has none",
+                code="conflicting-keys",
                 place=str(place.at("ranges", single[0])),
                 remedy="give every range a step for a grid, or none for random poses",
             )
@@ -110,6 +112,7 @@ def simulation_spec(
         if poses not in (None, count):
             raise InputError(
                 f"{poses} poses are asked for, and the grid of all steps has {count}",
+                code="conflicting-keys",
                 place=str(place.at("poses")),
                 remedy="leave poses out for a grid, or the steps for random poses",
             )
@@ -117,12 +120,14 @@ def simulation_spec(
     if poses is None:
         raise InputError(
             "how many poses is not said",
+            code="missing-key",
             place=str(place),
             remedy="add poses = 100, or give every range a step",
         )
     if poses > MOST_POSES:
         raise InputError(
             f"{poses} poses are more than the {MOST_POSES} that can be simulated",
+            code="too-large",
             place=str(place.at("ranges" if grid else "poses")),
             remedy="take larger steps or fewer poses",
         )
@@ -132,6 +137,7 @@ def simulation_spec(
     if told.columns:
         raise InputError(
             "a covariance from columns of the data is no noise to simulate",
+            code="unsupported",
             place=told.columns[0].place,
             remedy="give a covariance that is the same in all poses",
         )
@@ -155,6 +161,7 @@ def _ranges(
             follows = "follows from the loops" if name in units else "is no quantity"
             raise InputError(
                 f"{name!r} {follows} of the mechanism",
+                code="unknown-name",
                 place=str(here),
                 remedy=f"give the ranges of {', '.join(driven)}"
                 if name in units
@@ -167,12 +174,12 @@ def _ranges(
                 place=str(here),
                 remedy="give the smaller number first",
             )
-        factor = in_si(1.0, given.unit, units[name], at)
-        start, stop, step, count = given.from_ * factor, given.to * factor, None, 1
+        si, step, count = units[name], None, 1
+        start, stop = (in_si(v, given.unit, si, at) for v in (given.from_, given.to))
         if given.step is not None:
             # the last step counts although 0.1 * 10 may round to more than 1
             count = math.floor(min((given.to - given.from_) / given.step, 1e15) + 1e-9) + 1
-            step = given.step * factor
+            step = in_si(given.step, given.unit, si, at, difference=True)
         found[name] = Range(start, stop, step, count)
     elsewhere = {*mechanism.outputs, *mechanism.implied, *mechanism.home}
     elsewhere |= {column for o in mechanism.orientations for column in o.columns}
@@ -203,7 +210,9 @@ def _machine(
     for key, spread in entry.perturb.items():
         here = place.at("perturb", key)
         for name in names(key, here):
-            sd = in_si(spread.sd, spread.unit, parameters[name].unit, here.at("unit"))
+            sd = in_si(
+                spread.sd, spread.unit, parameters[name].unit, here.at("unit"), difference=True
+            )
             if not math.isfinite(sd):
                 raise InputError(
                     "an infinite deviation is no machine",
@@ -215,6 +224,7 @@ def _machine(
             elif name == key:
                 raise InputError(
                     f"{name!r} is fixed, which means known exactly, and deviates nowhere",
+                    code="conflicting-keys",
                     place=str(here),
                     remedy="set it free, or state its true value in [simulation.truth]",
                 )

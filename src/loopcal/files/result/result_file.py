@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from loopcal.estimation.accuracy import Accuracy, Closure
 from loopcal.estimation.on_request import Interval
-from loopcal.estimation.result import Accuracy, Closure, Result
+from loopcal.estimation.result import Result
 from loopcal.files.atomic import write_files
 from loopcal.files.json_reader import read_json
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml

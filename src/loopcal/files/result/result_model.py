@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from loopcal.files.project.fit_schema import MethodName
 from loopcal.files.toml.model import Finite, Model
 
 Count = Annotated[int, Field(ge=0)]
@@ -321,7 +322,7 @@ class ResultDocument(Model):
     schema_: Literal[1] = Field(alias="schema")
     loopcal: str = Field(description="Version of loopcal that wrote this file.")
     title: str | None
-    method: Literal["implicit-loop", "least-squares", "reweighted", "implicit-loop-undamped"]
+    method: MethodName
     loss: Literal["gaussian", "huber", "student-t"] = "gaussian"
     status: StatusEntry
     parameters: list[ParameterEntry]

@@ -68,6 +68,7 @@ def open_folder(folder: Path, study: Study) -> None:
             raise InputError(
                 "this folder holds the draws of another study, or of this one before it (or "
                 "loopcal) was changed; they cannot be mixed",
+                code="unreadable-file",
                 place=str(folder),
                 remedy="choose another folder with --out, or delete this one",
             )
@@ -126,6 +127,7 @@ def _frame(path: Path) -> pl.DataFrame:
     except (pl.exceptions.PolarsError, OSError) as error:
         raise InputError(
             f"this part of the study cannot be read ({str(error).splitlines()[0]})",
+            code="unreadable-file",
             place=str(path),
             remedy="delete the file and run the study again: only this part is computed anew",
         ) from None

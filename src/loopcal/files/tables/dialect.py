@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from loopcal.errors import InputError
 from loopcal.files.tables.cells import is_missing, is_number
@@ -22,11 +23,10 @@ _SPOKEN = {
     **dict.fromkeys(("space", "whitespace", r"\s+"), WHITESPACE),
     **{"comma": ",", "semicolon": ";"},
 }
-_SAMPLE_ROWS = 100
+SAMPLE_ROWS = 100
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """One row of a text: its number, counted from 1, and its line."""
 
     number: int
@@ -64,14 +64,6 @@ class _Trial:
         return self.even * self.numeric, self.fitting_header, self.several
 
 
-def is_data(line: str) -> bool:
-    """Whether a line holds cells: no comment, not blank, not delimiters alone."""
-    text = line.strip(" \t,;")
-    if text.startswith("#"):
-        return text[:4].lower() == "#n/a"
-    return bool(text) and not text.startswith("%")
-
-
 def cut(line: str, delimiter: str) -> list[str]:
     """The cells of one line, without quotes and surrounding blanks; csv.Error for bad quotes."""
     if '"' in line:
@@ -97,7 +89,6 @@ def recognise(
     Raises InputError when what is stated cannot be so, or when a first row of both text and
     numbers leaves open whether it is a header.
     """
-    rows = rows[:_SAMPLE_ROWS]
     stated = _SPOKEN.get(delimiter, delimiter) if delimiter else None
     _check_stated(stated, decimal, name)
     marks = decimal or ".,"
@@ -135,6 +126,7 @@ def _check_fits(given: _Trial, best: _Trial, rows: list[Row], name: str) -> None
         raise InputError(
             f"the delimiter is stated as {spoken(given.delimiter)}, which does not divide this "
             f"row: {rows[0].line.strip()[:60]!r}",
+            code="invalid-syntax",
             place=f"{name}, row {rows[0].number}",
             remedy=f"state {spoken(best.delimiter)}, or leave the delimiter out",
         )
@@ -176,6 +168,7 @@ def quote_error(name: str, row: Row) -> InputError:
     """The error for a quote that does not end on its line."""
     return InputError(
         f"a quoted cell does not end: {row.line.strip()[:60]!r}",
+        code="invalid-syntax",
         place=f"{name}, row {row.number}",
         remedy="close the quotes on the same line, or remove them",
     )
@@ -196,6 +189,7 @@ def is_header(cells: Sequence[Sequence[object]], decimal: str, place: str) -> bo
         return False
     raise InputError(
         f"this row holds both numbers and text ({str(cells[0][text[0]])[:60]!r}): header or data?",
+        code="invalid-syntax",
         place=f"{place}, column {text[0] + 1}",
         remedy="state header = true or header = false, or correct the cell",
     )
@@ -206,6 +200,7 @@ def _check_header(names: tuple[str, ...], body: list[list[str]], row: Row, name:
         raise InputError(
             f"the header names {len(names)} columns ({row.line.strip()[:60]!r}), the rows below "
             f"it have {len(body[0])}",
+            code="invalid-syntax",
             place=f"{name}, row {row.number}",
             remedy="name every column, start a line that is no data with #, or state the delimiter",
         )

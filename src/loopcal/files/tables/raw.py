@@ -1,14 +1,17 @@
 """Bytes of an input file: opened, hashed, and bounded before anything is made of them.
 
 A text file is read in blocks of 1 MiB. A line that does not end within one block, or a NUL
-byte, stops the reading at once, so that a wrong file costs neither minutes nor memory.
+byte, stops the reading at once, so that a wrong file costs neither minutes nor memory. Devices,
+pipes that no program writes into and texts of more than 1 GB are refused.
 """
 
 from __future__ import annotations
 
 import codecs
 import hashlib
+import os
 import re
+import select
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +21,10 @@ from loopcal.errors import InputError, nearest
 from loopcal.measurements.source import file_name
 
 BLOCK = 1 << 20
+MOST_TEXT = 1_000_000_000
+"""Bytes; ten million poses of ten readings."""
+PATIENCE = 10.0
+"""Seconds that a pipe may stay without a byte before another program writes into it."""
 _KINDS = {
     b"PK\x03\x04": "a ZIP archive (an XLSX workbook is one)",
     b"PAR1\x15": "a Parquet file",
@@ -53,23 +60,67 @@ class Text:
         return file_name(self.file)
 
 
-def existing_file(path: str | Path) -> Path:
-    """The path of a file that is there and not empty.
+def existing_file(path: str | Path, *, empty_too: bool = False) -> Path:
+    """The path of a file that is there and, unless `empty_too`, not empty.
 
-    Raises InputError for a missing file (naming the nearest beside it), a folder, no permission.
+    Raises InputError for a missing file (naming the nearest beside it), a folder, a device, no
+    permission.
     """
     path = Path(path)
     try:
         if path.is_dir():
-            raise InputError("this is a folder", place=str(path), remedy="name a file inside it")
+            raise InputError(
+                "this is a folder",
+                code="wrong-file-type",
+                place=str(path),
+                remedy="name a file inside it",
+            )
         size = path.stat().st_size
+        if not (path.is_file() or path.is_fifo()):
+            raise InputError(
+                "this is a device, not a file",
+                place=str(path),
+                remedy="name a file, or - for standard input where the command takes it",
+            )
         if path.is_file():  # a pipe can be opened only once
             path.open("rb").close()
-            if not size:
+            if not (size or empty_too):
                 raise empty(str(path))
     except (OSError, ValueError) as error:
         raise unreadable(path, error) from None
     return path
+
+
+def bytes_of(path: str | Path, most: int, *, empty_too: bool = False) -> bytes:
+    """The bytes of a file or pipe, the first `most` and one more; InputError as `opened`."""
+    with opened(path, empty_too=empty_too) as stream:
+        try:
+            return stream.read(most + 1)
+        except OSError as error:
+            raise unreadable(Path(path), error) from None
+
+
+def opened(path: str | Path, *, empty_too: bool = False) -> BinaryIO:
+    """An existing file, or a pipe that a program writes into, open for reading.
+
+    Raises InputError as `existing_file` does, and for a pipe that stays silent.
+    """
+    path = existing_file(path, empty_too=empty_too)
+    try:
+        if not path.is_fifo():
+            return path.open("rb")
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except OSError as error:
+        raise unreadable(path, error) from None
+    if not select.select([handle], [], [], PATIENCE)[0]:
+        os.close(handle)
+        raise InputError(
+            f"this is a pipe, and no program writes into it for {PATIENCE:g} s",
+            place=str(path),
+            remedy="start the program that writes first, or name a file",
+        )
+    os.set_blocking(handle, True)
+    return open(handle, "rb")
 
 
 def unreadable(path: Path, error: OSError | ValueError) -> InputError:
@@ -81,13 +132,19 @@ def unreadable(path: Path, error: OSError | ValueError) -> InputError:
             beside = []
         close = nearest(path.name, beside) if beside else ""
         remedy = close if close.startswith("did") else "give the path of an existing file"
-        return InputError("there is no such file", place=str(path), remedy=remedy)
+        return InputError(
+            "there is no such file", code="missing-file", place=str(path), remedy=remedy
+        )
     if isinstance(error, PermissionError):
         return InputError(
-            "you may not read this file", place=str(path), remedy="ask for the right to read it"
+            "you may not read this file",
+            code="unreadable-file",
+            place=str(path),
+            remedy="ask for the right to read it",
         )
     return InputError(
         f"the file cannot be read ({getattr(error, 'strerror', None) or error})",
+        code="unreadable-file",
         place=str(path),
         remedy="name a readable file",
     )
@@ -95,7 +152,9 @@ def unreadable(path: Path, error: OSError | ValueError) -> InputError:
 
 def empty(name: str) -> InputError:
     """The error for a file without any data."""
-    return InputError("the file is empty", place=name, remedy="name a file with one row per pose")
+    return InputError(
+        "the file is empty", code="no-data", place=name, remedy="name a file with one row per pose"
+    )
 
 
 def sha256_of(path: Path) -> str:
@@ -108,15 +167,18 @@ def read_text(source: str | Path | BinaryIO, encoding: str | None = None) -> Tex
     """The text of a file, of standard input ("-") or of an open binary stream.
 
     Without an `encoding` a byte order mark decides, then UTF-16 without one, UTF-8, cp1252.
-    Raises InputError for whatever is not text, or has a line longer than 1 MB.
+    Raises InputError for whatever is not text, is larger than 1 GB, or has a line longer than
+    1 MB.
     """
     if isinstance(source, str | Path) and str(source) != "-":
-        path = existing_file(source)
-        try:
-            with path.open("rb") as stream:
+        path = Path(source)
+        with opened(path) as stream:
+            if path.stat().st_size > MOST_TEXT:
+                raise _too_large(path.name)
+            try:
                 return _read(stream, path.name, encoding)
-        except OSError as error:
-            raise unreadable(path, error) from None
+            except OSError as error:
+                raise unreadable(path, error) from None
     return _read(sys.stdin.buffer if isinstance(source, str | Path) else source, "-", encoding)
 
 
@@ -135,6 +197,7 @@ def _read(stream: BinaryIO, file: str, stated: str | None) -> Text:
         if unended + first > BLOCK:
             raise InputError(
                 "this line is longer than 1 MB",
+                code="invalid-syntax",
                 place=f"{name}, row {row}",
                 remedy="end each pose by a line break; is this a table of numbers?",
             )
@@ -143,6 +206,8 @@ def _read(stream: BinaryIO, file: str, stated: str | None) -> Text:
         row += block.count(b"\n")
         digest.update(block)
         blocks.append(block)
+        if len(blocks) * BLOCK > MOST_TEXT + BLOCK:
+            raise _too_large(name)
     data = _as_utf8(b"".join(blocks), encoding, name)
     del blocks
     if b"\r" in data:
@@ -150,11 +215,21 @@ def _read(stream: BinaryIO, file: str, stated: str | None) -> Text:
     return Text(file, data, digest.hexdigest())
 
 
+def _too_large(name: str) -> InputError:
+    return InputError(
+        f"the text is larger than {MOST_TEXT / 1e9:g} GB",
+        code="too-large",
+        place=name,
+        remedy="save the table as Parquet, which is read in chunks",
+    )
+
+
 def _refuse_other_kinds(head: bytes, name: str) -> None:
     for start, kind in _KINDS.items():
         if head.startswith(start):
             raise InputError(
                 f"this is no text but {kind}",
+                code="wrong-file-type",
                 place=name,
                 remedy="give the file the ending of its kind, or save it as CSV",
             )
@@ -166,6 +241,7 @@ def _refuse_binary(block: bytes, name: str, row: int, *, first: bool) -> None:
         what = "a NUL byte" if found[0] == b"\0" else f"the control character 0x{found[0].hex()}"
         raise InputError(
             f"this is no text: it holds {what}",
+            code="wrong-file-type",
             place=f"{name}, row {row + block.count(bytes([10]), 0, found.start())}",
             remedy="save the table as CSV; if this is UTF-16 text, state encoding = 'utf-16'",
         )
@@ -197,6 +273,7 @@ def _as_utf8(data: bytes, encoding: str | None, name: str) -> bytes:
     except LookupError:
         raise InputError(
             f"the encoding {encoding!r} is not known",
+            code="unknown-name",
             place=name,
             remedy="state utf-8, utf-16, cp1252, ... or leave it out",
         ) from None
@@ -204,12 +281,14 @@ def _as_utf8(data: bytes, encoding: str | None, name: str) -> bytes:
         where = f" at byte {error.start}" if isinstance(error, UnicodeDecodeError) else ""
         raise InputError(
             f"the text is not {encoding or 'UTF-8 or cp1252'}{where}",
+            code="invalid-syntax",
             place=name,
             remedy="state another encoding, or save the table as UTF-8",
         ) from None
     if "\0" in text:
         raise InputError(
             "this is no text: it holds a NUL character",
+            code="wrong-file-type",
             place=f"{name}, row {text.count(chr(10), 0, text.index(chr(0))) + 1}",
             remedy="save the table as CSV",
         )

@@ -11,6 +11,7 @@ from loopcal.files.tables.cells import is_missing
 from loopcal.files.tables.dialect import is_header
 from loopcal.files.tables.raw import empty, existing_file, sha256_of
 from loopcal.files.tables.table import Table
+from loopcal.files.tables.unfolded import refuse_large_workbook
 from loopcal.measurements.source import file_name
 
 
@@ -30,6 +31,7 @@ def read_spreadsheet(
     import python_calamine
 
     path = existing_file(path)
+    refuse_large_workbook(path)
     try:
         workbook = python_calamine.CalamineWorkbook.from_path(path)
         title = _title(workbook.sheet_names, sheet, path.name)
@@ -37,6 +39,7 @@ def read_spreadsheet(
     except python_calamine.CalamineError as error:
         raise InputError(
             f"this is no XLSX workbook that can be read ({error})",
+            code="wrong-file-type",
             place=path.name,
             remedy="save it again as XLSX or as CSV",
         ) from None
@@ -52,6 +55,7 @@ def read_spreadsheet(
     if header and len(rows) == 1:
         raise InputError(
             "there is a header, but no row of data",
+            code="no-data",
             place=f"{name}, row {rows[0][0]}",
             remedy="give one row per pose; if the row is data, state header = false",
         )
@@ -71,13 +75,17 @@ def _title(titles: list[str], sheet: str | int | None, name: str) -> str:
     if isinstance(sheet, str):
         if sheet not in titles:
             raise InputError(
-                f"there is no sheet {sheet!r}", place=name, remedy=nearest(sheet, titles)
+                f"there is no sheet {sheet!r}",
+                code="unknown-name",
+                place=name,
+                remedy=nearest(sheet, titles),
             )
         return sheet
     number = 1 if sheet is None else sheet
     if not 1 <= number <= len(titles):
         raise InputError(
             f"there is no sheet {number}",
+            code="unknown-name",
             place=name,
             remedy=f"give a number from 1 to {len(titles)}, or a name: {listed(titles)}",
         )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed, nearest, short
 from loopcal.files.tables import cells as cell_rules
+from loopcal.files.tables import series
 from loopcal.files.tables.cells import Cells, NotANumber
 from loopcal.measurements.source import file_name, row_name
 
@@ -52,12 +53,16 @@ class Table:
     def numbers(self, position: int, keep: NDArray[np.int64]) -> NDArray[np.float64]:
         """One column at the rows to keep; InputError for a cell that is not a number."""
         try:
-            return cell_rules.numbers(self.columns[position], keep, self.decimal)
+            column = self.columns[position]
+            if isinstance(column, list | np.ndarray):
+                return cell_rules.numbers(column, keep, self.decimal)
+            return series.numbers(column, keep, self.decimal)
         except NotANumber as wrong:
             text = str(wrong.cell)
             row = row_name(int(self.rows[wrong.index]), self.begins)
             raise InputError(
                 f"{short(text)!r} is not a number",
+                code="invalid-number",
                 place=f"{self.name}, {row}, column {self.label(position)!r}",
                 remedy=_remedy(text, self.decimal),
             ) from None
@@ -81,7 +86,10 @@ def find_column(column: str | int, names: Sequence[str], width: int, place: str)
         if 1 <= column <= width:
             return column - 1
         raise InputError(
-            f"there is no column {column}", place=place, remedy=f"give a number from 1 to {width}"
+            f"there is no column {column}",
+            code="missing-column",
+            place=place,
+            remedy=f"give a number from 1 to {width}",
         )
     found = [i for i, name in enumerate(names) if name == column]
     if len(found) == 1:
@@ -90,12 +98,14 @@ def find_column(column: str | int, names: Sequence[str], width: int, place: str)
         numbers = " and ".join(str(i + 1) for i in found[:3]) + (" and more" if found[3:] else "")
         raise InputError(
             f"the header has {column!r} more than once (columns {numbers})",
+            code="duplicate-column",
             place=place,
             remedy="rename one of them, or give the column by its number",
         )
     if not names:
         raise InputError(
             f"there is no column {column!r}: the file has no header",
+            code="missing-column",
             place=place,
             remedy=f"give the column by its number, from 1 to {width}",
         )
@@ -103,6 +113,7 @@ def find_column(column: str | int, names: Sequence[str], width: int, place: str)
     remedy = f"{close} The" if close.startswith("did") else "the"
     raise InputError(
         f"there is no column {column!r}",
+        code="missing-column",
         place=place,
         remedy=f"{remedy} columns are {listed(names, 40)}",
     )

@@ -7,6 +7,7 @@ complaint into an InputError at its place in the file.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
 from pydantic import (
@@ -18,9 +19,9 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
-from loopcal.errors import InputError, nearest, short
+from loopcal.errors import Code, InputError, nearest, short
 from loopcal.files.toml.place import Place, toml_path
 from loopcal.units import unit
 
@@ -43,16 +44,17 @@ class Model(BaseModel):
         return data
 
 
-def complaint(words: str, remedy: str) -> PydanticCustomError:
-    """An error for validators to raise, with its remedy."""
-    return PydanticCustomError("complaint", "{words}", {"words": words, "remedy": remedy})
+def complaint(words: str, remedy: str, code: Code = "invalid-value") -> PydanticCustomError:
+    """An error for validators to raise, with its remedy and code."""
+    said = {"words": words, "remedy": remedy, "code": code}
+    return PydanticCustomError("complaint", "{words}", said)
 
 
 def _known_unit(name: str) -> str:
     try:
         return unit(name).name
     except InputError as error:
-        raise complaint(error.message, error.remedy or "") from None
+        raise complaint(error.message, error.remedy or "", error.code) from None
 
 
 def _name_or_number(value: Any) -> Any:
@@ -66,6 +68,16 @@ def _sd(value: Any) -> Any:
         words = f"the sd is {value}, and an sd can be neither negative nor NaN"
         raise complaint(words, "give 0 for what is exact, inf for what is not known at all")
     return value
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """Annotates a text that is one of these names."""
+
+    names: tuple[str, ...]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        return core_schema.literal_schema([*self.names])
 
 
 UnitName = Annotated[str, AfterValidator(_known_unit), Field(examples=["m", "mm", "rad", "deg"])]
@@ -99,8 +111,21 @@ def validated(model: type[Kind], data: Any, place: Place) -> Kind:
         raise _input_error(details, data, place) from None
     except RecursionError:
         raise InputError(
-            "the tables are nested too deeply", place=str(place), remedy="flatten them"
+            "the tables are nested too deeply",
+            code="invalid-syntax",
+            place=str(place),
+            remedy="flatten them",
         ) from None
+
+
+_CODES: dict[str, Code] = {
+    "unknown_key": "unknown-name",
+    "missing": "missing-key",
+    "literal_error": "unknown-name",
+    "union_tag_invalid": "unknown-name",
+    "union_tag_not_found": "missing-key",
+}
+"""Of pydantic's kinds of complaints; all others are about a value."""
 
 
 def _input_error(details: Sequence[ErrorDetails], data: Any, place: Place) -> InputError:
@@ -110,7 +135,8 @@ def _input_error(details: Sequence[ErrorDetails], data: Any, place: Place) -> In
     if others:
         more = f" and {len(others) - 3} more" if len(others) > 3 else ""
         message += f" (also wrong: {', '.join(others[:3])}{more})"
-    return InputError(message, place=str(place.at(*paths[0])), remedy=remedy)
+    code: Code | None = details[0].get("ctx", {}).get("code") or _CODES.get(details[0]["type"])
+    return InputError(message, code=code, place=str(place.at(*paths[0])), remedy=remedy)
 
 
 def _path(detail: ErrorDetails, data: Any) -> tuple[str | int, ...]:

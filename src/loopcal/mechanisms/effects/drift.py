@@ -10,12 +10,12 @@ from typing import Annotated, Any
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.mechanisms.effects.effect import Changing, Name
+from loopcal.mechanisms.effects.effect import Changing, Name, meant
 from loopcal.mechanisms.frame import Values
 from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
-from loopcal.units import unit
+from loopcal.units import difference_to_si, to_si, unit
 
 DRIFT_SD, SHIFT_SD = 1e-3, 1e-2
 """Prior sds [m or rad]: 1 mm or 1 mrad over a drift's span, 10 mm or 10 mrad at a shift."""
@@ -54,7 +54,7 @@ class Drift:
         """P_drift of each parameter, in its unit."""
         return {
             f"{p.name}_drift": Parameter(f"{p.name}_drift", 0.0, p.unit, DRIFT_SD)
-            for p in _meant(mechanism, self.changing)
+            for p in meant(mechanism, self.changing)
         }
 
     def known(self, mechanism: Mechanism) -> dict[str, str]:
@@ -63,9 +63,9 @@ class Drift:
 
     def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
         """The parameters as they are at t."""
-        its = unit(self.unit)
-        share = (x[self.column] - self.since * its.factor) * (1.0 / (self.over * its.factor))
-        names = [parameter.name for parameter in _meant(mechanism, self.changing)]
+        since, over = to_si(self.since, self.unit), difference_to_si(self.over, self.unit)
+        share = (x[self.column] - since) * (1.0 / over)
+        names = [parameter.name for parameter in meant(mechanism, self.changing)]
         return {name: p[name] + p[f"{name}_drift"] * share for name in names}
 
 
@@ -100,7 +100,7 @@ class Shift:
         """P_fromA of each parameter and segment, in the parameter's unit."""
         return {
             (own := _from_name(p.name, a)): Parameter(own, 0.0, p.unit, SHIFT_SD)
-            for p in _meant(mechanism, self.changing)
+            for p in meant(mechanism, self.changing)
             for a in self._at
         }
 
@@ -115,13 +115,13 @@ class Shift:
         return {
             name: p[name]
             + sum(p[_from_name(name, a)] * share for a, share in zip(self._at, within, strict=True))
-            for name in (parameter.name for parameter in _meant(mechanism, self.changing))
+            for name in (parameter.name for parameter in meant(mechanism, self.changing))
         }
 
     @property
     def _at(self) -> list[float]:
         """Beginnings of the segments [SI]."""
-        return [a * unit(self.unit).factor for a in self.at]
+        return [to_si(a, self.unit) for a in self.at]
 
 
 def _from_name(parameter: str, begin: float) -> str:
@@ -132,9 +132,3 @@ def _from(begin: float, t: Any) -> Any:
     """1 where t >= begin, else 0; t is a known constant, so no derivative is ever taken."""
     past = t - float(np.nextafter(begin, -math.inf))
     return 0.5 * (1.0 + past / abs(past))
-
-
-def _meant(mechanism: Mechanism, patterns: tuple[str, ...]) -> list[Parameter]:
-    """The parameters that names or globs stand for."""
-    names = dict.fromkeys(n for pattern in patterns for n in mechanism.parameters.matching(pattern))
-    return [mechanism.parameters[name] for name in names]

@@ -7,9 +7,10 @@ from loopcal.mechanisms.effects.compliance import Compliance
 from loopcal.mechanisms.effects.drift import Drift, Shift
 from loopcal.mechanisms.effects.harmonics import Harmonics
 from loopcal.mechanisms.effects.scale import Scale
+from loopcal.mechanisms.effects.thermal import Thermal
 from loopcal.mechanisms.keys import by_type
 
-__all__ = ["Backlash", "Compliance", "Drift", "Harmonics", "Scale", "Shift"]
+__all__ = ["Backlash", "Compliance", "Drift", "Harmonics", "Scale", "Shift", "Thermal"]
 
 EFFECTS = by_type(globals()[name] for name in __all__)
 """By the type that files name, the effect."""

@@ -10,10 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-import numpy as np
-
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import dot, norm
+from loopcal.mechanisms.direction import Direction
 from loopcal.mechanisms.frame import Frame, Values
 from loopcal.mechanisms.instruments.length import apart
 from loopcal.mechanisms.instruments.point import AXES
@@ -120,16 +119,12 @@ def plane(
     """
     own = gap or f"{name}_gap"
     looked_at = Target.of(target, dimension)
-    n_0, e_1, e_2 = _directions(name, normal, dimension)
-    tilts = [f"{name}_tilt_{i}" for i in range(1, dimension)]
+    across = Direction.near(normal, name=name, what="normal", dimension=dimension)
     away = f"{name}_distance"
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
-        angles = [p[tilt] for tilt in tilts]
-        n = np.cos(angles[0]) * n_0 + np.sin(angles[0]) * e_1
-        for b in angles[1:]:
-            n = np.cos(b) * n + np.sin(b) * e_2
-        return [dot(n, frames[0].point(looked_at.point(p))) - p[away] - x[own]]
+        reached = frames[0].point(looked_at.point(p))
+        return [dot(across.vector(p), reached) - p[away] - x[own]]
 
     return Instrument(
         name,
@@ -137,32 +132,10 @@ def plane(
         looked_at.declared,
         equations,
         "gap",
-        placement={tilt: Parameter(tilt, 0.0, "rad") for tilt in tilts}
-        | {away: Parameter(away, 0.0, "m")},
+        placement=across.declared | {away: Parameter(away, 0.0, "m")},
         implied={own: 0.0},
         dimension=dimension,
     )
-
-
-def _directions(name: str, normal: Sequence[float], dimension: int) -> tuple[Any, Any, Any]:
-    given = np.array(normal, dtype=float)
-    if given.shape != (3,) or not np.isfinite(given).all() or not given.any():
-        raise InputError(
-            f"the nominal normal of {name!r} is {list(normal)}",
-            remedy="give the three components of a direction, say [0, 0, 1]",
-        )
-    if dimension == 2 and (given[2] or not given.any()):
-        raise InputError(
-            f"the nominal normal of {name!r} is {list(normal)}, and the machine moves in a plane",
-            remedy="give a direction in the plane, say [0, 1, 0]",
-        )
-    n_0 = given / np.linalg.norm(given)
-    if dimension == 2:
-        return n_0, np.array([-n_0[1], n_0[0], 0.0]), np.zeros(3)
-    least = np.eye(3)[int(np.argmin(np.abs(n_0)))]
-    e_1 = least - (least @ n_0) * n_0
-    e_1 /= np.linalg.norm(e_1)
-    return n_0, e_1, np.cross(n_0, e_1)
 
 
 @recorded
@@ -185,6 +158,7 @@ def socket(
     if len(own) != dimension:
         raise InputError(
             f"the socket {name!r} has {len(own)} gaps in a space of {dimension}",
+            code="wrong-shape",
             remedy=f"name {dimension}",
         )
     fixed = Target.named(name, dimension)

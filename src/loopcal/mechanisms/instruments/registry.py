@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from loopcal.mechanisms.instruments.contact import ball_bar, plane, socket, sphere
+from loopcal.mechanisms.instruments.inclinometer import inclinometer
 from loopcal.mechanisms.instruments.length import distance, draw_wire, relative_distance
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
@@ -13,6 +14,7 @@ __all__ = [
     "ball_bar",
     "distance",
     "draw_wire",
+    "inclinometer",
     "plane",
     "point",
     "pose",
