@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any, NoReturn
 
 from loopcal.errors import InputError
 from loopcal.files.tables.raw import bytes_of
 
+_ESCAPED_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 MOST_BYTES = 1_000_000_000
 
 
@@ -27,7 +29,7 @@ def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:
             remedy=remedy,
         )
     try:
-        document = json.loads(content, parse_constant=_refused)
+        document = json.loads(content, parse_constant=_refused, parse_int=_whole)
     except json.JSONDecodeError as error:
         raise InputError(
             f"this is not valid JSON: {error.msg}",
@@ -40,6 +42,17 @@ def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:
         raise InputError(
             f"this is not valid JSON: {why}", code="invalid-syntax", place=str(path), remedy=remedy
         ) from None
+    if _ESCAPED_SURROGATE.search(content):
+        try:
+            json.dumps(document, ensure_ascii=False).encode("utf-8")
+        except UnicodeEncodeError as error:
+            raise InputError(
+                "this is not valid JSON: it holds half a character "
+                f"(\\u{ord(error.object[error.start]):04x})",
+                code="invalid-syntax",
+                place=str(path),
+                remedy=remedy,
+            ) from None
     if not isinstance(document, dict) or "schema" not in document:
         raise InputError(
             f"this is no {kind}: it does not say its schema",
@@ -55,6 +68,12 @@ def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:
             remedy="use the loopcal that wrote this file, or write it anew",
         )
     return document
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > 300:
+        raise ValueError(f"it holds a number of {len(digits)} digits")
+    return int(digits)
 
 
 def _refused(constant: str) -> NoReturn:

@@ -19,7 +19,7 @@ from typing import Annotated
 
 from loopcal.errors import InputError
 from loopcal.mechanisms.axes import AxisFrame, JointName, Limits, Triple, fixed_frame
-from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.chain import Step, refuse_long_chain
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
@@ -92,6 +92,7 @@ def exponentials(
         raise InputError(
             "the machine has no joints", code="missing-key", remedy="list at least one joint"
         )
+    refuse_long_chain(len(joints))
     names = [joint.name for joint in joints]
     for joint in names:
         if names.count(joint) > 1:

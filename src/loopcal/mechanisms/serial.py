@@ -23,7 +23,7 @@ from typing import Annotated, Any
 
 from loopcal.errors import InputError, nearest
 from loopcal.mechanisms.axes import JointName
-from loopcal.mechanisms.chain import MOTIONS, Step
+from loopcal.mechanisms.chain import MOTIONS, Step, refuse_long_chain
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.instruments.point import point as cartesian
 from loopcal.mechanisms.keys import Key
@@ -193,6 +193,7 @@ def serial_machine(joints: Sequence[Joint], *, name: str = NAME) -> Machine:
         raise InputError(
             "a serial arm has no joints", code="missing-key", remedy="list at least one joint"
         )
+    refuse_long_chain(len(joints))
     _check_distinct([joint.name for joint in joints])
     described = {"type": "serial", "joints": list(joints)}
     return chain_machine(chain_steps(joints), name=name, description=described)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ def read_xml(path: str | Path, tag: str, remedy: str) -> Any:
     """
     from lxml import etree
 
-    name, content = shown(path), _content(path)
+    name, content = shown(path), _declared_first(_content(path))
     if b"<!doctype" in content.replace(b"\0", b"").lower():
         raise _document_type(name)
     parser = etree.XMLParser(
@@ -67,6 +68,15 @@ def _document_type(name: str) -> InputError:
         place=name,
         remedy="delete <!DOCTYPE ...> from the file",
     )
+
+
+def _declared_first(content: bytes) -> bytes:
+    """The content with blank lines before its XML declaration put behind it; lines keep numbers."""
+    bare = content.removeprefix(codecs.BOM_UTF8).lstrip()
+    if not bare.startswith(b"<?xml"):
+        return content
+    blank, end = content[: len(content) - len(bare)], bare.find(b"?>") + 2
+    return bare[:end] + b"\n" * blank.count(b"\n") + bare[end:]
 
 
 def _content(path: str | Path) -> bytes:

@@ -299,7 +299,7 @@ def _data(result: Result) -> dict[str, Any]:
         "file": source.file,
         "sha256": source.sha256,
         "poses": source.rows_read or len(dataset),
-        "used": result.problem.count,
+        "used": result.solution.poses,
         "excluded": list(source.excluded),
         "every": source.every,
         "joined": [{"file": part.file, "sha256": part.sha256} for part in source.joined],

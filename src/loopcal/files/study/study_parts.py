@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 Column = Sequence[str] | NDArray[np.float64]
 CHUNK = 50
 """Draws in a part: a few seconds of work at most, lost when a study is killed."""
+MOST_DRAWS = 10_000_000
+"""Of all scenarios together."""
 TEXTS = ("scenario", "method", "reason")
 
 
@@ -45,7 +47,16 @@ class Part:
 
 
 def parts_of(scenarios: int, draws: int) -> list[Part]:
-    """All parts of a study with so many draws, in the order of their rows."""
+    """All parts of a study with so many draws of each scenario, in the order of their rows.
+
+    Raises InputError for more draws than can be listed.
+    """
+    if scenarios * draws > MOST_DRAWS:
+        raise InputError(
+            f"the study has {scenarios * draws} draws in all, and at most {MOST_DRAWS} are run",
+            code="too-large",
+            remedy="ask for fewer draws of each scenario, or leave scenarios out",
+        )
     return [
         Part(scenario, first, min(first + CHUNK, draws))
         for scenario in range(scenarios)

@@ -192,6 +192,7 @@ def _read(file: ParquetFile, names: Sequence[str], offset: int, rows: int) -> pl
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
         raise InputError(
             f"this Parquet file changed while it was read ({str(error).splitlines()[0]})",
+            code="unreadable-file",
             place=file.path.name,
             remedy="wait until it is written, then run the command again",
         ) from None

@@ -79,6 +79,7 @@ def existing_file(path: str | Path, *, empty_too: bool = False) -> Path:
         if not (path.is_file() or path.is_fifo()):
             raise InputError(
                 "this is a device, not a file",
+                code="wrong-file-type",
                 place=str(path),
                 remedy="name a file, or - for standard input where the command takes it",
             )
@@ -116,6 +117,7 @@ def opened(path: str | Path, *, empty_too: bool = False) -> BinaryIO:
         os.close(handle)
         raise InputError(
             f"this is a pipe, and no program writes into it for {PATIENCE:g} s",
+            code="unreadable-file",
             place=str(path),
             remedy="start the program that writes first, or name a file",
         )

@@ -57,6 +57,7 @@ def _refuse_far_cells(blocks: Iterator[bytes], path: Path) -> None:
                 raise InputError(
                     f"cell {name.decode()} makes a sheet of {rows} rows and {columns} columns, "
                     "too large to read",
+                    code="too-large",
                     place=path.name,
                     remedy="delete cells far from the table, or save the table as Parquet",
                 )
@@ -124,6 +125,7 @@ def _most(path: Path) -> int:
 def _bomb(path: Path, most: int) -> InputError:
     return InputError(
         f"the file unfolds to more than {most / 1e9:.1f} GB, {PER_BYTE} times its size",
+        code="too-large",
         place=path.name,
         remedy="save the table as CSV or Parquet, if it is one",
     )

@@ -173,6 +173,10 @@ def _words(detail: ErrorDetails, path: Sequence[str | int]) -> tuple[str, str]:
             least = context.get("ge", context.get("gt"))
             than = f"{least:g} or more" if "ge" in context else f"more than {least:g}"
             return f"{_short(given)} is given, which is too small", f"give {than}"
+        case "less_than_equal" | "less_than":
+            most = context.get("le", context.get("lt"))
+            than = f"{most:,} or less" if "le" in context else f"less than {most:,}"
+            return f"{_short(given)} is given, which is too large", f"give {than}"
         case "too_short":
             return f"{_short(given)} has too few entries", f"give {context['min_length']} or more"
         case "too_long":
