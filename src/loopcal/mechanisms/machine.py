@@ -27,7 +27,7 @@ Arguments = ParamSpec("Arguments")
 SECOND = 0.01
 """By how much [m, rad] the home of a row's second pose differs from that of the first."""
 ENDS = ("", "_b")
-"""What is appended to a machine's quantities where two of its poses stand in one row."""
+"""What names the quantities of both poses of a row; `Quantity.first` says which belong together."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +134,7 @@ def assemble(
         raise InputError(
             f"{machine.name!r} has no loop: nothing is read but its joints, and they may stand "
             "anywhere",
+            code="undetermined-quantities",
             remedy="add an instrument that looks at it",
         )
     parameters: dict[str, Parameter] = {}
@@ -166,8 +167,10 @@ def assemble(
         loops=[*closure, *measured],
         name=machine.name,
     )
+    firsts = {q + ENDS[1]: q for q in (*machine.quantities, *machine.known)} if ends > 1 else {}
     return replace(
         made,
+        variables=tuple(replace(v, first=firsts.get(v.name)) for v in made.variables),
         families=tuple(_families(machine, instruments, ends)),
         home=_home(machine, ends),
         implied={q: v for i in instruments for q, v in i.implied.items()},
@@ -216,7 +219,9 @@ def _stated(
     """The parameters that are given other values."""
     for name in nominal:
         if name not in own:
-            raise InputError(f"there is no parameter {name!r}", remedy=nearest(name, own))
+            raise InputError(
+                f"there is no parameter {name!r}", code="unknown-name", remedy=nearest(name, own)
+            )
     return {
         name: replace(given, name=name)
         if isinstance(given, Parameter)
@@ -229,7 +234,9 @@ def _refuse_repeated(names: Sequence[str], what: str = "readings") -> None:
     for name in names:
         if names.count(name) > 1:
             raise InputError(
-                f"{name!r} names two {what} of the mechanism", remedy="name each differently"
+                f"{name!r} names two {what} of the mechanism",
+                code="duplicate-name",
+                remedy="name each differently",
             )
 
 
@@ -239,12 +246,14 @@ def _refuse_misfits(machine: Machine, instruments: Sequence[Instrument]) -> None
             raise InputError(
                 f"the instrument {i.name!r} looks at machines in {i.dimension} dimensions, and "
                 f"{machine.name!r} moves in {machine.dimension}",
+                code="unsupported",
                 remedy=f"make it for {machine.dimension} dimensions",
             )
         own = {*i.placement, *i.parameters}
         if machine.chain and (shared := own & set(machine.parameters)):
             raise InputError(
                 f"{min(shared)!r} is a parameter of a joint and of the instrument {i.name!r}",
+                code="duplicate-name",
                 remedy="name the station or target of the instrument differently",
             )
     on_bodies = {*machine.parameters, *(n for i in instruments for n in i.parameters)}
@@ -261,5 +270,6 @@ def _refuse_shared(instrument: Instrument, other: str, shared: set[str]) -> None
     raise InputError(
         f"{min(shared)!r} would say both where the instrument {instrument.name!r} stands and "
         f"{other}, which are not of the same kind",
+        code="duplicate-name",
         remedy="give one of them another name; what shares a name shares its parameters",
     )

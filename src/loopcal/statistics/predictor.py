@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
-from loopcal.estimation.problem.problem import Pattern, Problem
+from loopcal.estimation.problem.patterns import Pattern
+from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.model_error import PREFIX, with_model_error
+from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.statistics.sensitivity import output_sensitivity
 
 Array = NDArray[np.float64]
@@ -71,10 +72,11 @@ def predictor_of(document: Mapping[str, Any], mechanism: Mechanism) -> Predictor
     if stored is None:
         raise InputError(
             f"{mechanism.name!r} has no outputs to predict: no instrument measures it",
+            code="no-outputs",
             remedy="add the instrument whose readings are to be predicted, and calibrate again",
         )
     sds = {q: entry["sd"] for entry in document["noise"] for q in entry["quantities"]}
-    if any(q.startswith(PREFIX) for q in sds):
+    if any(q in sds and q not in mechanism.quantities for q in disturbances(mechanism)):
         mechanism = with_model_error(mechanism)
     values = {p["name"]: p["value"] for p in document["parameters"]}
     matrix = stored["covariance"] or document["covariance"]["matrix"]

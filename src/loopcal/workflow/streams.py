@@ -12,7 +12,7 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.solver import Progress
 from loopcal.estimation.stream.calibrate import calibrate_stream, refuse_unstreamable
-from loopcal.estimation.stream.ending import Parts
+from loopcal.estimation.stream.last_pass import Parts
 from loopcal.execution.executor import Executor
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.stream import ParquetStream
@@ -54,6 +54,7 @@ def refuse_without_all_poses(project: Project, fit: Fit, asked: Mapping[str, Any
         if wanted:
             raise InputError(
                 f"{words} needs all poses in memory, and these come as a stream",
+                code="unsupported",
                 place=project.name,
                 remedy="leave it out, or thin the poses (data.every) and say stream = false",
             )
