@@ -1,4 +1,4 @@
-"""What an interrupted fit resumes from: the solver's state at the beginning of an iteration."""
+"""The points of a search, and what an interrupted fit resumes from."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any, Generic
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.solve.merit import State
+from loopcal.estimation.solve.merit import Evaluation, State
+from loopcal.estimation.solve.reduction import Spectrum
 
 Array = NDArray[np.float64]
 _PLACES, _ARRAYS = ("first", "current", "lowest"), ("effects", "last_step")
@@ -23,6 +24,22 @@ class Place(Generic[State]):
     state: State
     closing: float | None
     merit: float
+
+
+@dataclass(frozen=True)
+class Point(Generic[State]):
+    """A trial: parameters, evaluation, merit and parameter system; closed: how well loops are."""
+
+    parameters: Array
+    found: Evaluation[State]
+    merit: float
+    spectrum: Spectrum | None
+    closed: float | None
+
+    @property
+    def place(self) -> Place[State]:
+        """What it takes to evaluate the point again."""
+        return Place(self.parameters, self.found.state, self.found.closing, self.merit)
 
 
 @dataclass(frozen=True)

@@ -49,3 +49,13 @@ class Status:
         """The status for a reason, with its cause and remedy."""
         message = f"{REASONS[reason]} {detail}".strip()
         return cls(reason == "converged", reason, message, iterations, evaluations)
+
+
+def weakness(names: tuple[str, ...]) -> str:
+    """What to do about a direction that the poses hardly determine; nothing if there is none."""
+    if not names:
+        return ""
+    return (
+        f"These poses hardly tell apart {', '.join(names)}: fix one of them or give it a prior sd, "
+        'and describe axes that are nearly parallel by the form "hayati" or by transitions.'
+    )
