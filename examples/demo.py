@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from loopcal.estimation.result import Result
-from loopcal.estimation.rounding import significant
+from loopcal.presentation.rounding import significant
 from loopcal.estimation.summary import SHOWN, columns
 from loopcal.files.result.truth_file import read_truth
 from loopcal.units import from_si

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import loopcal as lc
-from loopcal.estimation.rounding import rounded_by_sd, significant
+from loopcal.presentation.rounding import rounded_by_sd, significant
 from loopcal.estimation.summary import SHOWN, columns
 from loopcal.units import from_si
 

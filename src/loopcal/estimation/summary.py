@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from loopcal.estimation.rounding import rounded_by_sd, significant
+from loopcal.presentation.rounding import rounded_by_sd, significant
 from loopcal.units import from_si
 
 if TYPE_CHECKING:

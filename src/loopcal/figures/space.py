@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.estimation.rounding import significant
+from loopcal.presentation.rounding import significant
 from loopcal.figures.figure import Array, Figure, axis, layout, numbers
 from loopcal.figures.thinning import thinned
 

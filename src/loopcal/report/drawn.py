@@ -16,7 +16,7 @@ from loopcal.figures.sensors import drift, normalised
 from loopcal.figures.space import arrows
 from loopcal.mechanisms.skeleton import skeleton
 from loopcal.report.source import Source
-from loopcal.report.words import factor, unit_shown
+from loopcal.presentation.shown import factor, unit_shown
 
 Array = NDArray[np.float64]
 

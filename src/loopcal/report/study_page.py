@@ -17,7 +17,7 @@ from loopcal.files.atomic import write_files
 from loopcal.files.versions import version
 from loopcal.report.page import environment, part, sha256
 from loopcal.report.tables import Table
-from loopcal.report.words import in_unit, size, unit_shown
+from loopcal.presentation.shown import in_unit, size, unit_shown
 from loopcal.studies.example import first_draw
 from loopcal.studies.paired import Paired
 from loopcal.studies.run import StudyDone

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from loopcal.report.source import Source
-from loopcal.report.words import NONE, by_sd, chance, percent, size, unit_shown
+from loopcal.presentation.shown import NONE, by_sd, chance, percent, size, unit_shown
 
 
 @dataclass(frozen=True)

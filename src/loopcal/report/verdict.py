@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from loopcal.mechanisms.model_error import PREFIX
-from loopcal.report.words import chance, size, unit_shown
+from loopcal.presentation.shown import chance, size, unit_shown
 
 REJECTED = 0.01
 """p-value of chi-squared below which stated sds and corrections do not go together."""

@@ -20,7 +20,7 @@ from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.problem.unreachable import refuse_unreachable
-from loopcal.estimation.rounding import significant
+from loopcal.presentation.rounding import significant
 from loopcal.estimation.solve.reduction import Spectrum, spectrum, undetermined
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.sweep import NEAR, Sweeper

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.rounding import rounded_by_sd, significant
+from loopcal.presentation.rounding import rounded_by_sd, significant
 from loopcal.estimation.summary import SHOWN, columns
 from loopcal.units import from_si
 

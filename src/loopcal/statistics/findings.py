@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from loopcal.estimation.result import Result
-from loopcal.estimation.rounding import significant
+from loopcal.presentation.rounding import significant
 from loopcal.estimation.stream.sweeps import StreamedProblem
 from loopcal.estimation.summary import SHOWN
 from loopcal.statistics.identifiability import WhatDataSay, what_data_say

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.rounding import significant
+from loopcal.presentation.rounding import significant
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum, spectrum
 
 Array = NDArray[np.float64]

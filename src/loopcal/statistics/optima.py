@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
-from loopcal.estimation.rounding import significant
+from loopcal.presentation.rounding import significant
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import solve
 from loopcal.estimation.summary import SHOWN

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
-from loopcal.estimation.rounding import significant
+from loopcal.presentation.rounding import significant
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.summary import SHOWN
 from loopcal.statistics.causes import Cause, Suspect, find_causes

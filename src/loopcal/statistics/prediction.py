@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.result import Result
-from loopcal.estimation.rounding import significant
+from loopcal.presentation.rounding import significant
 from loopcal.estimation.summary import SHOWN
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, resolve_noise

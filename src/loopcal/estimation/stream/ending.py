@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -12,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.calibrate import result_of
-from loopcal.estimation.distances import distances
+from loopcal.estimation.accuracy_tally import AccuracyTally
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
-from loopcal.estimation.result import Accuracy, Result
+from loopcal.estimation.result import Result
 from loopcal.estimation.solve.solver import Solution
 from loopcal.estimation.solve.sweep import NEGLIGIBLE
 from loopcal.estimation.stream.pieces import Task
@@ -53,7 +52,7 @@ class Ending:
             _EndPiece(number, begins[number], poses, stride, self.solution, self.method, part_of)
             for number in range(self.task.stream.count)
         ]
-        accuracies = _Distances(), _Distances()
+        accuracies = AccuracyTally(), AccuracyTally()
         kept: list[Shown] = []
         worst: Shown | None = None
         with closing(crew(pieces)) as outcomes:
@@ -122,7 +121,7 @@ class _Ended:
     part: Any
     kept: Shown | None
     worst: Shown | None
-    distances: tuple[_Distances, _Distances]
+    distances: tuple[AccuracyTally, AccuracyTally]
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,9 +145,9 @@ class _EndPiece:
         # that the fit converged says nothing of a chunk alone
         solution = replace(self.solution, status=replace(self.solution.status, converged=False))
         result = _closed(task, self.method, solution, problem, chunk.data)
-        found = _Distances(), _Distances()
-        found[0].add(problem, result.differences_before)
-        found[1].add(problem, result.differences_after)
+        found = AccuracyTally(), AccuracyTally()
+        found[0].add(apart(problem, result.differences_before))
+        found[1].add(apart(problem, result.differences_after))
         corrections = np.array(list(result.corrections.values()))
         square, misfit = misfits(task, problem, self.solution.parameters, corrections, self.poses)
         number = np.arange(self.begin, self.begin + len(chunk.data))
@@ -161,50 +160,3 @@ class _EndPiece:
             shown.at(bad).worst() if bad.size else None,
             found,
         )
-
-
-class _Distances:
-    """Mean, rms, 95th percentile and maximum of distances that are not kept.
-
-    The percentile comes from counts in bins of 0.2 % width, the first up to SMALLEST.
-    """
-
-    SMALLEST, WIDTH, BINS = 1e-12, 0.002, 17_500
-
-    def __init__(self) -> None:
-        self.counts = np.zeros(self.BINS, dtype=np.int64)
-        self.total = self.squares = self.largest = 0.0
-        self.unit = "m"
-
-    def add(self, problem: Problem, differences: Any) -> None:
-        mechanism = problem.mechanism
-        rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
-        found = distances(mechanism, problem.readings[rows], np.array(list(differences.values())))
-        if found is None:
-            return
-        values = found.values[np.isfinite(found.values)]
-        self.unit = found.unit
-        if not values.size:
-            return
-        bins = np.ceil(np.log(np.maximum(values / self.SMALLEST, 1.0)) / self.WIDTH)
-        bins = np.minimum(bins, self.BINS - 1).astype(np.intp)
-        self.counts += np.bincount(bins, minlength=self.BINS)
-        self.total += float(values.sum())
-        self.squares += float(np.square(values).sum())
-        self.largest = max(self.largest, float(values.max()))
-
-    def add_other(self, other: _Distances) -> None:
-        self.counts += other.counts
-        self.total += other.total
-        self.squares += other.squares
-        self.largest = max(self.largest, other.largest)
-        self.unit = other.unit if other.counts.any() else self.unit
-
-    def accuracy(self) -> Accuracy | None:
-        number = int(self.counts.sum())
-        if not number:
-            return None
-        bin_ = int(np.searchsorted(np.cumsum(self.counts), 0.95 * number))
-        p95 = min(self.SMALLEST * math.exp(bin_ * self.WIDTH), self.largest)
-        rms = float(np.sqrt(self.squares / number))
-        return Accuracy(self.unit, self.total / number, rms, p95, self.largest, number)
