@@ -268,3 +268,14 @@ def test_an_import_downwards_is_not(name: str, text: str) -> None:
 def test_reaching_for_the_disk_is_found(text: str) -> None:
     assert disk_access(Module("estimation.kernel", text))
     assert disk_access(Module("files.atomic", text)) == []
+
+
+def test_only_one_module_prints() -> None:
+    printing = {
+        module.name
+        for module in MODULES
+        for node in ast.walk(module.tree)
+        if isinstance(node, ast.Call)
+        and dotted(node.func) in ("print", "sys.stdout.write", "sys.stderr.write", "typer.echo")
+    }
+    assert printing <= {"cli.output", "cli.__init__"}  # the latter before anything is loaded

@@ -10,6 +10,7 @@ from loopcal.errors import (
     LoopcalError,
     NoTrustworthyResult,
     UsageError,
+    listed,
     nearest,
 )
 
@@ -65,3 +66,27 @@ def test_a_misspelled_name_is_told_the_nearest(typed: str, meant: str) -> None:
 def test_a_name_like_no_other_is_told_all_there_are() -> None:
     assert nearest("zzz", iter(["columns", "file"])) == "known are 'columns', 'file'"
     assert nearest("zzz", []) == "none is known here"
+
+
+def test_a_long_name_is_cut_in_its_middle_wherever_it_is_quoted() -> None:
+    name = "start" + "x" * 100_000 + "end"
+    error = InputError(f"there is no {name!r}, it's said", place=name, remedy=f'try "{name}"')
+    assert len(str(error)) < 3_000
+    assert "'startx" in error.message
+    assert "xend', it's said" in error.message
+
+
+def test_a_text_of_usual_length_stays_whole() -> None:
+    text = "the sensors' sds and the machine's " + "own length " * 20 + "are 'x' and \"y ...\""
+    assert InputError(text, place=text, remedy=text).remedy == text
+
+
+def test_a_long_list_says_how_many_more_there_are() -> None:
+    names = [f"n{i}" for i in range(1_000)]
+    assert nearest("zzz", names).endswith("and 960 more")
+    assert listed(names).endswith("'n9' and 990 more")
+    assert listed(names[:10]).endswith("'n9'")
+
+
+def test_a_place_is_one_line() -> None:
+    assert "\n" not in str(InputError("text", place="a\nloopcal: done"))

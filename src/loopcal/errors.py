@@ -12,8 +12,13 @@ loopcal.errors.InputError: arm.toml: noise.theta_1: sd is -0.1 mrad; an sd canno
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from difflib import get_close_matches
+
+LONGEST_NAME, LONGEST_TEXT, MOST_NAMES = 80, 2_000, 10
+"""Characters of a quoted name and of a whole text, and names of a list, that a message shows."""
+_QUOTED = re.compile(r"""(?<!\w)(['"])(?:\\.|(?!\1(?!\w)).)*\1(?!\w)""", re.DOTALL)
 
 
 class LoopcalError(Exception):
@@ -24,10 +29,10 @@ class LoopcalError(Exception):
     def __init__(
         self, message: str, *, place: str | None = None, remedy: str | None = None
     ) -> None:
-        self.message = message
-        self.place = place
-        self.remedy = remedy
-        super().__init__(message)
+        self.message = _bounded(message)
+        self.place = place and _bounded(place).replace("\n", "\\n")
+        self.remedy = remedy and _bounded(remedy)
+        super().__init__(self.message)
 
     def __str__(self) -> str:
         text = f"{self.place}: {self.message}" if self.place else self.message
@@ -61,15 +66,43 @@ class NoTrustworthyResult(LoopcalError):
     exit_code = 4
 
 
+def short(text: str, most: int = LONGEST_NAME) -> str:
+    """The text with its middle cut out where it has more characters than `most`.
+
+    >>> short("a" * 50 + "b" * 50, 21)
+    'aaaaaaaa[...]bbbbbbbb'
+    """
+    half = (most - 5) // 2
+    return text if len(text) <= most else f"{text[:half]}[...]{text[-half:]}"
+
+
+def listed(names: Iterable[str], most: int = MOST_NAMES) -> str:
+    """Names in quotes for a message: the first few, and how many more there are.
+
+    >>> listed(["x", "y", "z"], most=2)
+    "'x', 'y' and 1 more"
+    """
+    every = list(names)
+    shown = ", ".join(repr(short(name)) for name in every[:most])
+    return f"{shown} and {len(every) - most} more" if len(every) > most else shown
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
-    """A remedy naming the known spelling nearest to `name`, or all of them.
+    """A remedy naming the known spelling nearest to `name`, or the first of them.
 
     >>> nearest("collumns", ["columns", "file"])
     "did you mean 'columns'?"
     """
     choices = list(known)
     folded = {choice.casefold(): choice for choice in reversed(choices)}
-    close = get_close_matches(name.casefold(), folded, n=1, cutoff=0.6)
+    close = get_close_matches(name[:1000].casefold(), folded, n=1, cutoff=0.6)
     if close:
         return f"did you mean {folded[close[0]]!r}?"
-    return "known are " + ", ".join(repr(c) for c in choices) if choices else "none is known here"
+    return "known are " + listed(choices, 40) if choices else "none is known here"
+
+
+def _bounded(text: str) -> str:
+    """A text of bounded length, whatever names it quotes."""
+    if len(text) > LONGEST_NAME:
+        text = _QUOTED.sub(lambda quoted: short(quoted[0], LONGEST_NAME + 2), text)
+    return short(text, LONGEST_TEXT)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from loopcal.cli.output import log, print_json, print_out
+from loopcal.cli.output import log, print_data, print_json, print_out
 from loopcal.errors import NoTrustworthyResult
 from loopcal.files.project.templates import TEMPLATES
 
@@ -206,7 +206,7 @@ def predict(
     if as_json:
         print_json(done.document())
     elif out is None:
-        print_out(prediction_table(done).rstrip("\n"))
+        print_data(prediction_table(done).rstrip("\n"))
         for line in done.words().splitlines():
             log(line)
     else:

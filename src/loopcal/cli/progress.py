@@ -8,7 +8,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self, TextIO
 
-from loopcal.cli.output import log
+from loopcal.cli.output import escaped, log
 
 AFTER, ON_TERMINAL, ELSEWHERE = 2.0, 0.2, 10.0
 """Seconds until the first line, and between lines."""
@@ -30,7 +30,7 @@ class _Line:
         if now < self.due:
             return
         self.due = now + (ON_TERMINAL if self.terminal else ELSEWHERE)
-        text = line(now - self.began)
+        text = escaped(line(now - self.began))
         if self.terminal:
             self.stream.write("\r" + text.ljust(self.shown))
             self.shown = len(text)

@@ -6,13 +6,14 @@
 
 from __future__ import annotations
 
-import sys
+import io
 from collections.abc import Sequence
 
 from typer.exceptions import Abort, TyperException
 
 from loopcal.cli.commands import app
-from loopcal.errors import LoopcalError
+from loopcal.cli.output import log, print_error
+from loopcal.errors import LONGEST_TEXT, LoopcalError, short
 
 INTERRUPTED = 130
 
@@ -24,21 +25,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except LoopcalError as error:
         if type(error) is LoopcalError:
             return _fault(error)
-        print(f"loopcal: {error}", file=sys.stderr)
+        log(str(error))
         return error.exit_code
     except TyperException as error:  # arguments that do not parse
-        error.show()  # type: ignore[attr-defined]
+        shown = io.StringIO()
+        error.show(file=shown)  # type: ignore[attr-defined]
+        print_error(short(shown.getvalue().rstrip("\n"), LONGEST_TEXT))
         return error.exit_code
     except (KeyboardInterrupt, Abort):
         code = INTERRUPTED
     except MemoryError:
-        print("loopcal: the memory does not suffice", file=sys.stderr)
-        print("  What to do: use fewer poses (data.every thins them)", file=sys.stderr)
+        log("out of memory\n  What to do: use fewer poses (data.every thins them)")
         return 3
     except Exception as error:
         return _fault(error)
     if code == INTERRUPTED:
-        print("loopcal: interrupted", file=sys.stderr)
+        log("interrupted")
     return int(code)
 
 
@@ -48,11 +50,11 @@ def _fault(error: Exception) -> int:
 
     from loopcal.files.versions import versions
 
-    traceback.print_exception(error)
+    print_error("".join(traceback.format_exception(error)).rstrip("\n"))
     about = ", ".join(f"{name} {number}" for name, number in versions().items())
-    print(
-        f"loopcal: this is a fault of loopcal, not of your input: {type(error).__name__}: {error}\n"
-        f"  What to do: please report it, with the lines above and: {about}, {platform.platform()}",
-        file=sys.stderr,
+    log(
+        f"this is a fault of loopcal, not of your input: {type(error).__name__}: "
+        f"{short(str(error), LONGEST_TEXT)}\n"
+        f"  What to do: please report it, with the lines above and: {about}, {platform.platform()}"
     )
     return 1

@@ -93,7 +93,15 @@ class ResultDocument:
     Numbers are SI unless a unit stands beside them. Unknown is null; NaN and infinity never occur.
     """
 
-    schema: Literal[1] = SCHEMA
+    # how pydantic reads this and all that it holds, where result.json is read
+    __pydantic_config__ = {  # noqa: RUF012
+        "extra": "forbid",
+        "strict": True,
+        "allow_inf_nan": False,
+        "use_attribute_docstrings": True,
+    }
+
+    schema: Literal[1]
     loopcal: str
     """Version of loopcal that wrote this file."""
     title: str | None

@@ -226,7 +226,7 @@ def result_of(
         dataset=data,
         problem=problem,
         spectrum=solution.spectrum,
-        information=solution.sweep.data,
+        information=solution.data,
         loss=loss,
     )
     if result.status.converged and alike and _too_small_sds(result):
@@ -262,7 +262,7 @@ def _identifiability(problem: Problem, solution: Solution) -> Identifiability:
     alone = system
     if np.isfinite(problem.prior_sd).any():
         flat = np.full(len(problem.free), np.inf)
-        alone = spectrum(solution.sweep.data, np.zeros(len(problem.free)), flat)
+        alone = spectrum(solution.data, np.zeros(len(problem.free)), flat)
     directions = undetermined(system, problem.names)
     condition = system.condition
     return Identifiability(

@@ -209,7 +209,7 @@ def _fitted(problem: Problem, iterations: int = 100) -> float:
             moved, _ = placed(problem)
             start = np.array([moved.parameters[name].nominal for name in names])
             problem = replace(problem, start=start)
-        square = solve(problem, exact=True, max_iterations=iterations).sweep.data.chi_squared
+        square = solve(problem, exact=True, max_iterations=iterations).data.chi_squared
     except InputError:
         return math.inf
     return math.sqrt(square / max(problem.equations, 1))

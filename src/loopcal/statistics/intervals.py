@@ -212,7 +212,7 @@ def _found(problem: Problem, exact: bool) -> _Place | None:
             corrections = start_corrections(sweeper, problem.start)
             sweep = sweeper.sweep(problem.start, corrections, closing=NEGLIGIBLE)
             merit = sweep.data.chi_squared
-            closed = math.isfinite(merit) and not sweep.open_poses.size
+            closed = math.isfinite(merit) and not sweep.late
             return _Place(problem.nominal, merit) if closed else None
         found = solve(problem, exact=exact)
     except InputError:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.reweighted import solve_reweighted
 from loopcal.estimation.solve.solver import Solution, solve_with
@@ -103,7 +104,7 @@ class Search:
         held = replace(problem, start=start)
         if self.result.method == "reweighted":
             return solve_reweighted(held, loss=loss)
-        return solve_with(Sweeper(held, exact=self.exact, loss=loss))
+        return solve_with(InMemory(Sweeper(held, exact=self.exact, loss=loss)))
 
     def _robust(self, fit: Fit) -> Fit:
         """Huber's fit, its tuning constant in units of the scale that it finds itself."""

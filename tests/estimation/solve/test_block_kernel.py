@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.estimation.solve import searching
 from loopcal.estimation.solve.block_kernel import BlockKernel, Reduced, kernel_for
+from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.kernel import BlockNoise, unweighted, whiten
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.solver import Solution, solve, solve_with
@@ -356,7 +357,7 @@ def test_a_fit_ends_at_the_same_parameters(
     found: dict[str, Solution] = {}
     for engine in ENGINES:
         monkeypatch.setenv("LOOPCAL_ENGINE", engine)
-        found[engine] = solve_with(Sweeper(problem, loss=loss))
+        found[engine] = solve_with(InMemory(Sweeper(problem, loss=loss)))
     ours, theirs = found["compiled"], found["numpy"]
     assert ours.status.reason == theirs.status.reason == "converged"
     sds = np.sqrt(np.diag(theirs.spectrum.covariance()))

@@ -52,7 +52,7 @@ WRONG = {
     "text in a number": ({"sheet": "bare"}, {"x": 2}, ["row 2, column '2'", "'4.5 mm'"]),
     "a date in a number": ({"sheet": 2, "exclude": [2]}, {"x": 2}, ["row 3", "2024-05-17"]),
     "an unknown sheet": ({"sheet": "left arms"}, None, ["did you mean 'left arm'?"]),
-    "a sheet number too high": ({"sheet": 5}, None, ["no sheet 5", "1 to 4", "left arm, bare"]),
+    "a sheet number too high": ({"sheet": 5}, None, ["no sheet 5", "1 to 4", "'left arm', 'bare'"]),
     "an empty sheet": ({"sheet": "empty"}, None, ["sheet 'empty'", "the file is empty"]),
     "a header alone": ({"sheet": "header"}, None, ["row 1", "no row of data"]),
     "an unknown column": ({}, {"x": "X"}, ["sheet 'left arm'", "'pose', 'x', 'y'"]),

@@ -14,6 +14,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.problem.constants import known_constants, with_implied
 from loopcal.estimation.problem.enough import refuse_too_few
 from loopcal.estimation.problem.size import refuse_without_length
+from loopcal.estimation.problem.unknowns import Unknowns
 from loopcal.expressions.tape import Tape
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, ReadingUncertainty, resolve_noise
@@ -70,6 +71,11 @@ class Problem:
         """Names of the estimated parameters."""
         everything = self.mechanism.parameters.names
         return tuple(everything[i] for i in self.free)
+
+    @property
+    def unknowns(self) -> Unknowns:
+        """What is estimated, apart from the poses."""
+        return Unknowns(self.start, self.free, self.names, self.nominal, self.prior_sd)
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.problem import Pattern, Poses, Problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.solve.block_kernel import BlockKernel, NumpyKernel
+from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.kernel import BlockNoise, Whitened
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.scratch import one_blas_thread, scratch
@@ -69,7 +70,7 @@ def solve_reweighted(
         for _ in range(_MOST):
             weights = _weights(likelihood, parameters, corrections)
             held = _held(problem, parameters, corrections)
-            inner = _Reweighted(held, weights, likelihood.rounding, loss)
+            inner = InMemory(_Reweighted(held, weights, likelihood.rounding, loss))
             found = solve_with(inner, max_iterations=max_iterations, progress=progress)
             iterations += found.status.iterations
             step = found.parameters - parameters
@@ -79,14 +80,13 @@ def solve_reweighted(
             moved = float(np.abs(step[problem.free] / sds).max())
             if not found.status.converged or moved <= _STEP:
                 break
-        sweep = likelihood.sweep(parameters, corrections)
+        end = likelihood.sweep(parameters, corrections)
         reason = found.status.reason
         if found.status.converged and moved > _STEP:
             reason = "max_iterations"
         status = Status.of(reason, iterations, likelihood.evaluations / len(problem.poses))
-        offset = problem.nominal - parameters[problem.free]
-        prior = float(np.square(offset / problem.prior_sd).sum())
-        return Solution(parameters, corrections, sweep, found.spectrum, prior, status)
+        prior = problem.unknowns.prior_square(parameters)
+        return Solution(parameters, corrections, end.data, end.cost, found.spectrum, prior, status)
 
 
 def _held(problem: Problem, parameters: Array, corrections: Array) -> Problem:

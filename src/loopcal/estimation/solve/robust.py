@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
+from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.reweighted import solve_reweighted
 from loopcal.estimation.solve.scratch import one_blas_thread
@@ -44,8 +45,8 @@ def solve_robust(
             return solve_reweighted(
                 held, loss=loss, max_iterations=max_iterations, progress=progress
             )
-        sweeper = Sweeper(held, loss=loss)
-        return solve_with(sweeper, max_iterations=max_iterations, progress=progress)
+        merit = InMemory(Sweeper(held, loss=loss))
+        return solve_with(merit, max_iterations=max_iterations, progress=progress)
 
     with one_blas_thread():
         stages: list[Loss | None] = [None, Huber()]
@@ -64,10 +65,8 @@ def _cost(problem: Problem, loss: Loss) -> float:
     sweeper = Sweeper(problem, loss=loss)
     corrections = start_corrections(sweeper, problem.start)
     sweep = sweeper.sweep(problem.start, corrections, closing=NEAR)
-    offset = problem.nominal - problem.start[problem.free]
-    prior = float(np.square(offset / problem.prior_sd).sum())
-    bad = sweep.open_poses.size or sweep.singular.size or not sweep.finite
-    return np.inf if bad else sweep.cost + prior
+    bad = sweep.late or sweep.singular or not sweep.finite
+    return np.inf if bad else sweep.cost + problem.unknowns.prior_square(problem.start)
 
 
 def robust_covariance(

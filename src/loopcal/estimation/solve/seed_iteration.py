@@ -62,13 +62,12 @@ def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution
         if max(moved, shifted) <= TOLERANCE * max(1.0, np.abs(corrections / sd).max()):
             reason = "converged"
     sweep = sweeper.sweep(parameters, corrections)
-    offset = problem.nominal - parameters[problem.free]
-    end = spectrum(sweep.data, offset, problem.prior_sd)
-    prior = float(np.square(offset / problem.prior_sd).sum())
+    end = spectrum(sweep.data, problem.unknowns.offset(parameters), problem.prior_sd)
+    prior = problem.unknowns.prior_square(parameters)
     if reason == "max_iterations" and not sweep.data.chi_squared + prior <= first:
         reason = "diverged"
     status = Status.of(reason, iteration, sweeper.evaluations / len(problem.poses))
-    return Solution(parameters, corrections, sweep, end, prior, status)
+    return Solution(parameters, corrections, sweep.data, sweep.cost, end, prior, status)
 
 
 def _outside(problem: Problem, parameters: Array) -> InputError:

@@ -10,7 +10,6 @@ linearisation did not hold), so that chi-squared is the true profile
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from loopcal.estimation.solve.block_kernel import BlockKernel, Reduce, Reduced, 
 from loopcal.estimation.solve.closing import Closed, close_by_newton
 from loopcal.estimation.solve.kernel import BlockNoise, unweighted, whiten
 from loopcal.estimation.solve.loss import Loss
+from loopcal.estimation.solve.merit import NAMED, Evaluation, Failed
 from loopcal.estimation.solve.reduction import Accumulator
 from loopcal.expressions.engine import Engine, engine_for
 from loopcal.measurements.noise import CovarianceBlock
@@ -33,37 +33,6 @@ NEAR = 0.1
 """On the way, loops count as closed when the next correction will be at most so many sds."""
 _SAMPLE = 64
 """Poses from which the rounding of loop values is estimated."""
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """What one sweep found.
-
-    data: the parameter system; corrections: (k, N) where the loops were linearised; proposal:
-    (k, N) the corrections that close the linearised loops; step: the largest move from the one to
-    the other in sds; contraction: what such a move was beside the one before; singular,
-    open_poses: poses whose loops cannot close at all, or did not within the iterations allowed.
-    """
-
-    data: Accumulator
-    corrections: Array
-    proposal: Array
-    step: float
-    contraction: float
-    singular: NDArray[np.intp]
-    open_poses: NDArray[np.intp]
-    surplus: float = 0.0
-    """What the loss is above the weighted squares in `data`."""
-
-    @property
-    def cost(self) -> float:
-        """The loss summed over all poses; chi-squared where it is gaussian."""
-        return self.data.chi_squared + self.surplus
-
-    @property
-    def finite(self) -> bool:
-        """Whether every loop could be evaluated."""
-        return bool(np.isfinite(self.data.total).all())
 
 
 class Sweeper:
@@ -103,13 +72,13 @@ class Sweeper:
         triangular: bool = False,
         closing: float | None = None,
         contraction: float = 1.0,
-    ) -> Sweep:
+    ) -> Evaluation[Array]:
         """One sweep at parameters (n_all,) from corrections (k, N).
 
         closing: first correct the readings until the next step will be at most this many sds;
         None: linearise where the corrections stand. contraction: of steps, as far as known.
         """
-        problem = self.problem
+        problem, asked = self.problem, closing
         closing = closing if self.corrects else None
         self.at(parameters)
         data = Accumulator(len(problem.free), triangular, self._units)
@@ -157,14 +126,18 @@ class Sweeper:
                 steps.append(float(found.step.max()))
                 last = steps[-1] / start.step if start.step > 0.0 else 0.0
                 ratios.append(min(max(last, start.contraction), 1.0))
-        return Sweep(
+        return Evaluation(
             data,
             used,
             proposal,
             max(steps),
             max(ratios) if closing is not None else 1.0,
-            np.concatenate(singular),
-            np.concatenate(late),
+            asked,
+            self.rounding or 0.0,
+            problem.equations,
+            problem.count,
+            self._failed(singular),
+            self._failed(late),
             surplus,
         )
 
@@ -214,6 +187,11 @@ class Sweeper:
     def kernel(self, pattern: Pattern) -> BlockKernel:
         """What reduces the poses of a pattern."""
         return self._kernels[pattern.loops]
+
+    def _failed(self, found: list[NDArray[np.intp]]) -> Failed:
+        """Poses by the positions that some blocks have found."""
+        some = np.concatenate(found)
+        return Failed(some.size, tuple(self.problem.pose(int(i)) for i in some[:NAMED]))
 
     def _one_block(self, corrections: Array) -> bool:
         """Whether what one block brings is all corrections (k, N), and need not be copied."""

@@ -23,7 +23,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import Progress
 from loopcal.estimation.stream.ending import Ending
 from loopcal.estimation.stream.pieces import Chunk, Stream, Task, do
-from loopcal.estimation.stream.sweeps import StreamSweeper, solve_stream
+from loopcal.estimation.stream.sweeps import StreamMerit, solve_stream
 from loopcal.execution.executor import Executor, InProcess
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -86,12 +86,12 @@ def calibrate_stream(
                 reached(dict(zip(names, parameters.tolist(), strict=True)))
 
         with (executor or InProcess()).crew(do, task) as crew:
-            sweeper = StreamSweeper(task, crew, problem, begin or {})
+            merit = StreamMerit(task, crew, problem, begin or {})
             solution = solve_stream(
-                sweeper, max_iterations=max_iterations, progress=progress, reached=told
+                merit, max_iterations=max_iterations, progress=progress, reached=told
             )
             ending = Ending(task, method, solution)
-            return ending.result(crew, sweeper, part_of, part_done)
+            return ending.result(crew, merit, part_of, part_done)
 
 
 def _task(mechanism: Mechanism, stream: Stream, *, exact: bool) -> Task:

@@ -15,11 +15,11 @@ from loopcal.estimation.accuracy_tally import AccuracyTally
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import Result
-from loopcal.estimation.solve.solver import Solution
+from loopcal.estimation.solve.solver import End
 from loopcal.estimation.solve.sweep import NEGLIGIBLE
 from loopcal.estimation.stream.pieces import Task
 from loopcal.estimation.stream.shown import Shown, joined, misfits
-from loopcal.estimation.stream.sweeps import StreamedProblem, StreamSweeper
+from loopcal.estimation.stream.sweeps import StreamedProblem, StreamMerit
 from loopcal.execution.executor import Crew, in_order
 from loopcal.measurements.dataset import Dataset
 
@@ -36,18 +36,18 @@ class Ending:
 
     task: Task
     method: str
-    solution: Solution
+    solution: End[bool]
 
     def result(
         self,
         crew: Crew,
-        sweeper: StreamSweeper,
+        merit: StreamMerit,
         part_of: Callable[[Result], Part] | None,
         part_done: Callable[[Part], None] | None,
     ) -> Result:
-        poses = sum(sweeper.sizes)
+        poses = sum(merit.sizes)
         stride = max(1, poses // SHOWN)
-        begins = [0, *np.cumsum(sweeper.sizes).tolist()]
+        begins = [0, *np.cumsum(merit.sizes).tolist()]
         pieces = [
             _EndPiece(number, begins[number], poses, stride, self.solution, self.method, part_of)
             for number in range(self.task.stream.count)
@@ -66,9 +66,9 @@ class Ending:
                     worst = joined([worst, ended.worst] if worst else [ended.worst]).worst()
                 if part_done:
                     part_done(ended.part)
-        sample, equations = joined(kept), sweeper.problem.equations
+        sample, equations = joined(kept), merit.equations
         # else a few poses make chi-squared what it is
-        alike = bool(sample.square.mean() > _ALIKE * self.solution.sweep.cost / poses)
+        alike = bool(sample.square.mean() > _ALIKE * self.solution.cost / poses)
         found = self._shown(sample, equations, poses, alike)
         words = "figures and residuals.csv show"
         told = f"Calibrated from a stream of {poses} poses; {words} {len(found.dataset)} of them"
@@ -98,7 +98,7 @@ class Ending:
 def _closed(
     task: Task,
     method: str,
-    solution: Solution,
+    solution: End[bool],
     problem: Problem,
     data: Dataset,
     alike: bool = False,
@@ -107,8 +107,7 @@ def _closed(
     sweeper = task.sweeper(problem)
     begun = start_corrections(sweeper, solution.parameters)
     corrections = sweeper.close(solution.parameters, begun, NEGLIGIBLE, 1.0).corrections
-    found = replace(solution, corrections=corrections)
-    return result_of(method, problem, found, data, alike=alike)
+    return result_of(method, problem, solution.with_state(corrections), data, alike=alike)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +134,7 @@ class _EndPiece:
     begin: int
     poses: int
     stride: int
-    solution: Solution
+    solution: End[bool]
     method: str
     part_of: Callable[[Result], Any] | None
 

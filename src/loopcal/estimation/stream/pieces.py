@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.problem.unreachable import refuse_unreachable
-from loopcal.estimation.solve.reduction import Accumulator
+from loopcal.estimation.solve.merit import Evaluation, without_state
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.expressions.domain import explain_domain
@@ -25,8 +25,6 @@ from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-NAMED = 5
-"""Of the poses whose loops cannot close, so many are named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,19 +104,9 @@ def do(task: Task, piece: StreamPiece) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Swept:
-    """What a sweep found in one chunk, as in `Sweep`; positions count from its first pose.
+    """What a sweep found in one chunk, and the loop evaluations it took."""
 
-    named: ids of the first of these poses; poses, equations, evaluations: how many.
-    """
-
-    data: Accumulator
-    step: float
-    contraction: float
-    singular: NDArray[np.intp]
-    open_poses: NDArray[np.intp]
-    named: Mapping[int, str]
-    poses: int
-    equations: int
+    found: Evaluation[None]
     evaluations: int
 
 
@@ -154,15 +142,4 @@ class SweepPiece:
                 problem.poses,
                 problem.mechanism.remedies,
             )
-        bad = np.concatenate([found.singular[:NAMED], found.open_poses[:NAMED]])
-        return Swept(
-            found.data,
-            found.step,
-            found.contraction,
-            found.singular,
-            found.open_poses,
-            {int(i): problem.pose(int(i)) for i in bad},
-            len(problem.poses),
-            problem.equations,
-            sweeper.evaluations,
-        )
+        return Swept(without_state(found), sweeper.evaluations)

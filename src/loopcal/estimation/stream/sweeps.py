@@ -16,16 +16,15 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.solve.closing import Closed
+from loopcal.estimation.solve.in_memory import cannot_close
+from loopcal.estimation.solve.merit import Evaluation, Failed
 from loopcal.estimation.solve.reduction import Accumulator
-from loopcal.estimation.solve.solver import Progress, Solution, solve_with
-from loopcal.estimation.solve.sweep import NEAR, Sweep, Sweeper
+from loopcal.estimation.solve.solver import End, Progress, solve_with
+from loopcal.estimation.solve.sweep import NEAR
 from loopcal.estimation.stream.pieces import SweepPiece, Swept, Task
 from loopcal.execution.executor import Crew, in_order
 
 Array = NDArray[np.float64]
-AT_READINGS, CLOSED = np.zeros((1, 0)), np.zeros((2, 0))
-"""In place of corrections: none, or those that close the loops."""
 
 
 @dataclass(frozen=True)
@@ -54,137 +53,127 @@ class StreamedProblem(Problem):
         return self.named.get(number, str(number + 1))
 
 
-class StreamSweeper(Sweeper):
-    """Sweeps over the poses of a stream, its chunks done by a crew and added up in their order.
+class StreamMerit:
+    """The merit over the poses of a stream, its chunks evaluated by a crew and added in order.
 
-    first: the problem of the first chunk; begin: parameter values [SI] to begin from, where not
-    the nominal ones. lowest: the parameters of the lowest merit so far; sizes: poses of each
-    chunk, known from the first sweep on.
+    Its state says whether loops are closed; corrections are found anew from the readings. first:
+    the problem of the first chunk; begin: parameter values [SI] to begin from, where not the
+    nominal ones. lowest: the parameters of the lowest merit so far; sizes: poses of each chunk,
+    known from the first evaluation on.
     """
 
     def __init__(self, task: Task, crew: Crew, first: Problem, begin: Mapping[str, float]) -> None:
-        super().__init__(_without_poses(task, first, begin), exact=task.exact)
+        names = task.mechanism.parameters.names
+        values = dict(zip(names, first.start.tolist(), strict=True)) | dict(begin)
+        prior_sd = np.full(len(first.free), np.inf) if task.exact else first.prior_sd
+        start = np.array([values[name] for name in names])
+        self.unknowns = replace(first.unknowns, start=start, prior_sd=prior_sd)
         self.task, self.crew = task, crew
-        self.rounding = task.rounding
-        self.corrects = True  # whether it does is each chunk's own affair
+        self.evaluations = 0
+        self.equations = 0
         self.sizes: list[int] = []
-        self.lowest, self._merit = self.problem.start, np.inf
+        self.lowest, self._merit = start, np.inf
+        self._units = first.units
 
-    def sweep(
+    def first(self, parameters: Array) -> Evaluation[bool]:
+        """The evaluation to begin from.
+
+        Raises InputError where a loop has no value or cannot be corrected, and for too few
+        equations.
+        """
+        found = self._evaluated(parameters, triangular=False, closing=None, first=True)
+        if found.singular:
+            raise cannot_close(found.singular)
+        self.equations = found.equations
+        needed = len(self.unknowns.free) - int(np.isfinite(self.unknowns.prior_sd).sum())
+        if found.equations < needed:
+            raise InputError(
+                f"{found.equations} loop equations ({found.poses} poses) cannot determine "
+                f"{needed} parameters without prior knowledge",
+                remedy="measure more poses, fix parameters, or give them a finite prior sd",
+            )
+        return found
+
+    def evaluate(
         self,
         parameters: Array,
-        corrections: Array,
+        state: bool,
         *,
         triangular: bool = False,
         closing: float | None = None,
         contraction: float = 1.0,
-    ) -> Sweep:
-        """One sweep at parameters (n_all,), from the readings of every chunk.
+    ) -> Evaluation[bool]:
+        """The evaluation at parameters (n_all,), from the readings of every chunk.
 
-        corrections: AT_READINGS or CLOSED, what closing=None means; contraction says nothing of
-        steps that begin anew.
+        contraction is not used: it says nothing of steps that begin anew.
         """
-        if closing is None and corrections is CLOSED:
-            closing = NEAR
-        data = Accumulator(len(self.problem.free), triangular, self._units)
+        closing = NEAR if closing is None and state else closing
+        return self._evaluated(parameters, triangular=triangular, closing=closing)
+
+    def close(
+        self, parameters: Array, state: bool, tolerance: float, contraction: float
+    ) -> bool | None:
+        """Nothing to do: the loops of a chunk are closed when its corrections are asked for."""
+        return True
+
+    def _evaluated(
+        self, parameters: Array, *, triangular: bool, closing: float | None, first: bool = False
+    ) -> Evaluation[bool]:
+        data = Accumulator(len(self.unknowns.free), triangular, self._units)
         parts = [
-            SweepPiece(number, parameters, triangular, closing, first=not self.sizes)
+            SweepPiece(number, parameters, triangular, closing, first)
             for number in range(self.task.stream.count)
         ]
-        steps, ratios, begin, equations = [0.0], [0.0], 0, 0
-        sizes: list[int] = []
-        named: dict[int, str] = {}
-        singular: list[NDArray[np.intp]] = []
-        late: list[NDArray[np.intp]] = []
+        step = contraction = rounding = 0.0
+        equations, sizes, singular, late = 0, list[int](), Failed(), Failed()
         with contextlib.closing(self.crew(parts)) as outcomes:
             for part in in_order(outcomes):
                 assert isinstance(part, Swept)
-                data.add_other(part.data)
-                steps.append(part.step)
-                ratios.append(part.contraction)
-                singular.append(part.singular + begin)
-                late.append(part.open_poses + begin)
-                named |= {number + begin: pose for number, pose in part.named.items()}
-                sizes.append(part.poses)
-                begin += part.poses
-                equations += part.equations
+                found = part.found
+                data.add_other(found.data)
+                step, contraction = max(step, found.step), max(contraction, found.contraction)
+                rounding = found.rounding
+                singular, late = singular + found.singular, late + found.late
+                sizes.append(found.poses)
+                equations += found.equations
                 self.evaluations += part.evaluations
-        if not self.sizes:
-            self._count(sizes, equations)
-        if named:
-            assert isinstance(self.problem, StreamedProblem)
-            self.problem = replace(self.problem, named=named)
-        found = Sweep(
+        self.sizes = sizes
+        whole = Evaluation(
             data,
-            AT_READINGS if closing is None else CLOSED,
-            CLOSED,
-            max(steps),
-            max(ratios),
-            np.concatenate(singular),
-            np.concatenate(late),
+            state=closing is not None,
+            proposal=True,
+            step=step,
+            contraction=contraction,
+            closing=closing,
+            rounding=rounding,
+            equations=equations,
+            poses=sum(sizes),
+            singular=singular,
+            late=late,
         )
-        offset = self.problem.nominal - parameters[self.problem.free]
-        merit = found.cost + float(np.square(offset / self.prior_sd).sum())
+        merit = whole.cost + self.unknowns.prior_square(parameters)
         if merit <= self._merit:
             self.lowest, self._merit = parameters.copy(), merit
-        return found
-
-    def close(
-        self, parameters: Array, corrections: Array, tolerance: float, contraction: float
-    ) -> Closed:
-        """Nothing: the loops of a chunk are closed when its corrections are asked for."""
-        return Closed(CLOSED, np.zeros(0, dtype=bool))
-
-    def _count(self, sizes: list[int], equations: int) -> None:
-        """Keep what the first sweep has counted. Raises InputError for too few equations."""
-        assert isinstance(self.problem, StreamedProblem)
-        problem, poses = self.problem, sum(sizes)
-        self.sizes = sizes
-        self.problem = replace(problem, counted=equations, total=poses)
-        informed = 0 if self.task.exact else int(np.isfinite(problem.prior_sd).sum())
-        needed = len(problem.free) - informed
-        if equations < needed:
-            raise InputError(
-                f"{equations} loop equations ({poses} poses) cannot determine {needed} parameters "
-                "without prior knowledge",
-                remedy="measure more poses, fix parameters, or give them a finite prior sd",
-            )
+        return whole
 
 
 def solve_stream(
-    sweeper: StreamSweeper,
+    merit: StreamMerit,
     *,
     max_iterations: int = 100,
     progress: Progress | None = None,
     reached: Callable[[Array], None] | None = None,
-) -> Solution:
+) -> End[bool]:
     """The parameters of maximum likelihood from a stream; its corrections are not kept.
 
     reached: called with the parameters (n_all,) that each iteration begins with. Raises InputError
     as `solve` does, and where the stream has fewer equations than parameters.
     """
 
-    def told(iteration: int, merit: float, decrement: float) -> None:
+    def told(iteration: int, value: float, decrement: float) -> None:
         if reached:
-            reached(sweeper.lowest)
+            reached(merit.lowest)
         if progress:
-            progress(iteration, merit, decrement)
+            progress(iteration, value, decrement)
 
-    return solve_with(sweeper, max_iterations=max_iterations, progress=told)
-
-
-def _without_poses(task: Task, first: Problem, begin: Mapping[str, float]) -> StreamedProblem:
-    names = task.mechanism.parameters.names
-    values = dict(zip(names, first.start.tolist(), strict=True)) | dict(begin)
-    return StreamedProblem(
-        first.mechanism,
-        AT_READINGS,
-        np.zeros((len(first.known), 0)),
-        first.uncertainty,
-        np.array([values[name] for name in names]),
-        first.free,
-        first.nominal,
-        first.prior_sd,
-        (),
-        total=task.stream.poses,
-    )
+    return solve_with(merit, max_iterations=max_iterations, progress=told)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.document.plain import plain
 from loopcal.document.result_document import SCHEMA, ResultDocument
+from loopcal.errors import InputError, nearest
 from loopcal.estimation.result import Result
 from loopcal.files.atomic import write_files
 from loopcal.files.json_reader import read_json
@@ -20,7 +21,7 @@ from loopcal.files.result.residuals_file import residuals_csv
 from loopcal.files.toml.place import Place
 
 if TYPE_CHECKING:
-    from pydantic import TypeAdapter
+    from pydantic import TypeAdapter, ValidationError
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,15 +69,32 @@ def read_result(path: str | Path) -> ResultDocument:
     """
     from pydantic import ValidationError
 
-    from loopcal.files.toml.model import input_error
-
     content = read_json(path, "result.json", SCHEMA)
     try:
-        # strict as JSON has it: lists are tuples, numbers are no text
         return _adapter().validate_json(json.dumps(content).encode())
     except ValidationError as error:
-        details = error.errors(include_url=False)
-        raise input_error(details, content, Place(str(path)), _names(ResultDocument)) from None
+        raise _told(error, content, Place(str(path))) from None
+
+
+def _told(error: ValidationError, content: Mapping[str, Any], place: Place) -> InputError:
+    """The first complaint in the words of this program; unknown keys come first."""
+    from loopcal.files.toml.model import input_error
+
+    details = error.errors(include_url=False)
+    for detail in details:
+        if detail["type"] == "json_invalid":
+            return InputError(
+                f"this is not valid JSON: {detail['msg']}",
+                place=str(place),
+                remedy="name a result.json that loopcal wrote",
+            )
+        if detail["type"] == "unexpected_keyword_argument":
+            *path, key = detail["loc"]
+            known = _adapter().json_schema()
+            names = {*known["properties"]}.union(*(d["properties"] for d in known["$defs"].values()))
+            at = place.at(*path) if path else place
+            return InputError(f"unknown key {key!r}", place=str(at), remedy=nearest(key, names))
+    return input_error(details, content, place)
 
 
 def result_schema() -> dict[str, Any]:
@@ -98,12 +116,7 @@ def finite_only(value: Any) -> Any:
 
 @cache
 def _adapter() -> TypeAdapter[ResultDocument]:
-    """Built on first use: a calibration writes the document and never needs it."""
-    from pydantic import ConfigDict, TypeAdapter
+    """Built on first use: a calibration writes the document and does not need it."""
+    from pydantic import TypeAdapter
 
-    config = ConfigDict(
-        extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
-    # a dataclass of the standard library takes the settings of what holds it
-    checked: Any = type("Checked", (), {"__annotations__": {}})
     return TypeAdapter(ResultDocument)

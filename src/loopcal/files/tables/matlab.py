@@ -125,9 +125,9 @@ def _from_vectors(
     vectors = {i: columns[names[i]].ravel() for i in positions}
     lengths = {names[i]: len(vector) for i, vector in vectors.items()}
     if len(set(lengths.values())) != 1:
-        listed = ", ".join(f"{n} has {length}" for n, length in lengths.items())
+        few = ", ".join(f"{n} has {length}" for n, length in [*lengths.items()][:5])
         raise InputError(
-            f"the vectors differ in length: {listed}",
+            f"the vectors differ in length: {few}",
             place=name,
             remedy="ask only for columns of one length, or state variable = ...",
         )
@@ -155,4 +155,5 @@ def _shape(value: Any) -> str:
 
 
 def _listed(variables: dict[str, Any]) -> str:
-    return ", ".join(f"{name} ({_shape(value)})" for name, value in variables.items())
+    few = ", ".join(f"{name} ({_shape(value)})" for name, value in [*variables.items()][:10])
+    return few + (f" and {len(variables) - 10} more" if len(variables) > 10 else "")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, listed, nearest
 from loopcal.files.tables.cells import is_missing
 from loopcal.files.tables.dialect import is_header
 from loopcal.files.tables.raw import empty, existing_file, sha256_of
@@ -79,6 +79,6 @@ def _title(titles: list[str], sheet: str | int | None, name: str) -> str:
         raise InputError(
             f"there is no sheet {number}",
             place=name,
-            remedy=f"give a number from 1 to {len(titles)}, or a name: {', '.join(titles)}",
+            remedy=f"give a number from 1 to {len(titles)}, or a name: {listed(titles)}",
         )
     return titles[number - 1]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, listed, nearest, short
 from loopcal.files.tables import cells as cell_rules
 from loopcal.files.tables.cells import Cells, NotANumber
 from loopcal.measurements.source import file_name, row_name
@@ -47,7 +47,7 @@ class Table:
 
     def label(self, position: int) -> str:
         """The column's name, or its number where it has no name."""
-        return (self.names[position] if self.names else "") or str(position + 1)
+        return short(self.names[position] if self.names else "") or str(position + 1)
 
     def numbers(self, position: int, keep: NDArray[np.int64]) -> NDArray[np.float64]:
         """One column at the rows to keep; InputError for a cell that is not a number."""
@@ -55,10 +55,9 @@ class Table:
             return cell_rules.numbers(self.columns[position], keep, self.decimal)
         except NotANumber as wrong:
             text = str(wrong.cell)
-            shown = text if len(text) <= 60 else text[:57] + "..."
             row = row_name(int(self.rows[wrong.index]), self.begins)
             raise InputError(
-                f"{shown!r} is not a number",
+                f"{short(text)!r} is not a number",
                 place=f"{self.name}, {row}, column {self.label(position)!r}",
                 remedy=_remedy(text, self.decimal),
             ) from None
@@ -88,7 +87,7 @@ def find_column(column: str | int, names: Sequence[str], width: int, place: str)
     if len(found) == 1:
         return found[0]
     if found:
-        numbers = " and ".join(str(i + 1) for i in found)
+        numbers = " and ".join(str(i + 1) for i in found[:3]) + (" and more" if found[3:] else "")
         raise InputError(
             f"the header has {column!r} more than once (columns {numbers})",
             place=place,
@@ -100,11 +99,12 @@ def find_column(column: str | int, names: Sequence[str], width: int, place: str)
             place=place,
             remedy=f"give the column by its number, from 1 to {width}",
         )
-    listed = ", ".join(repr(name) for name in names[:40]) + (", ..." if len(names) > 40 else "")
     close = nearest(column, names)
     remedy = f"{close} The" if close.startswith("did") else "the"
     raise InputError(
-        f"there is no column {column!r}", place=place, remedy=f"{remedy} columns are {listed}"
+        f"there is no column {column!r}",
+        place=place,
+        remedy=f"{remedy} columns are {listed(names, 40)}",
     )
 
 

@@ -20,7 +20,7 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, nearest, short
 from loopcal.files.toml.place import Place, toml_path
 from loopcal.units import unit
 
@@ -96,14 +96,15 @@ def validated(model: type[Kind], data: Any, place: Place) -> Kind:
         return model.model_validate(data)
     except ValidationError as error:
         details = error.errors(include_url=False)
-        raise _input_error(details, data, place) from None
+        raise input_error(details, data, place) from None
     except RecursionError:
         raise InputError(
             "the tables are nested too deeply", place=str(place), remedy="flatten them"
         ) from None
 
 
-def _input_error(details: Sequence[ErrorDetails], data: Any, place: Place) -> InputError:
+def input_error(details: Sequence[ErrorDetails], data: Any, place: Place) -> InputError:
+    """pydantic's complaints about data, the first in full, at their place in the file."""
     paths = [_path(detail, data) for detail in details]
     message, remedy = _words(details[0], paths[0])
     others = [toml_path((*place.keys, *p)) for p in dict.fromkeys(paths) if p != paths[0]]
@@ -167,11 +168,12 @@ _EXPECTED = {
     "list_type": "a list [ ... ]",
     "dict_type": "a table",
     "model_type": "a table",
+    "dataclass_type": "a table",
+    "tuple_type": "a list [ ... ]",
     "model_attributes_type": "a table",
     "mapping_type": "a table",
 }
 
 
 def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return short(repr(value))

@@ -6,6 +6,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from loopcal.errors import short
+
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -36,5 +38,6 @@ def toml_path(keys: Sequence[str | int]) -> str:
         if isinstance(key, int):
             words += f"[{key + 1}]"
         else:
-            words += ("." if words else "") + (key if _BARE.fullmatch(key) else f'"{key}"')
+            name = short(key) if _BARE.fullmatch(key) else f'"{short(key)}"'
+            words += ("." if words else "") + name
     return words

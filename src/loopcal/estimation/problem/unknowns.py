@@ -1,0 +1,41 @@
+"""The parameters that a fit estimates, and what the prior knowledge of them costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """The estimated among all parameters, in SI units.
+
+    start: (n_all,) values to begin from; free: (n,) positions of the estimated ones; names: of
+    these; nominal, prior_sd: (n,), sd inf where nothing is known.
+    """
+
+    start: Array
+    free: NDArray[np.intp]
+    names: tuple[str, ...]
+    nominal: Array
+    prior_sd: Array
+
+    def offset(self, parameters: Array) -> Array:
+        """Nominal minus current values, (n,), of parameters (n_all,)."""
+        difference: Array = self.nominal - parameters[self.free]
+        return difference
+
+    def prior_square(self, parameters: Array) -> float:
+        """The sum of (p - nominal)^2 / prior variance."""
+        off = self.offset(parameters) / self.prior_sd
+        return float(off @ off)
+
+    def moved(self, parameters: Array, step: Array) -> Array:
+        """Parameters (n_all,) after a step (n,) of the estimated ones."""
+        after = parameters.copy()
+        after[self.free] += step
+        return after

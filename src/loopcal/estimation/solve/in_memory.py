@@ -1,0 +1,70 @@
+"""The merit of poses in memory: sweeps over them, from corrections that are kept in between."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.problem.starting import start_corrections
+from loopcal.estimation.problem.unknowns import Unknowns
+from loopcal.estimation.solve.merit import Evaluation, Failed
+from loopcal.estimation.solve.sweep import NEAR, Sweeper
+from loopcal.expressions.domain import explain_domain
+
+Array = NDArray[np.float64]
+
+
+class InMemory:
+    """The merit over the poses of a sweeper; its state is their corrections (k, N) [SI]."""
+
+    def __init__(self, sweeper: Sweeper) -> None:
+        self.sweeper = sweeper
+        self.unknowns: Unknowns = replace(sweeper.problem.unknowns, prior_sd=sweeper.prior_sd)
+        self.evaluate = sweeper.sweep
+
+    @property
+    def evaluations(self) -> int:
+        """Loop evaluations so far, summed over poses."""
+        return self.sweeper.evaluations
+
+    def first(self, parameters: Array) -> Evaluation[Array]:
+        """The evaluation to begin from, where unmeasured quantities are searched first.
+
+        Raises InputError (DomainError) where a loop has no value or cannot be corrected.
+        """
+        problem = self.sweeper.problem
+        corrections = start_corrections(self.sweeper, parameters)
+        closing = NEAR if any(pattern.unmeasured for pattern in problem.patterns) else None
+        found = self.evaluate(parameters, corrections, closing=closing)
+        if not found.finite:
+            raise explain_domain(
+                problem.mechanism.tape,
+                problem.readings,
+                problem.known,
+                parameters,
+                problem.poses,
+                problem.mechanism.remedies,
+            )
+        if found.singular:
+            raise cannot_close(found.singular)
+        return found
+
+    def close(
+        self, parameters: Array, state: Array, tolerance: float, contraction: float
+    ) -> Array | None:
+        """Corrections that close all loops to so many sds; None where some stay open."""
+        closed = self.sweeper.close(parameters, state, tolerance, contraction)
+        return None if closed.open.any() else closed.corrections
+
+
+def cannot_close(singular: Failed) -> InputError:
+    """What to say of poses in which a loop equation has nothing that could be corrected."""
+    return InputError(
+        f"the loops of {singular.count} poses cannot close, the first is pose "
+        f"{singular.poses[0]!r}: some equation there contains no uncertain quantity that could be "
+        "corrected",
+        remedy="give at least one quantity of every loop equation an sd above zero",
+    )
