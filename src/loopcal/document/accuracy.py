@@ -111,4 +111,3 @@ class ModelEntry:
     """This document is the calibration with this model."""
     failed: str | None
     """Why it could not be judged."""
-

@@ -32,7 +32,7 @@ from loopcal.document.tables import (
     parameter_table,
     sensor_table,
 )
-
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.presentation.rounding import significant
 
 SCHEMA = 1
@@ -84,6 +84,19 @@ class MechanismEntry:
     """Outputs, and small turns between computed and measured orientations."""
     remarks: tuple[str, ...]
     """What a user should know of it, such as why a parameter is fixed."""
+
+    @classmethod
+    def of(cls, mechanism: Mechanism) -> MechanismEntry:
+        """The names and units of a mechanism."""
+        return cls(
+            mechanism.name,
+            mechanism.tape.loops,
+            dict(mechanism.quantities),
+            dict(mechanism.known),
+            mechanism.outputs,
+            mechanism.compared,
+            mechanism.remarks,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,7 +203,9 @@ def _state(document: ResultDocument) -> list[str]:
     status, data = document.status, document.data
     head = "converged" if status.converged else f"NOT CONVERGED ({status.reason})"
     steps = f"{status.iterations} iteration{'s' if status.iterations != 1 else ''}"
-    poses = f"{data.used} poses" if data.poses == data.used else f"{data.used} of {data.poses} poses"
+    poses = (
+        f"{data.used} poses" if data.poses == data.used else f"{data.used} of {data.poses} poses"
+    )
     lines = [f"{head} in {steps} on {poses}"]
     if not status.converged:
         lines.append(f"  {status.message}")

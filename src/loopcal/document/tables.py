@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from loopcal.document.accuracy import (
     AccuracyEntry,
@@ -17,41 +18,78 @@ from loopcal.presentation.shown import by_sd, in_unit, size, unit_shown
 from loopcal.presentation.text_table import columns
 
 
-def accuracy_table(accuracy: AccuracyEntry, validation: ValidationEntry | None) -> list[str]:
-    """Distances by stage, then orientations; several instruments each have a line of their own."""
+@dataclass(frozen=True)
+class Stage:
+    """Distances at a stage: "nominal", "calibrated", "on poses not used"; instrument "": of all."""
+
+    name: str
+    instrument: str
+    distances: Distances
+
+
+@dataclass(frozen=True)
+class Stages:
+    """The lines of the accuracy table and of the orientation table."""
+
+    position: tuple[Stage, ...]
+    orientation: tuple[Stage, ...]
+
+
+def accuracy_stages(accuracy: AccuracyEntry, validation: ValidationEntry | None) -> Stages:
+    """What the tables of accuracy show; several instruments each have lines of their own."""
     several = len(accuracy.by) > 1
-    unseen = validation.by if validation else ()
-    everything = Deviation(accuracy.unit, accuracy.before, accuracy.after)
-    by = [(e.instrument, e.position or e.orientation) for e in accuracy.by]
-    held = {e.instrument: e.position or e.orientation for e in unseen}
-    own = [(name, d, held.get(name)) for name, d in by if d and d.unit == accuracy.unit and several]
-    lines = _stages("accuracy", everything, validation and validation.accuracy, own)
+    unseen = {e.instrument: e for e in validation.by} if validation else {}
+    positions = [_Row("", accuracy, validation and validation.accuracy)]
+    turns = [_Row("", accuracy.orientation, validation and validation.orientation)]
+    for e in accuracy.by if several else ():
+        held = unseen.get(e.instrument)
+        if accuracy.orientation is None and e.position is None:
+            positions.append(_Row(e.instrument, e.orientation, held and held.orientation))
+        else:
+            positions.append(_Row(e.instrument, e.position, held and held.position))
+            turns.append(_Row(e.instrument, e.orientation, held and held.orientation))
+    return Stages(_stages(positions, accuracy.unit), _stages(turns, "rad"))
+
+
+@dataclass(frozen=True)
+class _Row:
+    instrument: str
+    found: AccuracyEntry | Deviation | None
+    unseen: Distances | None
+
+
+def _stages(rows: Sequence[_Row], unit: str) -> tuple[Stage, ...]:
+    shown = [row for row in rows if row.found is not None and row.found.unit == unit]
+    parts = {
+        "nominal": [(r.instrument, r.found and r.found.before) for r in shown],
+        "calibrated": [(r.instrument, r.found and r.found.after) for r in shown],
+        "on poses not used": [(r.instrument, r.unseen) for r in shown],
+    }
+    return tuple(
+        Stage(name, instrument, distances)
+        for name, part in parts.items()
+        for instrument, distances in part
+        if distances is not None
+    )
+
+
+def accuracy_table(accuracy: AccuracyEntry, validation: ValidationEntry | None) -> list[str]:
+    """Distances by stage, then orientations."""
+    stages = accuracy_stages(accuracy, validation)
+    lines = _distance_table("accuracy", stages.position, accuracy.unit)
     if accuracy.orientation is not None:
-        turned = {e.instrument: e.orientation for e in unseen}
-        own = [
-            (e.instrument, e.orientation, turned.get(e.instrument))
-            for e in accuracy.by
-            if e.orientation is not None and several
+        lines += [
+            "",
+            *_distance_table("orientation", stages.orientation, accuracy.orientation.unit),
         ]
-        overall = validation and validation.orientation
-        lines += _stages("orientation", accuracy.orientation, overall, own)
     return lines
 
 
-def _stages(
-    what: str,
-    overall: Deviation,
-    unseen: Distances | None,
-    own: Sequence[tuple[str, Deviation, Distances | None]],
-) -> list[str]:
-    unit = overall.unit
+def _distance_table(what: str, stages: Sequence[Stage], unit: str) -> list[str]:
     rows = [[what, f"mean [{unit_shown(unit)}]", "rms", "95 %", "max"]]
-    everything = [("", overall, unseen), *own]
-    for stage in ("nominal", "calibrated", "on poses not used"):
-        for name, deviation, held in everything:
-            found = {"nominal": deviation.before, "calibrated": deviation.after}.get(stage, held)
-            if found is not None:
-                rows.append([f"  {name}" if name else stage, *distances_shown(found, unit)])
+    for stage in stages:
+        name = f"  {stage.instrument}" if stage.instrument else stage.name
+        rows.append([name, *distances_shown(stage.distances, unit)])
     return columns(rows)
 
 

@@ -163,7 +163,9 @@ def main_distances(apart: Sequence[Apart]) -> Array | None:
         return None
     if unit == "rad":
         return np.array([one.angle for one in apart if one.angle is not None])
-    return np.array([one.position for one in apart if one.seen.unit == unit and one.position is not None])
+    return np.array(
+        [one.position for one in apart if one.seen.unit == unit and one.position is not None]
+    )
 
 
 def by_pose(apart: Sequence[Apart]) -> Array | None:

@@ -97,7 +97,9 @@ def output_differences(
             differences[compared.index(row), pattern.poses] = computed
         turns = [i for i in pattern.loops if mechanism.tape.loops[i] in mechanism.turns]
         if turns:
-            values = _loop_values(held_loops(mechanism.tape, tuple(turns)), parameters, found, known)
+            values = _loop_values(
+                held_loops(mechanism.tape, tuple(turns)), parameters, found, known
+            )
             for loop, value in zip(turns, values, strict=True):
                 row = mechanism.compared.index(mechanism.tape.loops[loop])
                 differences[row, pattern.poses] = value

@@ -20,7 +20,6 @@ from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.problem.unreachable import refuse_unreachable
-from loopcal.presentation.rounding import significant
 from loopcal.estimation.solve.reduction import Spectrum, spectrum, undetermined
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
@@ -29,6 +28,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.prior import Prior
+from loopcal.presentation.rounding import significant
 from loopcal.statistics.identifiability import SCHROER, WhatDataSay, what_data_say
 from loopcal.statistics.observability import Observability, observability
 from loopcal.statistics.predictor import predictor_at

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from loopcal.estimation.result import Result
-from loopcal.presentation.rounding import significant
 from loopcal.estimation.stream.sweeps import StreamedProblem
 from loopcal.estimation.summary import SHOWN
+from loopcal.presentation.rounding import significant
 from loopcal.statistics.identifiability import WhatDataSay, what_data_say
 from loopcal.statistics.observability import Observability, data_spectrum, observability
 from loopcal.statistics.optima import OtherOptimum, other_optima

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
-from loopcal.presentation.rounding import significant
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum, undetermined
 from loopcal.estimation.summary import SHOWN
+from loopcal.presentation.rounding import significant
 from loopcal.statistics.observability import data_spectrum
 from loopcal.units import from_si
 

@@ -13,8 +13,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.presentation.rounding import significant
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum, spectrum
+from loopcal.presentation.rounding import significant
 
 Array = NDArray[np.float64]
 

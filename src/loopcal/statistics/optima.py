@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
-from loopcal.presentation.rounding import significant
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import solve
 from loopcal.estimation.summary import SHOWN
+from loopcal.presentation.rounding import significant
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]

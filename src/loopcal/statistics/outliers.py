@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
-from loopcal.presentation.rounding import significant
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.summary import SHOWN
+from loopcal.presentation.rounding import significant
 from loopcal.statistics.causes import Cause, Suspect, find_causes
 from loopcal.statistics.column_faults import ColumnFault, column_faults
 from loopcal.statistics.outlier_search import Search

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.result import Result
-from loopcal.presentation.rounding import significant
 from loopcal.estimation.summary import SHOWN
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import PREFIX
+from loopcal.presentation.rounding import significant
 from loopcal.statistics.predictor import Predictor, by_parameters, predictor, trace_sd
 from loopcal.statistics.sensitivity import output_sensitivity
 from loopcal.units import from_si

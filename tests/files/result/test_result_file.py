@@ -18,7 +18,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.result import Result
 from loopcal.files.machines.mechanism_file import read_mechanism
-from loopcal.files.result.residuals_file import residuals_csv
+from loopcal.files.result.pose_table import residuals_csv
 from loopcal.files.result.result_file import (
     finite_only,
     read_result,

@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.calibrate import result_of
 from loopcal.estimation.accuracy_tally import AccuracyTally
+from loopcal.estimation.calibrate import result_of
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import Result

@@ -17,7 +17,7 @@ from loopcal.estimation.result import Result
 from loopcal.files.atomic import write_files
 from loopcal.files.json_reader import read_json
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
-from loopcal.files.result.residuals_file import residuals_csv
+from loopcal.files.result.pose_table import residuals_csv
 from loopcal.files.toml.place import Place
 
 if TYPE_CHECKING:
@@ -91,7 +91,9 @@ def _told(error: ValidationError, content: Mapping[str, Any], place: Place) -> I
         if detail["type"] == "unexpected_keyword_argument":
             *path, key = detail["loc"]
             known = _adapter().json_schema()
-            names = {*known["properties"]}.union(*(d["properties"] for d in known["$defs"].values()))
+            names = {*known["properties"]}.union(
+                *(d["properties"] for d in known["$defs"].values())
+            )
             at = place.at(*path) if path else place
             return InputError(f"unknown key {key!r}", place=str(at), remedy=nearest(key, names))
     return input_error(details, content, place)
