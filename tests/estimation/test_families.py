@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from loopcal import Dataset, Noise, calibrate
+from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.spherical import spherical
@@ -122,6 +123,30 @@ def test_every_station_is_placed_where_it_sees_the_machine() -> None:
     assert chi is not None
     assert chi.p_value is not None
     assert chi.p_value > 1e-3
+
+
+@pytest.mark.parametrize("method", ["implicit-loop", "least-squares", "reweighted"])
+def test_an_instrument_without_readings_stays_at_its_nominal_place(method: str) -> None:
+    machine = arm().with_nominal({"west_x": -1.5})
+    data = simulated(machine, 6).dataset
+    east = {q: v for q, v in data.readings.items() if not q.endswith("_west")}
+    noise = Noise(NOISE | {"*_west": np.inf})
+    result = calibrate(machine, Dataset.from_arrays(east), noise=noise, method=method)
+    assert result.status.converged
+    assert result.value["west_x"] == pytest.approx(-1.5, abs=1e-12)
+    assert np.isinf(result.sd["west_x"])
+    assert np.isfinite(result.sd["east_x"])
+
+
+def test_least_squares_without_a_joint_is_not_told_to_give_sds() -> None:
+    machine = arm()
+    data = simulated(machine, 6).dataset
+    rest = {q: v for q, v in data.readings.items() if q != "q3"}
+    with pytest.raises(InputError) as refused:
+        calibrate(machine, Dataset.from_arrays(rest), method="least-squares")
+    assert "'q3'" in refused.value.message
+    assert refused.value.remedy is not None
+    assert "another method" in refused.value.remedy
 
 
 def test_native_readings_of_a_tracker_have_an_accuracy_in_metres() -> None:

@@ -199,6 +199,14 @@ def test_what_cannot_be_simulated_is_said(poses: dict, options: dict, told: str)
         simulate(planar_two_link(), poses, **{"noise": BASE, "seed": 0, **options})
 
 
+def test_driven_outputs_are_answered_with_what_is_to_be_driven() -> None:
+    with pytest.raises(InputError) as refused:
+        simulate(planar_two_link(), {"xP": [1.0], "yP": [0.5]}, noise=BASE, seed=0)
+    assert refused.value.remedy is not None
+    assert "2 of phi2, phi3" in refused.value.remedy
+    assert "outputs (xP, yP) are computed, not driven" in refused.value.remedy
+
+
 def test_a_pose_out_of_reach_is_named() -> None:
     with pytest.raises(InputError, match="pose '2'"):
         simulate(

@@ -30,6 +30,18 @@ def test_exchanged_angles_of_a_tracker_are_found() -> None:
     assert fault.after < 0.01 * fault.before
 
 
+def test_a_parked_joint_is_not_blamed_for_its_unit() -> None:
+    """Another unit would only change its offset, which is estimated."""
+    given = setup("six-axis point")
+    parked = replace(given, driven={**given.driven, "q4": np.full_like(given.driven["q4"], 0.5)})
+    problem_ = problem(parked, 40)
+    at = problem_.mechanism.parameters.names.index("offset_4")
+    start = problem_.start.copy()
+    start[at] -= 0.5 - 0.5 * np.pi / 180
+    faults = column_faults(replace(problem_, start=start))
+    assert not any("q4" in fault.words for fault in faults)
+
+
 def test_a_length_a_thousand_times_smaller_makes_no_better_machine() -> None:
     """Only the wire says how large the arm is: in millimetres it would be as good, and smaller."""
     given = setup("two-link draw-wire")

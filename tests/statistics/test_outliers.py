@@ -10,8 +10,10 @@ import pytest
 
 import loopcal as lc
 from analyses.gross_errors import Counts, run, sds
+from analyses.instruments import setup
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import build_problem
+from loopcal.statistics import causes
 from loopcal.statistics.column_faults import column_faults
 from loopcal.units import from_si
 from tests.reference.simulated import ma1400, planar_arm
@@ -60,6 +62,26 @@ def test_gross_errors_are_named_and_good_readings_are_not() -> None:
     assert counts.named >= 0.95 * counts.gross
     assert counts.false_readings < 0.01 * counts.good_readings
     assert counts.false_poses < 0.01 * counts.good_poses
+
+
+@pytest.mark.parametrize(
+    ("instrument", "reading"),
+    [("draw-wire", "wire"), ("distance", "wire"), ("relative distance", "span")],
+)
+def test_a_gross_error_of_an_instruments_only_reading_may_be_blamed_on_it(
+    instrument: str, reading: str
+) -> None:
+    """Without it the pose has no loop; its size is found from the loop that it was read for."""
+    given = setup(f"six-axis {instrument}")
+    data = lc.simulate(given.truth, given.driven, noise=given.noise, seed=2).dataset
+    wrong = data[reading] + np.where(np.arange(len(data)) == 30, 5e-3, 0.0)
+    data = replace(data, readings={**data.readings, reading: wrong})
+    start = given.nominal(2)
+    start = start.with_parameters(start.parameters.with_fixed(given.held))
+    (found,) = lc.find_outliers(lc.calibrate(start, data, noise=given.noise)).found
+    assert found.pose == "31"
+    assert reading in (found.quantity, *found.indistinct)
+    assert found.size
 
 
 def test_good_data_have_no_outliers() -> None:
@@ -158,6 +180,20 @@ def test_what_happened_to_a_row_is_named(change, words) -> None:
     assert [(o.pose, o.quantity, o.verified) for o in found] == [("8", None, True)]
     assert words in (found[0].cause or "")
     assert "pose 8" in str(found[0])
+
+
+def test_only_columns_that_were_read_can_be_exchanged() -> None:
+    """The small turns of an orientation have no column."""
+    given = setup("six-axis pose")
+    data = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1).dataset
+    data = replace(
+        data, readings={q: v for q, v in data.readings.items() if q not in given.truth.implied}
+    )
+    problem = build_problem(given.truth, data, given.noise)
+    guesses = list(causes._guesses(problem, data, causes.Suspect(3, 100.0, 6, {})))
+    assert given.truth.implied
+    assert any("exchanged" in guess.words for guess in guesses)
+    assert not any(q in guess.words for guess in guesses for q in given.truth.implied)
 
 
 def test_outliers_do_not_hide_each_other() -> None:

@@ -145,6 +145,19 @@ def test_poses_that_a_part_leaves_open_have_no_likelihood() -> None:
     assert validate(arm, data, noise=lc.Noise(exact), hold_out=0.2, seed=2).log_likelihood
 
 
+def test_a_pose_without_outputs_changes_no_likelihood() -> None:
+    """It has no loop, so its probability is one, whatever memory held before."""
+    blank = {
+        q: np.append(v, np.nan if q in ("xP", "yP") else 0.3) for q, v in DATA.readings.items()
+    }
+    whole = lc.calibrate(ARM.truth, DATA, noise=NOISE)
+    other = validate(ARM.truth, DATA, noise=NOISE, full=whole, other=DATA)
+    more = validate(ARM.truth, DATA, noise=NOISE, full=whole, other=lc.Dataset.from_arrays(blank))
+    assert more.log_likelihood == pytest.approx(other.log_likelihood, rel=1e-12)
+    assert more.by_pose is not None
+    assert more.by_pose[-1] == 0.0
+
+
 @pytest.mark.parametrize(
     ("how", "words"),
     [

@@ -45,11 +45,7 @@ def close_loops(
     tape = mechanism.tape
     rows = [tape.quantities.index(name) for name in unknown]
     if len(rows) > len(tape.loops):
-        raise InputError(
-            f"{len(rows)} quantities ({', '.join(unknown)}) cannot be found from "
-            f"{len(tape.loops)} loop equations",
-            remedy="drive more quantities: give their values for every pose",
-        )
+        raise _too_few_driven(mechanism, unknown)
     angles = {name for name in unknown if mechanism.quantities[name] == "rad"}
     angles -= {turn for orientation in mechanism.orientations for turn in orientation.turns}
     turns = [i for i, name in enumerate(unknown) if name in angles]
@@ -71,6 +67,18 @@ def close_loops(
                 break
         _refuse_open(mechanism, engine.evaluate(x, c).f, x, poses[part])
     return closed
+
+
+def _too_few_driven(mechanism: Mechanism, unknown: Sequence[str]) -> InputError:
+    loops = len(mechanism.tape.loops)
+    drivable = [name for name in unknown if name not in mechanism.outputs]
+    computed = ", ".join(mechanism.outputs)
+    return InputError(
+        f"{len(unknown)} quantities ({', '.join(unknown)}) cannot be found from {loops} loop "
+        "equations",
+        remedy=f"give the values of {len(unknown) - loops} of {', '.join(drivable)} in every pose"
+        + (f"; the outputs ({computed}) are computed, not driven" if computed else ""),
+    )
 
 
 def _newton_step(by_unknown: Array, f: Array) -> Array:

@@ -134,7 +134,7 @@ def _guesses(problem: Problem, dataset: Dataset, suspect: Suspect) -> Iterator[_
             if abs(value - (x[j] - size)) <= 0.1 * abs(size):
                 yield _Guess(words, j, _with(x, [j], [value]))
     if not suspect.explained or suspect.freedom < 2:
-        yield from _of_several(problem, x, units)
+        yield from _of_several(problem, dataset, x, units)
     for j, (size, _) in suspect.explained.items():
         name = problem.mechanism.tape.quantities[j]
         stated = dataset.source.stated.get(name, units[j])
@@ -162,10 +162,14 @@ def _same_point(problem: Problem, i: int) -> Iterator[_Guess]:
         yield _Guess("the point of the row before again (reflector lost?)", None, before.copy())
 
 
-def _of_several(problem: Problem, x: Array, units: list[str]) -> Iterator[_Guess]:
-    """Several readings of a row: two exchanged, or all of one kind in another unit."""
+def _of_several(problem: Problem, dataset: Dataset, x: Array, units: list[str]) -> Iterator[_Guess]:
+    """Several columns of a row: two exchanged, or all of one kind in another unit."""
     names = problem.mechanism.tape.quantities
-    real = [j for j, name in enumerate(names) if not name.startswith(PREFIX)]
+    real = [
+        j
+        for j, name in enumerate(names)
+        if name in dataset.readings and not name.startswith(PREFIX)
+    ]
     for j, other in combinations(real, 2):
         if units[j] == units[other]:
             words = f"{names[j]} and {names[other]} exchanged"

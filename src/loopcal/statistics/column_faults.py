@@ -35,6 +35,8 @@ EQUAL = 1.05
 """Repairs whose misfits differ by less than this factor cannot be told apart."""
 GROSS = 10.0
 """A pose this many times farther off than half of them takes no part in verifying a fault."""
+PARKED = 0.01
+"""A quantity stands still if its readings spread over no more than this share of their size."""
 _SAMPLE, _MOST, _ROUNDS = 120, 3, 4
 
 
@@ -221,8 +223,13 @@ def _repairs(problem: Problem) -> Iterator[_Repair]:
     units = [mechanism.quantities[name] for name in names]
     sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
     hidden: list[bool] = [bool(np.isinf(row).all()) for row in sd]
-    real = [j for j, n in enumerate(names) if not n.startswith(PREFIX) and not hidden[j]]
     x = problem.readings
+    real = [
+        j
+        for j, name in enumerate(names)
+        if not (name.startswith(PREFIX) or name in mechanism.implied or hidden[j])
+    ]
+    parked = {j for j in real if np.ptp(x[j]) <= PARKED * np.abs(x[j]).max()}
 
     def repair(words: str, rows: list[int], values: Array) -> _Repair:
         readings = x.copy()
@@ -231,6 +238,8 @@ def _repairs(problem: Problem) -> Iterator[_Repair]:
         return _Repair(quantities, words, replace(problem, readings=readings))
 
     for j in real:
+        if j in parked:
+            continue  # another sign or unit only changes its offset
         yield repair(f"{names[j]} counts the other way round (sign reversed)", [j], -x[[j]])
         if units[j] == "rad":
             yield repair(f"{names[j]} is in degrees, taken as radians", [j], x[[j]] * math.pi / 180)

@@ -61,12 +61,12 @@ class Fit:
 
 
 def tail(t: Array, freedom: NDArray[np.intp]) -> Array:
-    """Probability of a chi-squared above t; 1 where there is nothing to test."""
+    """Probability of a chi-squared above t; 1 without freedom to test, 0 for an infinite t."""
     from scipy.special import chdtrc
 
     some = freedom > 0
     p: Array = np.where(some, chdtrc(np.where(some, freedom, 1), np.maximum(t, 0.0)), 1.0)
-    return np.where(np.isnan(t), 0.0, p)
+    return np.where(np.isfinite(t), p, 0.0)
 
 
 def pose_tests(

@@ -92,7 +92,10 @@ def _ratios(fit: Result, stated: Array) -> Array:
 
 
 def log_densities(fit: Result, held: Held) -> Array | None:
-    """log N(misclosure; 0, W + J Cov_p J^T) of each pose (N,), None where it has no density."""
+    """log N(misclosure; 0, W + J Cov_p J^T) of each pose (N,), None where it has no density.
+
+    A pose without loops has no misclosure: its probability is one.
+    """
     problem = held.problem
     model = linear_model(problem, problem.start, held.corrections, ())
     own = 0.0
@@ -105,7 +108,7 @@ def log_densities(fit: Result, held: Held) -> Array | None:
     free = system.scale[:, None] * system.directions[:, ~system.kept]
     limit = _UNPREDICTABLE * float(system.singular_values.max(initial=0.0))
     scale = math.sqrt(own) if own else 1.0
-    out = np.empty(len(problem.poses))
+    out = np.zeros(len(problem.poses))
     for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):
         found = _densities(block, own, fit.covariance, free, limit / scale)
         if found is None:

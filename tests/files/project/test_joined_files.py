@@ -103,6 +103,22 @@ def test_what_does_not_fit_is_refused(tmp_path: Path, old: str, new: str, words:
     assert words in str(refused.value)
 
 
+def test_a_known_constant_without_a_column_asks_for_the_column(tmp_path: Path) -> None:
+    """No constant can be unmeasured, whatever the noise says of it."""
+    effect = """
+[[mechanism.effect]]
+type = "drift"
+changing = ["a_1"]
+column = "temperature"
+"""
+    with pytest.raises(InputError) as refused:
+        load(tmp_path, (MECHANISM + effect + DATA))
+    assert "known constant 'temperature'" in refused.value.message
+    assert refused.value.remedy is not None
+    assert 'temperature = "its column"' in refused.value.remedy
+    assert "inf" not in refused.value.remedy
+
+
 SIMULATED = """
 schema = 1
 [mechanism]

@@ -108,7 +108,8 @@ def begins_aligned(mechanism: Mechanism, start: str) -> bool:
 def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
     """The nominal machine moved to where each instrument that reads points sees it.
 
-    Gross errors take no part. The motion is that of the last of them. Raises InputError if the
+    Gross errors take no part. An instrument without readings stays at its nominal place, unless
+    none has any. The motion is that of the last of them. Raises InputError if the
     mechanism cannot say how its parameters change with its placement.
     """
     mechanism = problem.mechanism
@@ -118,7 +119,8 @@ def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
             f"the mechanism {mechanism.name!r} cannot be placed by aligning points",
             remedy='start from the nominal parameters (fit.start = "nominal")',
         )
-    values = dict(zip(mechanism.parameters.names, problem.start.tolist(), strict=True))
+    begun = dict(zip(mechanism.parameters.names, problem.start.tolist(), strict=True))
+    values = dict(begun)
     for family, placement in stations:
         if family.form in POLAR:  # angles to a machine that stands over its station are none
             aside = np.full(len(family.readings), ASIDE)
@@ -132,9 +134,15 @@ def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
         reason = open_loops(problem)
         if reason is not None:
             raise reason
-    for seen in alike.values():
-        motion = align_most(np.hstack([s[0] for s in seen]), np.hstack([s[1] for s in seen]))
-        values = seen[0][2].moved(values, motion.rotation, motion.shift)
+    together = {
+        names: (np.hstack([s[0] for s in seen]), np.hstack([s[1] for s in seen]))
+        for names, seen in alike.items()
+    }
+    read = {names: seen for names, seen in together.items() if _known(*seen)[0].size}
+    for names, (computed, measured) in (read or together).items():
+        motion = align_most(computed, measured)
+        values = alike[names][0][2].moved(values, motion.rotation, motion.shift)
+    values |= {name: begun[name] for names in together.keys() - read.keys() for name in names}
     return mechanism.with_nominal(values), motion
 
 

@@ -192,21 +192,33 @@ def taken(problem: Problem, index: NDArray[np.intp]) -> Problem:
 
 
 def left_unmeasured(problem: Problem, without: NDArray[np.bool_]) -> Problem:
-    """The same problem as if the readings marked in `without`, (k, N), had not been taken."""
+    """The same problem with the readings marked in `without`, (k, N), unknown.
+
+    The loops that hold stay the same: an instrument's only reading is then found from its loop.
+    """
     sd = np.where(without, np.inf, problem.uncertainty.sd)
-    uncertainty = replace(problem.uncertainty, sd=sd)
-    return replace(
-        problem, uncertainty=uncertainty, patterns=_patterns(problem.mechanism, np.isinf(sd))
-    )
+    blind = np.broadcast_to(np.isinf(problem.uncertainty.sd), sd.shape)
+    patterns = _patterns(problem.mechanism, np.isinf(sd), blind)
+    return replace(problem, uncertainty=replace(problem.uncertainty, sd=sd), patterns=patterns)
 
 
 def _exact(mechanism: Mechanism, dataset: Dataset) -> Noise:
-    """Every reading exact; what has a home and no reading at all is read by nobody."""
-    sds = dict.fromkeys(mechanism.tape.quantities, 0.0)
-    for name in mechanism.home:
-        if not np.isfinite(dataset.readings.get(name, np.nan)).any():
-            sds[name] = math.inf
-    return Noise(sds)
+    """Every reading exact; unmeasured are instruments without readings and what has a home.
+
+    Raises InputError for any other quantity without readings.
+    """
+    names = mechanism.tape.quantities
+    unread = {q for q in names if not np.isfinite(dataset.readings.get(q, np.nan)).any()}
+    instruments = [f.readings for f in mechanism.families if unread.issuperset(f.readings)]
+    unmeasured = unread & {*mechanism.home, *(q for its in instruments for q in its)}
+    for name in names:
+        if name in unread - unmeasured:
+            raise InputError(
+                f"least squares has no readings of the quantity {name!r}",
+                remedy=f"name its column; if {name!r} is not measured, use another method and give "
+                "it the sd inf",
+            )
+    return Noise({q: math.inf if q in unmeasured else 0.0 for q in names})
 
 
 def _check_units(mechanism: Mechanism, dataset: Dataset) -> None:
@@ -225,18 +237,21 @@ def held_loops(tape: Tape, loops: tuple[int, ...]) -> Tape:
     return tape if len(loops) == len(tape.loops) else tape.only(loops)
 
 
-def _patterns(mechanism: Mechanism, unmeasured: NDArray[np.bool_]) -> tuple[Pattern, ...]:
+def _patterns(
+    mechanism: Mechanism, unmeasured: NDArray[np.bool_], blind: NDArray[np.bool_] | None = None
+) -> tuple[Pattern, ...]:
     """Poses by what is unmeasured in them, (k, N) or (k, 1), and by the loops that then hold.
 
-    A family's loops go where all its own readings are unmeasured: eliminating these readings
-    would leave nothing of the loops.
+    A family's loops go where all its own readings are `blind`, by default unmeasured: eliminating
+    these readings would leave nothing of the loops.
     """
-    if (unmeasured == unmeasured[:, :1]).all():
-        found = _pattern(mechanism, unmeasured[:, 0], slice(None))
+    codes = np.concatenate([unmeasured, unmeasured if blind is None else blind])
+    if (codes == codes[:, :1]).all():
+        found = _pattern(mechanism, *np.split(codes[:, 0], 2), slice(None))
         return (found,) if found.loops else ()
-    codes, inverse = np.unique(unmeasured.T, axis=0, return_inverse=True)
+    unique, inverse = np.unique(codes.T, axis=0, return_inverse=True)
     alike: dict[tuple[tuple[int, ...], ...], list[int]] = {}
-    patterns = [_pattern(mechanism, code, slice(None)) for code in codes]
+    patterns = [_pattern(mechanism, *np.split(code, 2), slice(None)) for code in unique]
     for i, pattern in enumerate(patterns):
         alike.setdefault((pattern.loops, pattern.unmeasured), []).append(i)
     return tuple(
@@ -246,12 +261,13 @@ def _patterns(mechanism: Mechanism, unmeasured: NDArray[np.bool_]) -> tuple[Patt
     )
 
 
-def _pattern(mechanism: Mechanism, unmeasured: NDArray[np.bool_], poses: Poses) -> Pattern:
+def _pattern(
+    mechanism: Mechanism, unmeasured: NDArray[np.bool_], blind: NDArray[np.bool_], poses: Poses
+) -> Pattern:
     tape = mechanism.tape
     missing = {tape.quantities[i] for i in np.flatnonzero(unmeasured)}
-    silent = {
-        loop for f in mechanism.families if missing.issuperset(f.readings) for loop in f.loops
-    }
+    unread = {tape.quantities[i] for i in np.flatnonzero(blind)}
+    silent = {loop for f in mechanism.families if unread.issuperset(f.readings) for loop in f.loops}
     inputs = tape.depends_on()
     loops = [i for i, loop in enumerate(tape.loops) if loop not in silent]
     present = frozenset().union(*(inputs[i] for i in loops))

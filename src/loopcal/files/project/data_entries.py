@@ -82,11 +82,18 @@ def refuse_unread(read: set[str], mechanism: Mechanism, noise: NoiseSpec, place:
     for quantity in (*mechanism.quantities, *mechanism.known):
         if quantity in read or quantity in mechanism.implied:
             continue
+        remedy = f'add {quantity} = "its column"'
+        if quantity in mechanism.known:
+            raise InputError(
+                f"no column is named for the known constant {quantity!r}",
+                place=str(place),
+                remedy=f"{remedy}; every pose needs its value",
+            )
         if noise.sd_of(quantity) != math.inf:
             raise InputError(
                 f"no column is named for the quantity {quantity!r}",
                 place=str(place),
-                remedy=f'add {quantity} = "its column"; if nobody measures it, say '
+                remedy=f"{remedy}; if it is not measured, write "
                 f"{quantity} = {{ sd = inf }} in [noise]",
             )
 
