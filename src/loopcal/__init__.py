@@ -11,22 +11,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from loopcal import instruments, machines
     from loopcal.errors import InputError, LoopcalError
+    from loopcal.estimation.accuracy import Accuracy, Closure
     from loopcal.estimation.calibrate import calibrate
+    from loopcal.estimation.chi_squared import ChiSquared
+    from loopcal.estimation.fit import Fit
+    from loopcal.estimation.identifiability import Identifiability, Undetermined
+    from loopcal.estimation.noise.noise_entry import NoiseEntry
     from loopcal.estimation.on_request import (
         ComparedModel,
         Interval,
         ModelComparison,
         Validation,
     )
-    from loopcal.estimation.result import (
-        Accuracy,
-        ChiSquared,
-        Closure,
-        Identifiability,
-        NoiseEntry,
-        Result,
-        Undetermined,
-    )
+    from loopcal.estimation.result import Result
     from loopcal.estimation.solve.status import Status
     from loopcal.execution.cluster import Cluster
     from loopcal.execution.local import Processes, Threads
@@ -73,12 +70,14 @@ if TYPE_CHECKING:
 
 _HOME = {
     "errors": ("InputError", "LoopcalError"),
+    "estimation.accuracy": ("Accuracy", "Closure"),
     "estimation.calibrate": ("calibrate",),
+    "estimation.chi_squared": ("ChiSquared",),
+    "estimation.fit": ("Fit",),
+    "estimation.identifiability": ("Identifiability", "Undetermined"),
+    "estimation.noise.noise_entry": ("NoiseEntry",),
     "estimation.on_request": ("ComparedModel", "Interval", "ModelComparison", "Validation"),
-    "estimation.result": (
-        *("Accuracy", "ChiSquared", "Closure", "Identifiability", "NoiseEntry", "Result"),
-        "Undetermined",
-    ),
+    "estimation.result": ("Result",),
     "estimation.solve.status": ("Status",),
     "execution.cluster": ("Cluster",),
     "execution.local": ("Processes", "Threads"),
@@ -142,6 +141,7 @@ __all__ = [
     "Dataset",
     "Drift",
     "Findings",
+    "Fit",
     "Harmonics",
     "Identifiability",
     "InputError",

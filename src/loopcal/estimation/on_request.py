@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.accuracy import Accuracy
+
 if TYPE_CHECKING:
-    from loopcal.estimation.result import Accuracy, Result
+    from loopcal.estimation.result import Result
 
 Array = NDArray[np.float64]
 

@@ -1,19 +1,33 @@
-"""What a calibration found, and how far it can be believed: small frozen values."""
+"""What a calibration found, and how far it can be believed: computed when it is first asked for."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.accuracy import Accuracy, Closure
+from loopcal.estimation.chi_squared import ChiSquared
+from loopcal.estimation.distances import distances
+from loopcal.estimation.fit import Fit
+from loopcal.estimation.identifiability import Identifiability
+from loopcal.estimation.noise.discrepancy import model_discrepancy
+from loopcal.estimation.noise.estimation import NoiseEstimate
+from loopcal.estimation.noise.learning import entries, words
+from loopcal.estimation.noise.noise_entry import NoiseEntry
 from loopcal.estimation.on_request import Interval, ModelComparison, Validation
+from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.residuals import by_name, residuals
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
+from loopcal.estimation.solve.robust import robust_covariance
+from loopcal.estimation.solve.solver import Solution
 from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
@@ -22,155 +36,239 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ChiSquared:
-    """The weighted square of all corrections and of the parameters' distance from their nominal.
+class AllPoses:
+    """What all poses of a stream say, where the arrays of its result show only some of them."""
 
-    With the right sds it follows a chi-squared distribution with that many degrees of freedom
-    (loop equations + finite priors - determined parameters). variance_factor is their ratio.
-    p_value: probability of a value at least this large if model and sds are right.
-    """
-
-    value: float
-    degrees_of_freedom: int
-    p_value: float | None
-    variance_factor: float | None
-
-
-@dataclass(frozen=True)
-class Closure:
-    """Size of the loop equations' values [SI] over all poses."""
-
-    rms: float
-    max: float
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """Distances between computed and measured outputs [unit] where both are there.
-
-    The computed output comes from the other readings alone, without corrections.
-    """
-
-    unit: str
-    mean: float
-    rms: float
-    p95: float
-    max: float
-    poses: int
-
-    @classmethod
-    def of(cls, distances: Array, unit: str) -> Accuracy | None:
-        """From distances of any shape; missing ones (NaN) do not count."""
-        distances = distances[np.isfinite(distances)]
-        if not distances.size:
-            return None
-        return cls(
-            unit,
-            float(distances.mean()),
-            float(np.sqrt(np.square(distances).mean())),
-            float(np.percentile(distances, 95)),
-            float(distances.max()),
-            int(distances.size),
-        )
-
-
-@dataclass(frozen=True)
-class NoiseEntry:
-    """The sd [SI unit] used for one or several quantities; median where it differs by reading.
-
-    source: "given", "reading", "datasheet" or "estimated". Of an estimated one: sd_of_sd, how
-    sure it is; upper: 95 % bound, where it is zero or unsure; likelihood_ratio: by how much
-    -2 log of the restricted likelihood rises without it (None where the loops need it), p_value:
-    of such a rise if there were no such noise.
-    """
-
-    quantities: tuple[str, ...]
-    unit: str
-    sd: float
-    sd_of_sd: float | None
-    source: str
-    upper: float | None = None
-    likelihood_ratio: float | None = None
-    p_value: float | None = None
-
-
-@dataclass(frozen=True)
-class Undetermined:
-    """A direction in which neither data nor prior say anything: {parameter: share}, and words."""
-
-    combination: Mapping[str, float]
-    words: str
-
-
-@dataclass(frozen=True)
-class Identifiability:
-    """What can be told from these poses.
-
-    rank: directions determined by data and prior, of `parameters` estimated ones; data_rank: by
-    the data alone; condition_number: largest over smallest singular value of the column-scaled
-    system, None if singular.
-    """
-
-    rank: int
-    parameters: int
-    data_rank: int
-    condition_number: float | None
-    not_identifiable: tuple[Undetermined, ...]
+    accuracy_before: Accuracy | None
+    accuracy_after: Accuracy | None
+    model_discrepancy: float | None
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
     """The result of a calibration. Values are SI; mappings go by name.
 
-    mechanism: the nominal one, placed where the instrument sees it; value, sd: of every
-    parameter (sd None if fixed, inf if not identifiable); covariance: (n, n) of the estimated
-    ones in the order of `estimated`; corrections: quantity -> (N,) estimated true value minus
-    reading; residuals_before, residuals_after: loop -> (N,) values of the loop equations;
-    differences_before, differences_after: output -> (N,) computed from the readings of the rest
-    minus measured, at nominal and at calibrated parameters; accuracy sums them up and is None where
-    the mechanism has no outputs, or outputs of several units. problem, spectrum and information
-    (the parameter system with and without the prior) are what further statistics start from.
+    fit: the settings; dataset: the readings; problem: with the sds used, solution: where the fit
+    ended; stated: the problem with the sds as stated, estimate: what was learnt of them, None
+    where nothing was; all_poses: of a stream; notes: warnings beside those of the fit itself.
+    What follows from these is computed when it is first asked for.
     """
 
-    method: str
-    status: Status
-    mechanism: Mechanism
-    value: Mapping[str, float]
-    sd: Mapping[str, float | None]
-    estimated: tuple[str, ...]
-    covariance: Array
-    chi_squared: ChiSquared | None
-    noise: tuple[NoiseEntry, ...]
-    corrections: Mapping[str, Array]
-    reading_sds: Mapping[str, Array]
-    residuals_before: Mapping[str, Array]
-    residuals_after: Mapping[str, Array]
-    differences_before: Mapping[str, Array]
-    differences_after: Mapping[str, Array]
-    accuracy_before: Accuracy | None
-    accuracy_after: Accuracy | None
-    identifiability: Identifiability
+    fit: Fit
     dataset: Dataset
     problem: Problem
-    spectrum: Spectrum
-    information: Accumulator
-    loss: str = "gaussian"
-    warnings: tuple[str, ...] = ()
-    model_discrepancy: float | None = None
-    """sd [unit of the outputs] of an error of the machine model at the end point that would explain
-    a chi-squared which is too large for the stated sds; None where it is not."""
+    solution: Solution
+    stated: Problem
+    estimate: NoiseEstimate | None = None
+    all_poses: AllPoses | None = None
+    notes: tuple[str, ...] = ()
     variance_factor_applied: bool = False
     """Whether covariance and sds were multiplied by the variance factor, on request."""
-    restricted_criterion: float | None = None
-    """-2 log of the restricted likelihood, up to a constant of the readings, where sds were
-    estimated: the difference between two models of the same readings is what counts."""
     errors: Mapping[str, float] | None = None
+    """True minus estimated value of the parameters whose truth is known."""
     validation: Validation | None = None
     """Accuracy on poses that were not used, where it was asked for."""
     models: ModelComparison | None = None
     """Models this one was chosen from, where it was asked for."""
     intervals: Mapping[str, Interval | None] = field(default_factory=dict)
     """Confidence intervals of the parameters that were asked for."""
+
+    @property
+    def method(self) -> str:
+        """The name of the method."""
+        return self.fit.method.name
+
+    @property
+    def loss(self) -> str:
+        """The name of the loss."""
+        return self.fit.loss
+
+    @property
+    def status(self) -> Status:
+        """How the fit ended."""
+        return self.solution.status
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The nominal mechanism, placed where the instrument sees it."""
+        return self.problem.mechanism
+
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """The names of the estimated parameters, in the order of `covariance`."""
+        return self.problem.names
+
+    @property
+    def spectrum(self) -> Spectrum:
+        """The parameter system with the prior."""
+        return self.solution.spectrum
+
+    @property
+    def information(self) -> Accumulator:
+        """The parameter system without the prior."""
+        return self.solution.data
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom: loop equations + finite priors - determined parameters."""
+        informed = 0 if self.fit.method.exact else int(np.isfinite(self.problem.prior_sd).sum())
+        return self.problem.equations + informed - self.spectrum.rank
+
+    @cached_property
+    def value(self) -> Mapping[str, float]:
+        """Every parameter."""
+        names = self.mechanism.parameters.names
+        return MappingProxyType(dict(zip(names, self.solution.parameters.tolist(), strict=True)))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(n, n) of the estimated parameters."""
+        loss, method = self.fit.robust_loss, self.fit.method
+        if loss is not None:
+            return robust_covariance(
+                self.problem, self.solution, loss, at_readings=method.at_readings
+            )
+        found = self.spectrum.covariance()
+        variance = method.unit_variance(self.solution.chi_squared, self.freedom)
+        if variance != 1.0:
+            found = found * (math.inf if variance is None else variance)
+        factor = self._variance_factor if self.variance_factor_applied else None
+        return found if factor is None else found * factor
+
+    @cached_property
+    def sd(self) -> Mapping[str, float | None]:
+        """Of every parameter: None if fixed, inf if not identifiable."""
+        found: dict[str, float | None] = dict.fromkeys(self.mechanism.parameters.names)
+        variances = np.diag(self.covariance).tolist()
+        for name, variance in zip(self.estimated, variances, strict=True):
+            loose = name in self.identifiability.loose
+            found[name] = math.inf if loose else math.sqrt(max(variance, 0.0))
+        return MappingProxyType(found)
+
+    @cached_property
+    def chi_squared(self) -> ChiSquared | None:
+        """None where the method or the loss has none."""
+        value = self.solution.chi_squared
+        known = not self.fit.method.exact and self.fit.robust_loss is None
+        return ChiSquared.of(value, self.freedom) if known and math.isfinite(value) else None
+
+    @cached_property
+    def noise(self) -> tuple[NoiseEntry, ...]:
+        """The sds that were used."""
+        if self.fit.method.exact:
+            return ()
+        return entries(self.problem, self.estimate, self.stated)
+
+    @cached_property
+    def corrections(self) -> Mapping[str, Array]:
+        """Quantity -> (N,) estimated true value minus reading."""
+        return by_name(self.mechanism.tape.quantities, self.solution.corrections)
+
+    @cached_property
+    def reading_sds(self) -> Mapping[str, Array]:
+        """Quantity -> (N,) sds that were used."""
+        sds = np.broadcast_to(self.problem.uncertainty.sd, self.solution.corrections.shape)
+        return by_name(self.mechanism.tape.quantities, sds)
+
+    @cached_property
+    def residuals_before(self) -> Mapping[str, Array]:
+        """Loop -> (N,) values of the loop equations at the nominal parameters."""
+        return residuals(self.problem, self.problem.start)
+
+    @cached_property
+    def residuals_after(self) -> Mapping[str, Array]:
+        """Loop -> (N,) values of the loop equations at the corrected readings."""
+        return residuals(self.problem, self.solution.parameters, self.solution.corrections)
+
+    @cached_property
+    def differences_before(self) -> Mapping[str, Array]:
+        """Output -> (N,) computed minus measured at the nominal parameters.
+
+        Computed from the readings of the rest; quantities that no sensor reads come from the loops.
+        """
+        return self._differences(self.problem.start)
+
+    @cached_property
+    def differences_after(self) -> Mapping[str, Array]:
+        """Output -> (N,) computed minus measured at the calibrated parameters."""
+        return self._differences(self.solution.parameters, self.solution.corrections)
+
+    def _differences(
+        self, parameters: Array, corrections: Array | None = None
+    ) -> Mapping[str, Array]:
+        outputs = self.mechanism.outputs
+        if not outputs:
+            return MappingProxyType({})
+        return by_name(outputs, output_differences(self.problem, parameters, corrections))
+
+    @cached_property
+    def accuracy_before(self) -> Accuracy | None:
+        """Of the nominal machine; None without outputs, or with outputs of several units."""
+        if self.all_poses is not None:
+            return self.all_poses.accuracy_before
+        return self._accuracy(self.differences_before)
+
+    @cached_property
+    def accuracy_after(self) -> Accuracy | None:
+        """Of the calibrated machine."""
+        if self.all_poses is not None:
+            return self.all_poses.accuracy_after
+        return self._accuracy(self.differences_after)
+
+    def _accuracy(self, differences: Mapping[str, Array]) -> Accuracy | None:
+        rows = [self.mechanism.tape.quantities.index(q) for q in self.mechanism.outputs]
+        readings, off = self.problem.readings[rows], np.array(list(differences.values()))
+        found = distances(self.mechanism, readings, off)
+        return None if found is None else Accuracy.of(found.values, found.unit)
+
+    @property
+    def closure_before(self) -> Closure:
+        """Loop values at the readings and the start parameters."""
+        return Closure.of(self.residuals_before)
+
+    @property
+    def closure_after(self) -> Closure:
+        """Loop values at the corrected readings and the calibrated parameters."""
+        return Closure.of(self.residuals_after)
+
+    @cached_property
+    def identifiability(self) -> Identifiability:
+        """What the poses determine."""
+        return Identifiability.of(self.problem, self.solution)
+
+    @cached_property
+    def model_discrepancy(self) -> float | None:
+        """sd [unit of the outputs] of an error of the machine model at the end point that would
+        explain a chi-squared too large for the stated sds; None where it is not."""
+        if self.all_poses is not None:
+            return self.all_poses.model_discrepancy
+        chi = self.chi_squared
+        if not self.status.converged or chi is None or not chi.too_large:
+            return None
+        return model_discrepancy(self.problem, self.solution)
+
+    @property
+    def restricted_criterion(self) -> float | None:
+        """-2 log of the restricted likelihood, up to a constant of the readings, where sds were
+        estimated: the difference between two models of the same readings is what counts."""
+        return None if self.estimate is None else self.estimate.criterion
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What the reader must know before using the result."""
+        found = [*self.identifiability.warnings()]
+        if self.mechanism.placement is not None:
+            found += self.mechanism.placement.advice(self.value)
+        if self.chi_squared is not None:
+            unit = next((self.mechanism.quantities[q] for q in self.mechanism.outputs), "")
+            found += self.chi_squared.warnings(self.model_discrepancy, unit)
+        if self.estimate is not None:
+            found += words(self.estimate, self.noise, self.chi_squared_shares)
+        return (*found, *self.notes)
+
+    def noted(self, *notes: str) -> Result:
+        """The same result with further warnings."""
+        return replace(self, notes=(*self.notes, *notes))
 
     def with_variance_factor(self) -> Result:
         """The same result with its covariance multiplied by the variance factor.
@@ -180,21 +278,16 @@ class Result:
         where there is no variance factor: least squares scales by the residuals anyway, and
         under a robust loss there is no chi-squared.
         """
-        factor = None if self.chi_squared is None else self.chi_squared.variance_factor
-        if factor is None:
+        if self._variance_factor is None:
             raise InputError(
                 f"the method {self.method!r} with the loss {self.loss!r} has no variance factor",
                 remedy="use it with the implicit loop or reweighted, and the gaussian loss",
             )
-        if self.variance_factor_applied:
-            return self
-        sds = {n: None if sd is None else sd * math.sqrt(factor) for n, sd in self.sd.items()}
-        return replace(
-            self,
-            covariance=self.covariance * factor,
-            sd=MappingProxyType(sds),
-            variance_factor_applied=True,
-        )
+        return replace(self, variance_factor_applied=True)
+
+    @property
+    def _variance_factor(self) -> float | None:
+        return None if self.chi_squared is None else self.chi_squared.variance_factor
 
     @property
     def chi_squared_shares(self) -> Mapping[str, float]:
@@ -216,16 +309,6 @@ class Result:
         """The mechanism with the calibrated values as its nominal ones."""
         return self.mechanism.with_nominal(self.value)
 
-    @property
-    def closure_before(self) -> Closure:
-        """Loop values at the readings and the start parameters."""
-        return _closure(self.residuals_before)
-
-    @property
-    def closure_after(self) -> Closure:
-        """Loop values at the corrected readings and the calibrated parameters."""
-        return _closure(self.residuals_after)
-
     def __str__(self) -> str:
         from loopcal.estimation.summary import summary
 
@@ -239,16 +322,3 @@ class Result:
     def __repr__(self) -> str:
         state = "converged" if self.status.converged else self.status.reason
         return f"<Result: {self.method}, {state}, {len(self.estimated)} parameters>"
-
-
-def _closure(residuals: Mapping[str, Array]) -> Closure:
-    values = np.array(list(residuals.values()))
-    values = values[np.isfinite(values)]
-    return Closure(float(np.sqrt(np.square(values).mean())), float(np.abs(values).max()))
-
-
-def frozen(values: Mapping[str, Array]) -> Mapping[str, Array]:
-    """A read-only mapping of read-only arrays."""
-    for array in values.values():
-        array.setflags(write=False)
-    return MappingProxyType(dict(values))

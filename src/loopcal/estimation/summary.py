@@ -10,25 +10,20 @@ from loopcal.presentation.rounding import rounded_by_sd, significant
 from loopcal.units import from_si
 
 if TYPE_CHECKING:
+    from loopcal.estimation.accuracy import Accuracy
     from loopcal.estimation.on_request import ModelComparison, Validation
-    from loopcal.estimation.result import Accuracy, Result
+    from loopcal.estimation.result import Result
 
 SHOWN = {"m": "mm", "rad": "deg"}
 """Units in which SI values are printed, because they are the ones drawings and controllers use."""
 FINE = {"m": "um", "rad": "urad"}
 """Units in which sds of sensors are printed."""
-_METHODS = {
-    "implicit-loop": "implicit loop (all sensors uncertain)",
-    "implicit-loop-undamped": "implicit loop, the seed's undamped iteration",
-    "reweighted": "reweighted least squares (readings weighed by their propagated noise)",
-    "least-squares": "least squares (sensors taken as exact)",
-}
 
 
 def summary(result: Result) -> str:
     """Status, fit, accuracy, parameters with change and sd, and whatever needs a warning."""
     loss = "" if result.loss == "gaussian" else f", loss {result.loss}"
-    lines = [f"{result.mechanism.name}: {_METHODS[result.method]}{loss}", ""]
+    lines = [f"{result.mechanism.name}: {result.fit.method.label}{loss}", ""]
     lines += _state(result)
     lines += ["", *_accuracy(result)]
     rejected = result.chi_squared is not None and (result.chi_squared.p_value or 0.0) < 0.01
@@ -78,7 +73,7 @@ def _state(result: Result) -> list[str]:
     before, after = result.closure_before, result.closure_after
     lines.append(
         f"loop equations: rms {before.rms:.3g} before, {after.rms:.3g} after"
-        + ("" if result.method == "least-squares" else " (closed by correcting the readings)")
+        + ("" if result.fit.method.exact else " (closed by correcting the readings)")
     )
     return lines
 

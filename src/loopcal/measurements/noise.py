@@ -68,6 +68,21 @@ class Noise:
                     remedy=nearest(how, ESTIMATES),
                 )
 
+    @classmethod
+    def of(cls, given: NoiseLike | None) -> Noise | None:
+        """The noise itself, or one made of a mapping of sds.
+
+        Raises InputError for anything else.
+        """
+        if given is None or isinstance(given, Noise):
+            return given
+        if not isinstance(given, Mapping):
+            raise InputError(
+                f"the noise is {type(given).__name__} {given!r:.40}",
+                remedy='give Noise({"theta_*": 1e-4}), or a dict of sds by quantity',
+            )
+        return cls(given)
+
     def __repr__(self) -> str:
         def text(value: Any) -> str:
             if isinstance(value, Tracker):
@@ -89,6 +104,10 @@ class Noise:
         )
 
     __hash__ = None  # type: ignore[assignment]
+
+
+NoiseLike = Noise | Entries
+"""A noise, or the mapping that makes one."""
 
 
 @dataclass(frozen=True)

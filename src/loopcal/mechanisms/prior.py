@@ -38,6 +38,21 @@ class Prior:
                 )
             self.sds[key] = sd
 
+    @classmethod
+    def of(cls, given: PriorLike | None) -> Prior | None:
+        """The prior itself, or one made of a mapping of sds.
+
+        Raises InputError for anything else.
+        """
+        if given is None or isinstance(given, Prior):
+            return given
+        if not isinstance(given, Mapping):
+            raise InputError(
+                f"the prior is {type(given).__name__} {given!r:.40}",
+                remedy='give Prior({"l?": 0.001}), or a dict of sds by parameter',
+            )
+        return cls(given)
+
     def __repr__(self) -> str:
         return f"Prior({self.sds!r})"
 
@@ -49,3 +64,7 @@ class Prior:
     def apply(self, parameters: Parameters) -> Parameters:
         """The parameters with these prior sds."""
         return parameters.with_prior(self.sds)
+
+
+PriorLike = Prior | Mapping[str, float | tuple[float, str]]
+"""A prior, or the mapping that makes one."""

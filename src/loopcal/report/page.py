@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from loopcal.document.plain import plain
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import UsageError
+from loopcal.estimation.methods.registry import method_named
 from loopcal.estimation.result import Result
 from loopcal.figures.figure import plotly_javascript
 from loopcal.report import tables
@@ -28,16 +29,6 @@ MOST = 8
 """So many results stand side by side; a browser draws some sixteen scenes in space at most."""
 LITTLE = 0.5
 """Sd over prior sd above which it is said that the data tell little."""
-METHODS = {
-    "implicit-loop": "Implicit loop: every sensor is uncertain. Readings are corrected until all "
-    "loops close, with the least squares of corrections over their sds.",
-    "implicit-loop-undamped": "Implicit loop by the undamped iteration of the seed: every sensor "
-    "is uncertain, full Gauss-Newton steps.",
-    "reweighted": "Reweighted least squares: the open loops, weighed by the noise that the "
-    "readings bring into them.",
-    "least-squares": "Least squares: the open loops at the readings, all weighed alike; the "
-    "sensors are taken as exact.",
-}
 
 
 def report_html(sources: Sequence[Source]) -> str:
@@ -94,7 +85,7 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "outliers": tables.outlier_table(document),
         "facts": tables.facts_table(document),
         "identifiability": identifiability_words(document),
-        "method": METHODS[document.method],
+        "method": method_named(document.method).description,
         "inputs": json.dumps(plain(document.inputs), indent=1, ensure_ascii=False),
     }
 

@@ -165,7 +165,7 @@ def _residuals(result: Result, poses: Sequence[str]) -> Figure | None:
     figure = over_poses(
         result.residuals_before, result.residuals_after, poses, "SI", "Values of the loop equations"
     )
-    if figure is None or result.method == "least-squares":
+    if figure is None or result.fit.method.exact:
         return figure
     closed = " That corrected readings close the loops to rounding is no accuracy."
     return replace(figure, caption=figure.caption + closed)

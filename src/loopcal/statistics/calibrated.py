@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.methods.registry import method_named
 from loopcal.estimation.result import Result
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
@@ -41,7 +42,7 @@ class Calibrated:
     def of(cls, result: Result, name: str) -> Calibrated:
         """From a result."""
         system, parameters = result.spectrum, result.mechanism.parameters
-        exact = result.method == "least-squares"
+        exact = result.fit.method.exact
         loose = system.scale[:, None] * system.directions[:, ~system.kept]
         free = result.problem.free
         return cls(
@@ -75,7 +76,7 @@ class Calibrated:
             open_ = np.isnan(np.diag(matrix))
             covariance, loose = np.nan_to_num(matrix), np.eye(len(free))[:, open_]
         prior = [entries[n]["prior_sd"] for n in names]
-        exact = document["method"] == "least-squares"
+        exact = method_named(document["method"]).exact
         chi = document["chi_squared"]
         return cls(
             name,

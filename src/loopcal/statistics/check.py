@@ -15,19 +15,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.calibrate import started
+from loopcal.estimation.fit import Fit, Start
 from loopcal.estimation.noise.learning import with_model
-from loopcal.estimation.problem.alignment import begins_aligned, placed
-from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
-from loopcal.estimation.problem.unreachable import refuse_unreachable
 from loopcal.estimation.solve.reduction import Spectrum, spectrum, undetermined
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.estimation.summary import SHOWN, columns
 from loopcal.measurements.dataset import Dataset
-from loopcal.measurements.noise import Noise
+from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.prior import Prior
+from loopcal.mechanisms.prior import PriorLike
 from loopcal.presentation.rounding import significant
 from loopcal.statistics.identifiability import SCHROER, WhatDataSay, what_data_say
 from loopcal.statistics.observability import Observability, observability
@@ -127,9 +127,9 @@ def check(
     mechanism: Mechanism,
     data: Dataset | Any,
     *,
-    noise: Noise | None = None,
-    prior: Prior | None = None,
-    start: str = "auto",
+    noise: NoiseLike | None = None,
+    prior: PriorLike | None = None,
+    start: Start = "auto",
 ) -> Check:
     """What these readings can determine, before any fit.
 
@@ -138,32 +138,32 @@ def check(
     (Wampler, Hollerbach and Arai 1995). Raises InputError for input that cannot be used.
     """
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
-    if prior is not None:
-        mechanism = mechanism.with_parameters(prior.apply(mechanism.parameters))
-    if noise is not None:
-        mechanism, data = with_model(mechanism, data, noise)
+    fit, told = Fit(prior=prior, start=start), Noise.of(noise)
+    mechanism = fit.with_prior(mechanism)
+    if told is not None:
+        mechanism, data = with_model(mechanism, data, told)
     with one_blas_thread():
-        problem = _placed(build_problem(mechanism, data, noise), data, noise, start)
-        sweeper = Sweeper(problem, exact=noise is None)
+        problem = started(mechanism, data, told, fit.start)
+        sweeper = Sweeper(problem, exact=told is None)
         exact = Sweeper(problem, exact=True)
         corrections = start_corrections(exact, problem.start)
         corrections = exact.close(problem.start, corrections, NEAR, 1.0).corrections
         information = sweeper.sweep(problem.start, corrections, triangular=True).data
         system = spectrum(information, np.zeros(len(problem.free)), problem.prior_sd)
         loose = {n for d in undetermined(system, problem.names) for n in d}
-        sds = _expected(problem, system, loose, stated=noise is not None)
+        sds = _expected(problem, system, loose, stated=told is not None)
         usual: Mapping[str, float] = {}
-        if mechanism.outputs and noise is not None:
+        if mechanism.outputs and told is not None:
             x = problem.readings + corrections
             usual = predictor_at(
                 problem, problem.mechanism, system.covariance(), system, x, {}
             ).usual
-    said = what_data_say(problem, information, sds, unit_sd=None if noise is None else 1.0)
+    said = what_data_say(problem, information, sds, unit_sd=None if told is None else 1.0)
     verdict = _verdict(problem, said, loose)
     return Check(
         problem.mechanism,
         len(data),
-        _ranges(problem, data, stated=noise is not None),
+        _ranges(problem, data, stated=told is not None),
         said,
         observability(information, len(data)),
         sds,
@@ -171,13 +171,6 @@ def check(
         verdict.name,
         verdict.words,
     )
-
-
-def _placed(problem: Problem, data: Dataset, noise: Noise | None, start: str) -> Problem:
-    if begins_aligned(problem.mechanism, start):
-        problem = build_problem(placed(problem)[0], data, noise)
-    refuse_unreachable(problem, problem.start)
-    return problem
 
 
 def _expected(

@@ -67,7 +67,6 @@ def findings(result: Result) -> Findings:
 
 def _unit_sd(result: Result) -> float | None:
     """Sd of a whitened equation: 1 by the stated sds, else from the residuals."""
-    if result.method != "least-squares":
-        return 1.0
     freedom = result.problem.equations - data_spectrum(result.information).rank
-    return math.sqrt(result.information.chi_squared / freedom) if freedom > 0 else None
+    variance = result.fit.method.unit_variance(result.information.chi_squared, freedom)
+    return None if variance is None else math.sqrt(variance)

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.on_request import Interval
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
@@ -33,8 +34,6 @@ from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.mechanisms.parameters import matching
 
 Array = NDArray[np.float64]
-LIKELIHOODS = ("implicit-loop", "implicit-loop-undamped", "least-squares")
-"""Methods that minimise one function of the parameters."""
 DIFFERS = 0.1
 """Share of the half width by which an end may differ before the interval is marked."""
 _CLOSE = 1e-3
@@ -89,12 +88,12 @@ def intervals(
 
 
 def _check(result: Result) -> None:
-    if result.method not in LIKELIHOODS:
+    if not result.fit.method.likelihood:
         raise InputError(
             f"the method {result.method!r} maximises no likelihood that could be profiled",
-            remedy='calibrate with method = "implicit-loop" or "least-squares"',
+            remedy=f"calibrate with one of {', '.join(names_where('likelihood'))}",
         )
-    if result.loss != "gaussian":
+    if result.fit.robust_loss is not None:
         raise InputError(
             f"under the loss {result.loss!r} there is no likelihood that could be profiled",
             remedy='leave out the outliers it finds and calibrate with loss = "gaussian"',
@@ -109,9 +108,8 @@ def _check(result: Result) -> None:
 def _quantile(result: Result, level: float) -> float:
     from scipy.special import ndtri, stdtrit
 
-    if result.method == "least-squares":
-        freedom = result.problem.equations - result.spectrum.rank
-        return float(stdtrit(freedom, 0.5 + 0.5 * level))
+    if result.fit.method.exact:
+        return float(stdtrit(result.freedom, 0.5 + 0.5 * level))
     return float(ndtri(0.5 + 0.5 * level))
 
 
@@ -133,13 +131,12 @@ class _Optimum:
 
     @classmethod
     def of(cls, result: Result, level: float) -> _Optimum:
-        whole, exact = result.problem, result.method == "least-squares"
+        whole, method = result.problem, result.fit.method
         best = np.array([result.value[n] for n in whole.mechanism.parameters.names])
-        least = _merit(result, whole, best, exact)
-        freedom = whole.equations - result.spectrum.rank
-        variance = least / freedom if exact and freedom > 0 else 1.0
+        least = _merit(result, whole, best)
+        variance = method.unit_variance(least, result.freedom) or 1.0
         quantile = _quantile(result, level)
-        return cls(whole, exact, best, result.covariance, least, variance, quantile)
+        return cls(whole, method.exact, best, result.covariance, least, variance, quantile)
 
 
 def _profiled(at: _Optimum, parameter: tuple[str, Interval]) -> Interval:
@@ -232,9 +229,9 @@ def _held(problem: Problem, j: int) -> Problem:
     )
 
 
-def _merit(result: Result, problem: Problem, best: Array, exact: bool) -> float:
-    """Chi-squared at the solution (the sum of squared loop values for least squares)."""
-    if not exact:
+def _merit(result: Result, problem: Problem, best: Array) -> float:
+    """Chi-squared at the solution (the sum of squared loop values for an exact method)."""
+    if not result.fit.method.exact:
         assert result.chi_squared is not None
         return result.chi_squared.value
     return solve(replace(problem, start=best), exact=True).chi_squared

@@ -15,11 +15,8 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import Result
-from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Huber, Loss
-from loopcal.estimation.solve.reweighted import solve_reweighted
-from loopcal.estimation.solve.solver import Solution, solve_with
-from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.estimation.solve.solver import Solution
 from loopcal.mechanisms.model_error import disturbances
 from loopcal.statistics.pose_tests import Fit, PoseTests, pose_tests, settle
 
@@ -32,7 +29,7 @@ class Search:
 
     def __init__(self, result: Result, level: float, scale: str) -> None:
         self.result, self.problem = result, result.problem
-        self.exact = result.method == "least-squares"
+        self.exact = result.fit.method.exact
         self.level = level
         self.scale = "residual" if self.exact else scale
         names = self.problem.mechanism.tape.quantities
@@ -101,10 +98,7 @@ class Search:
         return remarkable
 
     def _fit(self, problem: Problem, start: Array, loss: Loss | None) -> Solution:
-        held = replace(problem, start=start)
-        if self.result.method == "reweighted":
-            return solve_reweighted(held, loss=loss)
-        return solve_with(InMemory(Sweeper(held, exact=self.exact, loss=loss)))
+        return self.result.fit.method.safe.solve(replace(problem, start=start), loss=loss)
 
     def _robust(self, fit: Fit) -> Fit:
         """Huber's fit, its tuning constant in units of the scale that it finds itself."""

@@ -60,7 +60,7 @@ def _by_pose(key: object, value: object) -> bool:
 
 def held_problem(fit: Result, data: Dataset, noise: Noise | None) -> Held:
     """The poses of a data set at the parameters and sds that a fit of others found."""
-    exact = fit.method == "least-squares"
+    exact = fit.fit.method.exact
     if exact:
         noise = None
     mechanism = fit.mechanism
@@ -99,11 +99,11 @@ def log_densities(fit: Result, held: Held) -> Array | None:
     problem = held.problem
     model = linear_model(problem, problem.start, held.corrections, ())
     own = 0.0
-    if fit.method == "least-squares":
-        freedom = fit.problem.equations - fit.spectrum.rank
-        if freedom <= 0:
+    if fit.fit.method.exact:
+        variance = fit.fit.method.unit_variance(fit.information.chi_squared, fit.freedom)
+        if variance is None:
             return None
-        own = fit.information.chi_squared / freedom
+        own = variance
     system = fit.spectrum
     free = system.scale[:, None] * system.directions[:, ~system.kept]
     limit = _UNPREDICTABLE * float(system.singular_values.max(initial=0.0))

@@ -9,9 +9,9 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.estimation.noise.estimation import EstimatedSd, NoiseEstimate
+from loopcal.estimation.noise.noise_entry import NoiseEntry
 from loopcal.estimation.noise.variance_components import Component
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.result import NoiseEntry
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.mechanisms.mechanism import Mechanism

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,7 +96,7 @@ def can_be_placed(mechanism: Mechanism) -> bool:
     return bool(its) and all(not p.fixed and np.isinf(p.prior_sd) for p in its)
 
 
-def begins_aligned(mechanism: Mechanism, start: str) -> bool:
+def begins_aligned(mechanism: Mechanism, start: str | Mapping[str, float]) -> bool:
     """Whether a fit with this start begins by placing the nominal machine.
 
     "auto" places a machine whose placement is free: one that instruments look at, or an own loop

@@ -53,15 +53,19 @@ def solve_reweighted(
     *,
     loss: Loss | None = None,
     max_iterations: int = 100,
+    tolerance: float | None = None,
     progress: Progress | None = None,
 ) -> Solution:
     """The fixed point of reweighting, from the problem's start.
+
+    tolerance: converged when a round moves no parameter by more sds than this, _STEP if None.
 
     Its covariance is (sum D^T D + prior)^-1 with D taken at the readings. chi_squared is that of
     the corrections that close the loops at the end point.
 
     Raises InputError as `solve` does.
     """
+    least = _STEP if tolerance is None else tolerance
     with one_blas_thread():
         likelihood = Sweeper(problem, loss=loss)
         corrections = start_corrections(likelihood, problem.start)
@@ -78,11 +82,11 @@ def solve_reweighted(
             corrections = likelihood.close(parameters, corrections, NEGLIGIBLE, 1.0).corrections
             sds = np.sqrt(np.maximum(np.diag(found.spectrum.covariance()), 1e-300))
             moved = float(np.abs(step[problem.free] / sds).max())
-            if not found.status.converged or moved <= _STEP:
+            if not found.status.converged or moved <= least:
                 break
         end = likelihood.sweep(parameters, corrections)
         reason = found.status.reason
-        if found.status.converged and moved > _STEP:
+        if found.status.converged and moved > least:
             reason = "max_iterations"
         status = Status.of(reason, iterations, likelihood.evaluations / len(problem.poses))
         prior = problem.unknowns.prior_square(parameters)

@@ -12,14 +12,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.methods.method import Method
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
-from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Huber, Loss
-from loopcal.estimation.solve.reweighted import solve_reweighted
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.solve.solver import Progress, Solution, solve_with
+from loopcal.estimation.solve.solver import Progress, Solution
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 
 Array = NDArray[np.float64]
@@ -29,32 +28,32 @@ def solve_robust(
     problem: Problem,
     loss: Loss,
     *,
-    reweighted: bool = False,
+    method: Method,
     max_iterations: int = 100,
+    tolerance: float | None = None,
     progress: Progress | None = None,
 ) -> Solution:
     """The parameters of least summed loss, from the problem's start.
 
-    reweighted: readings as they are, weighed by their propagated noise. The solution's spectrum
-    and data are those of the poses as weighted at the end. Raises InputError as `solve` does.
+    The solution's spectrum and data are those of the poses as weighted at the end. Raises
+    InputError as `solve` does.
     """
 
     def fit(start: Array, loss: Loss | None) -> Solution:
-        held = replace(problem, start=start)
-        if reweighted:
-            return solve_reweighted(
-                held, loss=loss, max_iterations=max_iterations, progress=progress
-            )
-        merit = InMemory(Sweeper(held, loss=loss))
-        return solve_with(merit, max_iterations=max_iterations, progress=progress)
+        return method.solve(
+            replace(problem, start=start),
+            loss=loss,
+            max_iterations=max_iterations,
+            tolerance=tolerance,
+            progress=progress,
+        )
 
     with one_blas_thread():
-        stages: list[Loss | None] = [None, Huber()]
         found, iterations = fit(problem.start, None), 0
-        for stage in dict.fromkeys([*stages[1:], loss]):
+        for stage in dict.fromkeys([Huber(), loss]):
             iterations += found.status.iterations
             found = fit(found.parameters, stage)
-        if not reweighted and found.chi_squared > _cost(problem, loss):
+        if method.likelihood and found.chi_squared > _cost(problem, loss):
             found = fit(problem.start, loss)
         total = iterations + found.status.iterations
         return replace(found, status=replace(found.status, iterations=total))
@@ -70,7 +69,7 @@ def _cost(problem: Problem, loss: Loss) -> float:
 
 
 def robust_covariance(
-    problem: Problem, solution: Solution, loss: Loss, *, reweighted: bool = False
+    problem: Problem, solution: Solution, loss: Loss, *, at_readings: bool = False
 ) -> Array:
     """A^-1 B A^-1, (n, n) [SI]: A = sum a D^T D + P, B = K^2 sum b D^T D + P, P the prior's.
 
@@ -80,7 +79,7 @@ def robust_covariance(
     Directions that are not determined get no variance.
     """
     found = pose_equations(
-        problem, solution.parameters, solution.corrections, at_readings=reweighted
+        problem, solution.parameters, solution.corrections, at_readings=at_readings
     )
     n = solution.spectrum.rank
     P = np.diag(1.0 / np.square(problem.prior_sd))

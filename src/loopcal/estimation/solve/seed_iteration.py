@@ -19,7 +19,9 @@ TOLERANCE = 1e-10
 """Converged when no normalised parameter or correction moves by more than this many sds."""
 
 
-def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution:
+def iterate_undamped(
+    problem: Problem, *, max_iterations: int = 100, tolerance: float | None = None
+) -> Solution:
     """Full steps in parameters and corrections together, as the seed writes them.
 
     D_i = R_i^-T J_q,i and E_i = Q_i^T y_i - R_i^-T f_i; [D; I] dq = [E; -q] in least squares;
@@ -34,6 +36,7 @@ def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution
             "the undamped iteration of the seed knows no unmeasured quantities",
             remedy='use method = "implicit-loop"',
         )
+    least = TOLERANCE if tolerance is None else tolerance
     sweeper = Sweeper(problem)
     parameters = problem.start.copy()
     corrections = np.zeros_like(problem.readings)
@@ -59,7 +62,7 @@ def iterate_undamped(problem: Problem, *, max_iterations: int = 100) -> Solution
         sd = np.where(problem.uncertainty.sd > 0, problem.uncertainty.sd, np.inf)
         shifted = (np.abs(new - corrections) / sd).max()
         corrections = new
-        if max(moved, shifted) <= TOLERANCE * max(1.0, np.abs(corrections / sd).max()):
+        if max(moved, shifted) <= least * max(1.0, np.abs(corrections / sd).max()):
             reason = "converged"
     sweep = sweeper.sweep(parameters, corrections)
     end = spectrum(sweep.data, problem.unknowns.offset(parameters), problem.prior_sd)

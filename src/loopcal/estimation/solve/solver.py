@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.in_memory import InMemory
+from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import NONE_FAILED, Evaluation, Failed, Merit, State
 from loopcal.estimation.solve.reduction import (
     WELL_CONDITIONED,
@@ -121,32 +122,46 @@ def solve(
     problem: Problem,
     *,
     exact: bool = False,
+    loss: Loss | None = None,
     max_iterations: int = 100,
+    tolerance: float | None = None,
     progress: Progress | None = None,
 ) -> Solution:
     """The parameters of maximum likelihood, from the problem's start.
 
     exact: sensors are exact, minimise the loop values instead (the basic method; the prior
-    takes no part). Never returns a point with a larger merit than the start's.
+    takes no part). loss: None is the gaussian one. tolerance: converged when what the next step
+    leaves is this small beside the sds that the residuals suggest, RELATIVE_STEP if None. Never
+    returns a point with a larger merit than the start's.
 
     Raises InputError (DomainError) where the loops cannot be evaluated or closed at the start.
     """
     reuse_memory(8)
     with one_blas_thread():
-        merit = InMemory(Sweeper(problem, exact=exact))
-        return solve_with(merit, max_iterations=max_iterations, progress=progress)
+        return solve_with(
+            InMemory(Sweeper(problem, exact=exact, loss=loss)),
+            max_iterations=max_iterations,
+            tolerance=tolerance,
+            progress=progress,
+        )
 
 
 def solve_with(
-    merit: Merit[State], *, max_iterations: int = 100, progress: Progress | None = None
+    merit: Merit[State],
+    *,
+    max_iterations: int = 100,
+    tolerance: float | None = None,
+    progress: Progress | None = None,
 ) -> End[State]:
     """The same for any merit function: the solver knows no more of a method."""
-    return _Solver(merit, progress).run(max_iterations)
+    step = RELATIVE_STEP if tolerance is None else tolerance
+    return _Solver(merit, step, progress).run(max_iterations)
 
 
 class _Solver(Generic[State]):
-    def __init__(self, merit: Merit[State], progress: Progress | None) -> None:
+    def __init__(self, merit: Merit[State], tolerance: float, progress: Progress | None) -> None:
         self.merit = merit
+        self.tolerance = tolerance
         self.unknowns = merit.unknowns
         self.progress = progress
         self.triangular = False
@@ -282,13 +297,14 @@ class _Solver(Generic[State]):
             return False
         rate = min(decrement / self.before, 1.0) if math.isfinite(self.before) else 1.0
         stuck = math.isfinite(self.before) and rate > 0.25
-        return stuck or rate * decrement <= self._limit(point, RELATIVE_STEP)
+        return stuck or rate * decrement <= self._limit(point, self.tolerance)
 
     def _negligible(self, point: _Point[State]) -> bool:
         """Whether the loops close and the next step is too small to matter."""
         if point.spectrum is None or not math.isfinite(point.merit):
             return False
-        return point.spectrum.decrement <= self._limit(point, _NEGLIGIBLE_STEP)
+        negligible = max(_NEGLIGIBLE_STEP, self.tolerance)
+        return point.spectrum.decrement <= self._limit(point, negligible)
 
     def _limit(self, point: _Point[State], step: float) -> float:
         """The decrement of a step of so many sds in each of the n directions."""

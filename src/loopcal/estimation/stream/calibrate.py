@@ -9,72 +9,63 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.fit import Fit
+from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import Progress
-from loopcal.estimation.stream.ending import Ending
+from loopcal.estimation.stream.ending import Ending, Parts
 from loopcal.estimation.stream.pieces import Chunk, Stream, Task, do
 from loopcal.estimation.stream.sweeps import StreamMerit, solve_stream
 from loopcal.execution.executor import Executor, InProcess
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.prior import Prior
 
 Array = NDArray[np.float64]
-Part = TypeVar("Part")
-METHODS = ("implicit-loop", "least-squares")
 
 
 def calibrate_stream(
     mechanism: Mechanism,
     stream: Stream,
     *,
-    prior: Prior | None = None,
-    method: str = "implicit-loop",
-    start: str = "auto",
+    fit: Fit | None = None,
     begin: dict[str, float] | None = None,
-    max_iterations: int = 100,
     executor: Executor | None = None,
     progress: Progress | None = None,
     reached: Callable[[dict[str, float]], None] | None = None,
-    part_of: Callable[[Result], Part] | None = None,
-    part_done: Callable[[Part], None] | None = None,
+    parts: Parts[Any] | None = None,
 ) -> Result:
     """Calibrate from more poses than memory holds; memory does not grow with their number.
 
-    stream: its chunks bring data and noise; method, prior and start: as in `calibrate`, with
-    methods "implicit-loop" and "least-squares"; begin: parameter values [SI] that an earlier,
-    interrupted run had reached; executor: who reads the chunks and does their part of the work, by
-    default this process, to the same result to the last bit; reached: called with the values that
-    each iteration begins with; part_of: made at the end of the result of each chunk, with all its
-    arrays, where the chunk is read (a function at the top of a module); part_done: called here
-    with what it made, in the order of the chunks.
+    stream: its chunks bring data and noise; fit: the settings, of a streamable method and without
+    a loss; begin: parameter values [SI] that an earlier, interrupted run had reached; executor: who
+    reads the chunks and does their part of the work, by default this process, to the same result to
+    the last bit; reached: called with the values that each iteration begins with; parts: what to
+    make of each chunk at the end.
 
     Raises InputError as `calibrate` does, and for what needs all poses at once.
     """
     if not stream.count:
         raise InputError("the stream has no poses", remedy="give one pose at least")
-    first = stream.chunk(0)
-    _refuse(method, first.noise)
-    if prior is not None:
-        mechanism = mechanism.with_parameters(prior.apply(mechanism.parameters))
-    exact = method == "least-squares"
+    first, fit = stream.chunk(0), fit or Fit()
+    _refuse(fit, first.noise)
+    mechanism, exact = fit.with_prior(mechanism), fit.method.exact
     if not exact:
         stream = _Disturbed(mechanism, stream)
         mechanism, data = with_model(mechanism, first.data, first.noise)
         first = Chunk(data, first.noise)
     with one_blas_thread():
         task = _task(mechanism, stream, exact=exact)
-        if begins_aligned(mechanism, start):
+        if begins_aligned(mechanism, fit.start):
             mechanism, _ = placed(task.problem(first))
             task = _task(mechanism, stream, exact=exact)
         problem = task.problem(first)
@@ -87,11 +78,8 @@ def calibrate_stream(
 
         with (executor or InProcess()).crew(do, task) as crew:
             merit = StreamMerit(task, crew, problem, begin or {})
-            solution = solve_stream(
-                merit, max_iterations=max_iterations, progress=progress, reached=told
-            )
-            ending = Ending(task, method, solution)
-            return ending.result(crew, merit, part_of, part_done)
+            solution = solve_stream(merit, fit=fit, progress=progress, reached=told)
+            return Ending(task, fit, solution).result(crew, merit, parts)
 
 
 def _task(mechanism: Mechanism, stream: Stream, *, exact: bool) -> Task:
@@ -107,14 +95,20 @@ def _settled(task: Task, first: Problem) -> Task:
     return task
 
 
-def _refuse(method: str, noise: Noise) -> None:
-    if method not in METHODS:
+def _refuse(fit: Fit, noise: Noise) -> None:
+    if not fit.method.streamable:
+        known = " or ".join(map(repr, names_where("streamable")))
         raise InputError(
-            f"the method {method!r} needs all poses in memory, and these come as a stream",
-            remedy=f"use {' or '.join(map(repr, METHODS))}, or thin the poses (data.every) and say "
-            "stream = false",
+            f"the method {fit.method.name!r} needs all poses in memory, and these come as a stream",
+            remedy=f"use {known}, or thin the poses (data.every) and say stream = false",
         )
-    if noise.estimate and method != "least-squares":
+    if fit.robust_loss is not None or not isinstance(fit.start, str):
+        what = f"the loss {fit.loss!r}" if fit.robust_loss else "a start by parameter values"
+        raise InputError(
+            f"{what} needs all poses in memory, and these come as a stream",
+            remedy="leave it out, or thin the poses (data.every) and say stream = false",
+        )
+    if noise.estimate and not fit.method.exact:
         raise InputError(
             "sds are learnt from poses in memory, and these come as a stream",
             remedy="learn them from a part of the poses (data.every, stream = false), and state "

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.accuracy_tally import AccuracyTally
-from loopcal.estimation.calibrate import result_of
+from loopcal.estimation.fit import Fit
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import AllPoses, Result
 from loopcal.estimation.solve.solver import End
 from loopcal.estimation.solve.sweep import NEGLIGIBLE
 from loopcal.estimation.stream.pieces import Task
@@ -31,25 +31,31 @@ at least this share of what all do."""
 
 
 @dataclass(frozen=True, eq=False)
+class Parts(Generic[Part]):
+    """What to make of each chunk at the end of a stream.
+
+    made: from the result of the chunk with all its arrays, where the chunk is read (a function at
+    the top of a module); done: called with it in this process, in the order of the chunks.
+    """
+
+    made: Callable[[Result], Part]
+    done: Callable[[Part], None]
+
+
+@dataclass(frozen=True, eq=False)
 class Ending:
     """The last pass: what became of every pose, at the parameters found."""
 
     task: Task
-    method: str
+    fit: Fit
     solution: End[bool]
 
-    def result(
-        self,
-        crew: Crew,
-        merit: StreamMerit,
-        part_of: Callable[[Result], Part] | None,
-        part_done: Callable[[Part], None] | None,
-    ) -> Result:
+    def result(self, crew: Crew, merit: StreamMerit, parts: Parts[Any] | None) -> Result:
         poses = sum(merit.sizes)
-        stride = max(1, poses // SHOWN)
+        stride, made = max(1, poses // SHOWN), parts and parts.made
         begins = [0, *np.cumsum(merit.sizes).tolist()]
         pieces = [
-            _EndPiece(number, begins[number], poses, stride, self.solution, self.method, part_of)
+            _EndPiece(number, begins[number], poses, stride, self.solution, self.fit, made)
             for number in range(self.task.stream.count)
         ]
         accuracies = AccuracyTally(), AccuracyTally()
@@ -64,50 +70,40 @@ class Ending:
                     kept.append(ended.kept)
                 if ended.worst:
                     worst = joined([worst, ended.worst] if worst else [ended.worst]).worst()
-                if part_done:
-                    part_done(ended.part)
+                if parts:
+                    parts.done(ended.part)
         sample, equations = joined(kept), merit.equations
         # else a few poses make chi-squared what it is
         alike = bool(sample.square.mean() > _ALIKE * self.solution.cost / poses)
-        found = self._shown(sample, equations, poses, alike)
+        found = self._shown(sample, equations, poses)
         words = "figures and residuals.csv show"
         told = f"Calibrated from a stream of {poses} poses; {words} {len(found.dataset)} of them"
+        discrepancy = found.model_discrepancy if alike else None
         if worst:
-            everything = self._shown(joined([sample, worst]).in_order(), equations, poses, alike)
             # those that fit badly say nothing of all the others
-            found = replace(
-                everything, model_discrepancy=found.model_discrepancy, warnings=found.warnings
-            )
+            found = self._shown(joined([sample, worst]).in_order(), equations, poses)
             told += f", and {len(worst.number)} more that fit badly"
         before, after = (distance.accuracy() for distance in accuracies)
         return replace(
             found,
-            accuracy_before=before,
-            accuracy_after=after,
-            warnings=(*found.warnings, *([f"{told}."] if stride > 1 else ())),
+            all_poses=AllPoses(before, after, discrepancy),
+            notes=(f"{told}.",) if stride > 1 else (),
         )
 
-    def _shown(self, shown: Shown, equations: int, poses: int, alike: bool) -> Result:
-        """The result with the arrays of some poses; alike: whether they misfit as all do."""
+    def _shown(self, shown: Shown, equations: int, poses: int) -> Result:
+        """The result with the arrays of some poses."""
         problem = self.task.problem(shown.chunk)
         own = {name: getattr(problem, name) for name in problem.__dataclass_fields__}
         whole = StreamedProblem(**own, counted=equations, total=poses)
-        return _closed(self.task, self.method, self.solution, whole, shown.chunk.data, alike)
+        return _closed(self.task, self.fit, self.solution, whole, shown.chunk.data)
 
 
-def _closed(
-    task: Task,
-    method: str,
-    solution: End[bool],
-    problem: Problem,
-    data: Dataset,
-    alike: bool = False,
-) -> Result:
+def _closed(task: Task, fit: Fit, solution: End[bool], problem: Problem, data: Dataset) -> Result:
     """The arrays of some poses, at the parameters of all."""
     sweeper = task.sweeper(problem)
     begun = start_corrections(sweeper, solution.parameters)
     corrections = sweeper.close(solution.parameters, begun, NEGLIGIBLE, 1.0).corrections
-    return result_of(method, problem, solution.with_state(corrections), data, alike=alike)
+    return Result(fit, data, problem, solution.with_state(corrections), problem)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +131,7 @@ class _EndPiece:
     poses: int
     stride: int
     solution: End[bool]
-    method: str
+    fit: Fit
     part_of: Callable[[Result], Any] | None
 
     def done(self, task: Task) -> _Ended:
@@ -143,10 +139,10 @@ class _EndPiece:
         problem = task.problem(chunk)
         # that the fit converged says nothing of a chunk alone
         solution = replace(self.solution, status=replace(self.solution.status, converged=False))
-        result = _closed(task, self.method, solution, problem, chunk.data)
+        result = _closed(task, self.fit, solution, problem, chunk.data)
         found = AccuracyTally(), AccuracyTally()
-        found[0].add(apart(problem, result.differences_before))
-        found[1].add(apart(problem, result.differences_after))
+        found[0].add(result.deviations(result.differences_before))
+        found[1].add(result.deviations(result.differences_after))
         corrections = np.array(list(result.corrections.values()))
         square, misfit = misfits(task, problem, self.solution.parameters, corrections, self.poses)
         number = np.arange(self.begin, self.begin + len(chunk.data))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.fit import Fit
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.in_memory import cannot_close
 from loopcal.estimation.solve.merit import Evaluation, Failed
@@ -160,7 +161,7 @@ class StreamMerit:
 def solve_stream(
     merit: StreamMerit,
     *,
-    max_iterations: int = 100,
+    fit: Fit,
     progress: Progress | None = None,
     reached: Callable[[Array], None] | None = None,
 ) -> End[bool]:
@@ -176,4 +177,6 @@ def solve_stream(
         if progress:
             progress(iteration, value, decrement)
 
-    return solve_with(merit, max_iterations=max_iterations, progress=told)
+    return solve_with(
+        merit, max_iterations=fit.max_iterations, tolerance=fit.tolerance, progress=told
+    )

@@ -15,9 +15,9 @@ from loopcal.files.machines.parameter_entries import changed
 from loopcal.files.paths import expanded
 from loopcal.files.project.compare_entries import compare_spec
 from loopcal.files.project.data_entries import DataSpec, data_files
+from loopcal.files.project.fit_entries import FitSpec, fit_spec
 from loopcal.files.project.noise_entries import NoiseSpec, noise_spec
 from loopcal.files.project.simulation_entries import SimulationSpec, simulation_spec
-from loopcal.files.project.validation_entries import ValidationSpec, validation_spec
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml, shown, toml_data
 from loopcal.mechanisms.effects.model import Model
@@ -25,25 +25,8 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameters
 
 if TYPE_CHECKING:
-    from loopcal.files.project.project_schema import FitEntry, ProjectModel, SdEntry
+    from loopcal.files.project.project_schema import ProjectModel, SdEntry
     from loopcal.files.study.study_schema import StudyModel
-
-
-@dataclass(frozen=True)
-class FitSpec:
-    """How to fit: see `calibrate`. require_identifiable: else the result is not trusted.
-
-    validation: None where none is asked for; profile: parameters that get a profile interval.
-    """
-
-    method: str = "implicit-loop"
-    loss: str = "gaussian"
-    start: str = "auto"
-    max_iterations: int = 100
-    require_identifiable: bool = False
-    apply_variance_factor: bool = False
-    validation: ValidationSpec | None = None
-    profile: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -104,7 +87,7 @@ def read_project(
         mechanism=machine,
         data=data_spec(model, machine, place),
         noise=noise,
-        fit=_fit(model.fit, machine, place.at("fit")),
+        fit=fit_spec(model.fit, machine, place.at("fit")),
         simulation=None
         if model.simulation is None
         else simulation_spec(model.simulation, machine, noise, place.at("simulation")),
@@ -121,19 +104,6 @@ def data_spec(model: ProjectModel, mechanism: Mechanism, place: Place) -> DataSp
         model.noise, mechanism.quantities, mechanism.quantity_group, place.at("noise")
     )
     return data_files(model.data, mechanism, noise, place.at("data"))
-
-
-def _fit(entry: FitEntry, mechanism: Mechanism, place: Place) -> FitSpec:
-    for pattern in entry.profile:
-        try:
-            mechanism.parameters.matching(pattern)
-        except InputError as error:
-            raise error.at(str(place.at("profile"))) from None
-    asked = {
-        "validation": validation_spec(entry.validation, place.at("validation")),
-        "profile": tuple(entry.profile),
-    }
-    return FitSpec(**(entry.model_dump() | asked))
 
 
 def _mechanism(

@@ -13,6 +13,7 @@ from loopcal.files.machines.effect_schema import Effects
 from loopcal.files.machines.instrument_schema import Instruments
 from loopcal.files.machines.mechanism_parts import ParameterEntries, Units, Value
 from loopcal.files.machines.mechanism_schema import TaggedMechanism
+from loopcal.files.project.fit_schema import FitEntry
 from loopcal.files.toml.model import (
     Finite,
     Model,
@@ -238,61 +239,6 @@ class SdEntry(Model):
 
 
 Sds = dict[str, Annotated[SdEntry, plain_number_as("sd", SdEntry)]]
-
-
-class ValidationEntry(Model):
-    """Which poses take no part in a fit and are predicted by it: one of folds, hold_out, file."""
-
-    folds: Annotated[int, Field(ge=2)] | None = Field(
-        default=None, description="So many parts, each left out once."
-    )
-    hold_out: Annotated[float, Field(gt=0, lt=1)] | None = Field(
-        default=None, description="This share is left out, once."
-    )
-    file: str | None = Field(
-        default=None, description="These readings are predicted, in the columns of [data]."
-    )
-    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="Of the choice.")
-    group: NameOrNumber | None = Field(
-        default=None,
-        description="Column of numbers: poses with the same one stay together. Without it those "
-        "with the same driven readings do.",
-    )
-
-
-class FitEntry(Model):
-    """How to fit."""
-
-    method: Literal["implicit-loop", "least-squares", "reweighted", "implicit-loop-undamped"] = (
-        "implicit-loop"
-    )
-    loss: Literal["gaussian", "huber", "student-t"] = Field(
-        default="gaussian",
-        description="huber, student-t: poses that do not fit count less.",
-    )
-    start: Literal["auto", "align", "nominal"] = Field(
-        default="auto",
-        description="align: the nominal machine is first moved to where the instrument sees it; "
-        "auto: that, for a spatial machine whose placement is free and has flat priors.",
-    )
-    max_iterations: Length = 100
-    require_identifiable: bool = Field(
-        default=False, description="true: end with exit code 4 if a parameter is not determined."
-    )
-    apply_variance_factor: bool = Field(
-        default=False,
-        description="true: multiply the covariance by chi-squared per degree of freedom.",
-    )
-    validation: ValidationEntry | None = Field(
-        default=None,
-        description="Accuracy on poses not used for the fit.",
-        examples=[{"folds": 10, "seed": 0}, {"hold_out": 0.3}, {"file": "other.csv"}],
-    )
-    profile: list[str] = Field(
-        default=[],
-        description="Parameters, by name or glob, that get a profile likelihood interval.",
-        examples=[["l2", "phi*"]],
-    )
 
 
 class ModelEntry(Model):

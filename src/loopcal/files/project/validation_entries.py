@@ -12,9 +12,9 @@ from loopcal.files.tables.readers import read_dataset
 from loopcal.files.toml.place import Place
 
 if TYPE_CHECKING:
+    from loopcal.files.project.fit_schema import ValidationEntry
     from loopcal.files.project.project_data import LoadedData
     from loopcal.files.project.project_file import Project
-    from loopcal.files.project.project_schema import ValidationEntry
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from loopcal.files.machines.mechanism_parts import ParameterEntries, Units
+from loopcal.files.project.fit_schema import MethodName, SettingsEntry, StartName
 from loopcal.files.project.project_schema import (
     Length,
     MechanismEntry,
@@ -26,7 +27,7 @@ class PublishedEntry(Model):
     units: Units = Field(default=Units(), description="Of the errors; without them m and rad.")
     errors: dict[str, dict[str, Finite]] = Field(
         description="Method = the error of each parameter, true minus estimate.",
-        examples=[{"least-squares": {"l2": -14.3, "l3": 20.7}}],
+        examples=[{"implicit-loop": {"l2": -14.3, "l3": 20.7}}],
     )
 
 
@@ -48,11 +49,12 @@ class ScenarioEntry(Model):
     published: PublishedEntry | None = None
 
 
-class MethodEntry(Model):
-    """One way to estimate the parameters from the readings of a draw."""
+class MethodEntry(SettingsEntry):
+    """One way to calibrate the readings of a draw."""
 
     name: Name | None = Field(default=None, description="Without one, that of the method.")
-    method: Literal["implicit-loop", "least-squares", "reweighted", "implicit-loop-undamped"]
+    method: MethodName
+    start: StartName = "nominal"
     noise: NoiseEntries = Field(default={}, description="What this method is told instead.")
     prior: Sds = Field(default={})
 

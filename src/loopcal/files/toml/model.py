@@ -7,6 +7,7 @@ complaint into an InputError at its place in the file.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
 from pydantic import (
@@ -18,7 +19,7 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
 from loopcal.errors import InputError, nearest, short
 from loopcal.files.toml.place import Place, toml_path
@@ -66,6 +67,16 @@ def _sd(value: Any) -> Any:
         words = f"the sd is {value}, and an sd can be neither negative nor NaN"
         raise complaint(words, "give 0 for what is exact, inf for what is not known at all")
     return value
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """Annotates a text that is one of these names."""
+
+    names: tuple[str, ...]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        return core_schema.literal_schema([*self.names])
 
 
 UnitName = Annotated[str, AfterValidator(_known_unit), Field(examples=["m", "mm", "rad", "deg"])]

@@ -1,0 +1,71 @@
+"""Chi-squared of a fit: whether the corrections are as large as the stated sds allow."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ChiSquared:
+    """The weighted square of all corrections and of the parameters' distance from their nominal.
+
+    With the right sds it follows a chi-squared distribution with that many degrees of freedom
+    (loop equations + finite priors - determined parameters). variance_factor is their ratio.
+    p_value: probability of a value at least this large if model and sds are right.
+    """
+
+    value: float
+    degrees_of_freedom: int
+    p_value: float | None
+    variance_factor: float | None
+
+    @classmethod
+    def of(cls, value: float, freedom: int) -> ChiSquared:
+        """With what follows from value and degrees of freedom, None where these are none."""
+        if freedom <= 0:
+            return cls(value, freedom, None, None)
+        from scipy.special import chdtrc
+
+        return cls(value, freedom, float(chdtrc(freedom, value)), value / freedom)
+
+    @property
+    def too_large(self) -> bool:
+        """Whether the corrections are larger than the stated sds allow."""
+        if self.p_value is None or self.variance_factor is None:
+            return False
+        return self.p_value < 1e-3 and self.variance_factor > 1.0
+
+    def warnings(self, discrepancy: float | None, unit: str) -> tuple[str, ...]:
+        """What the reader must know of the stated sds.
+
+        discrepancy: sd [unit] of a model error at the end point that would explain a value too
+        large, None if unknown.
+        """
+        if self.too_large:
+            return (self._too_large(discrepancy, unit),)
+        if (self.p_value or 0.0) > 0.999 and (self.variance_factor or 1.0) < 0.8:
+            return (
+                f"Chi-squared per degree of freedom is {self.variance_factor:.2g}: the readings "
+                "scatter less than their stated sds, which are too large.",
+            )
+        return ()
+
+    def _too_large(self, discrepancy: float | None, unit: str) -> str:
+        assert self.variance_factor is not None
+        factor = self.variance_factor
+        text = f"{factor:.0f}" if factor >= 10 else f"{factor:.2g}"
+        explained = ""
+        if discrepancy:
+            explained = (
+                f" Besides the sensors as stated, an error of about {discrepancy:.2g} {unit} in "
+                "each coordinate of the end point would explain it."
+            )
+        return (
+            f"Chi-squared per degree of freedom is {text}: the corrections are about "
+            f"{math.sqrt(factor):.2g} times as large as the stated sds allow, so these sds cannot "
+            "be right. Either the sensors are worse than stated, or the machine model lacks "
+            f"something real (a model error).{explained} The sd of every parameter below is too "
+            "small in that case, and a closed loop is no sign of accuracy: compare the accuracy "
+            "lines instead."
+        )

@@ -1,0 +1,107 @@
+"""How to fit: the settings that every calibration takes, checked where they are stated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TypedDict
+
+from loopcal.errors import InputError, nearest
+from loopcal.estimation.methods.method import Method
+from loopcal.estimation.methods.registry import DEFAULT, method_named, names_where
+from loopcal.estimation.solve.loss import Loss, loss_named
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.prior import Prior, PriorLike
+
+Start = str | Mapping[str, float]
+STARTS = ("auto", "align", "nominal")
+
+
+class FitOptions(TypedDict, total=False):
+    """The fields of `Fit` as keyword arguments."""
+
+    method: str | Method
+    loss: str
+    start: Start
+    prior: PriorLike | None
+    max_iterations: int
+    tolerance: float | None
+
+
+@dataclass(frozen=True, init=False)
+class Fit:
+    """The settings of a fit.
+
+    method: its name, see `loopcal.estimation.methods`; loss: "gaussian", "huber" or "student-t";
+    start: "nominal", "align", "auto", or parameter values [SI] by name; prior: sds of the
+    parameters, by default those of the mechanism; max_iterations: of one fit; tolerance: the step
+    [sds] that counts as converged, None is the method's own.
+
+    >>> Fit(method="reweighted", loss="huber").method.label
+    'reweighted least squares (readings weighted by their propagated noise)'
+
+    Raises InputError for settings that are unknown or do not go together.
+    """
+
+    method: Method
+    loss: str
+    start: Start
+    prior: Prior | None
+    max_iterations: int
+    tolerance: float | None
+
+    def __init__(
+        self,
+        *,
+        method: str | Method = DEFAULT,
+        loss: str = "gaussian",
+        start: Start = "auto",
+        prior: PriorLike | None = None,
+        max_iterations: int = 100,
+        tolerance: float | None = None,
+    ) -> None:
+        chosen = method if isinstance(method, Method) else method_named(method)
+        if loss_named(loss) is not None and not chosen.robust:
+            known = " or ".join(f'"{name}"' for name in names_where("robust"))
+            raise InputError(
+                f"the method {chosen.name!r} cannot use the loss {loss!r}: it does not know how "
+                "far off a pose may be",
+                remedy=f"use method = {known} with the sds of the readings",
+            )
+        if isinstance(start, str) and start not in STARTS:
+            raise InputError(f"there is no start {start!r}", remedy=nearest(start, STARTS))
+        if isinstance(max_iterations, bool) or not max_iterations >= 0:
+            raise InputError(
+                f"max_iterations is {max_iterations!r}", remedy="give a whole number, 0 or more"
+            )
+        if tolerance is not None and not 0.0 < tolerance < math.inf:
+            raise InputError(
+                f"the tolerance is {tolerance!r}", remedy="give a number above zero, say 1e-8"
+            )
+        values = {
+            "method": chosen,
+            "loss": loss,
+            "start": start if isinstance(start, str) else dict(start),
+            "prior": Prior.of(prior),
+            "max_iterations": max_iterations,
+            "tolerance": tolerance,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def of(cls, fit: Fit | None, options: FitOptions) -> Fit:
+        """The settings given as one value, as keyword arguments, or both: these then win."""
+        return cls(**options) if fit is None else replace(fit, **options)
+
+    @property
+    def robust_loss(self) -> Loss | None:
+        """The loss, None for the gaussian one, which needs no weights."""
+        return loss_named(self.loss)
+
+    def with_prior(self, mechanism: Mechanism) -> Mechanism:
+        """The mechanism with the prior sds of these settings."""
+        if self.prior is None:
+            return mechanism
+        return mechanism.with_parameters(self.prior.apply(mechanism.parameters))

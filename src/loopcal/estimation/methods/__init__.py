@@ -1,0 +1,1 @@
+"""Methods of estimation: what a method is, one module for each, and their registry."""

@@ -1,0 +1,44 @@
+"""The values of the loop equations, with and without corrections."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.expressions.engine import Stage
+
+Array = NDArray[np.float64]
+
+
+def residuals(
+    problem: Problem, parameters: Array, corrections: Array | None = None
+) -> Mapping[str, Array]:
+    """Loop values with these corrections, loop -> (N,), NaN where a loop does not hold.
+
+    Unmeasured quantities stay where the fit left them.
+    """
+    loops = problem.mechanism.tape.loops
+    out = np.full((len(loops), len(problem.poses)), np.nan)
+    sweeper = Sweeper(problem)
+    sweeper.at(parameters)
+    for pattern, poses in problem.blocks():
+        x = problem.readings[:, poses]
+        if corrections is not None:
+            x = x + corrections[:, poses]
+        values = sweeper.engine(pattern).evaluate(x, problem.known[:, poses], Stage.VALUES).f
+        for row, loop in enumerate(pattern.loops):
+            out[loop, poses] = values[row]
+    return by_name(loops, out)
+
+
+def by_name(names: tuple[str, ...], rows: Array) -> Mapping[str, Array]:
+    """A read-only mapping from each name to its row, itself read-only."""
+    found = dict(zip(names, rows, strict=True))
+    for array in found.values():
+        array.setflags(write=False)
+    return MappingProxyType(found)

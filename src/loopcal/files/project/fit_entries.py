@@ -1,0 +1,66 @@
+"""What a file says of a fit, resolved: the settings, and what is made of the fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from loopcal.errors import InputError
+from loopcal.estimation.fit import Fit
+from loopcal.files.project.validation_entries import ValidationSpec, validation_spec
+from loopcal.files.toml.place import Place
+from loopcal.mechanisms.mechanism import Mechanism
+
+if TYPE_CHECKING:
+    from loopcal.files.project.fit_schema import FitEntry, SettingsEntry
+
+
+@dataclass(frozen=True)
+class FitSpec:
+    """How to fit, and what to make of the fit.
+
+    settings: see `calibrate`; require_identifiable: else the result is not trusted; validation:
+    None where none is asked for; profile: parameters that get a profile interval.
+    """
+
+    settings: Fit
+    require_identifiable: bool = False
+    apply_variance_factor: bool = False
+    validation: ValidationSpec | None = None
+    profile: tuple[str, ...] = ()
+
+
+def fit_spec(entry: FitEntry, mechanism: Mechanism, place: Place) -> FitSpec:
+    """The fit that a project asks for.
+
+    Raises InputError for settings that do not go together, and for a profile of no parameter.
+    """
+    for pattern in entry.profile:
+        try:
+            mechanism.parameters.matching(pattern)
+        except InputError as error:
+            raise error.at(str(place.at("profile"))) from None
+    return FitSpec(
+        fit_of(entry, place),
+        entry.require_identifiable,
+        entry.apply_variance_factor,
+        validation_spec(entry.validation, place.at("validation")),
+        tuple(entry.profile),
+    )
+
+
+def fit_of(entry: SettingsEntry, place: Place) -> Fit:
+    """The settings of a fit.
+
+    Raises InputError for settings that do not go together.
+    """
+    try:
+        return Fit(
+            method=entry.method,
+            loss=entry.loss,
+            start=entry.start,
+            max_iterations=entry.max_iterations,
+            tolerance=entry.tolerance,
+        )
+    except InputError as error:
+        raise error.at(str(place)) from None
