@@ -132,6 +132,7 @@ def calibrate(
     """Fit; write result.json, residuals.csv, mechanism.toml and report.html; print a summary."""
     from loopcal.cli.progress import Progress
     from loopcal.cli.working import executor_of, try_cluster
+    from loopcal.document.plain import plain
     from loopcal.workflow.calibration import run_calibration
 
     with Progress() as progress:
@@ -156,11 +157,11 @@ def calibrate(
         )
     where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
     if as_json:
-        print_json(done.written.document)
+        print_json(plain(done.written.document))
         log(where)
     else:
-        title, told = done.written.document["title"], done.findings.words()
-        print_out(f"{title}\n{done.result}\n\n{told}\n\n{where}")
+        document = done.written.document
+        print_out(f"{document.title}\n{document}\n\n{done.findings.words()}\n\n{where}")
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
 

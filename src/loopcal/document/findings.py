@@ -6,9 +6,29 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 from loopcal.document.bounds import Count, Probability, Size
-from loopcal.document.fit import Undetermined
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import with_unit
+
+
+@dataclass(frozen=True)
+class Undetermined:
+    """A direction in which neither data nor prior say anything."""
+
+    combination: Mapping[str, float]
+    """Parameter -> its share, the largest 1."""
+    words: str
+
+    @classmethod
+    def of(cls, combination: Mapping[str, float]) -> Undetermined:
+        """The direction, in words too."""
+        names = [repr(name) for name in combination]
+        listed = ", ".join(names[:-1]) + f" and {names[-1]}"
+        words = (
+            f"{names[0]} has no effect that these poses could show"
+            if len(names) == 1
+            else f"{listed} cannot be told apart by these poses"
+        )
+        return cls(dict(combination), words)
 
 
 @dataclass(frozen=True)
@@ -51,7 +71,7 @@ class CalibrationIndex:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What these poses determine. The last four come from further statistics; null: not computed."""
+    """What these poses determine. The last four are null where they were not computed."""
 
     rank: Count
     """Directions determined by data and prior together."""
@@ -70,6 +90,19 @@ class Identifiability:
     weak_directions: tuple[WeakDirection, ...] | None = None
     """By the data alone, the worst first."""
     calibration_index: CalibrationIndex | None = None
+
+    @property
+    def loose(self) -> frozenset[str]:
+        """The parameters that take part in a direction that is not determined."""
+        return frozenset(name for u in self.not_identifiable for name in u.combination)
+
+    def warnings(self) -> tuple[str, ...]:
+        """What the reader must know of each of these directions."""
+        return tuple(
+            f"Not identifiable: {loose.words}. The fit moves along such a direction as little as "
+            "it can; fix a parameter, give it a prior sd, or measure other poses."
+            for loose in self.not_identifiable
+        )
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -96,22 +95,6 @@ class NoiseEntry:
 
 
 @dataclass(frozen=True)
-class ChiSquared:
-    """The weighted square of all corrections and of the parameters' distance from their nominal.
-
-    With the right sds it follows a chi-squared distribution with that many degrees of freedom
-    (loop equations + finite priors - determined parameters).
-    """
-
-    value: float
-    degrees_of_freedom: int
-    p_value: Probability | None
-    """Probability of a value at least this large if model and sds are right."""
-    variance_factor: Size | None
-    """Value per degree of freedom."""
-
-
-@dataclass(frozen=True)
 class Closure:
     """Size of the loop equations' values over all poses [SI]."""
 
@@ -127,12 +110,3 @@ class ClosureEntry:
     """At the readings and the nominal parameters."""
     after: Closure
     """At the corrected readings and the calibrated parameters."""
-
-
-@dataclass(frozen=True)
-class Undetermined:
-    """A direction in which neither data nor prior say anything."""
-
-    combination: Mapping[str, float]
-    """Parameter -> its share, the largest 1."""
-    words: str

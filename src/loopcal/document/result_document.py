@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
 from loopcal.document.bounds import Count, Size
+from loopcal.document.chi_squared import ChiSquared
 from loopcal.document.findings import (
     ColumnFault,
     Identifiability,
@@ -18,7 +19,6 @@ from loopcal.document.findings import (
     PredictionEntry,
 )
 from loopcal.document.fit import (
-    ChiSquared,
     ClosureEntry,
     CovarianceEntry,
     NoiseEntry,

@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.fit import Closure
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage
@@ -34,6 +35,15 @@ def residuals(
         for row, loop in enumerate(pattern.loops):
             out[loop, poses] = values[row]
     return by_name(loops, out)
+
+
+def closure(residuals: Mapping[str, Array]) -> Closure:
+    """The size of the values of the loops that hold, loop -> (N,); None where none does."""
+    values = np.array(list(residuals.values()))
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return Closure(None, None)
+    return Closure(float(np.sqrt(np.square(values).mean())), float(np.abs(values).max()))
 
 
 def by_name(names: tuple[str, ...], rows: Array) -> Mapping[str, Array]:

@@ -33,24 +33,17 @@ class Seen:
     turns: tuple[str, ...]
     small: bool = False
 
-    def outputs(self, mechanism: Mechanism) -> tuple[str, ...]:
-        """Those that are outputs of the mechanism."""
-        return tuple(q for q in (*self.position, *self.turns) if q in mechanism.outputs)
-
 
 def seen_outputs(mechanism: Mechanism) -> tuple[Seen, ...]:
     """The outputs by instrument; those of a loop without instruments count together."""
-    if not mechanism.families:
-        return tuple(_seen(mechanism, Family("", (), mechanism.outputs, "plain")))
-    return tuple(one for family in mechanism.families for one in _seen(mechanism, family))
+    return tuple(one for family in _families(mechanism) for one in _seen(mechanism, family))
 
 
 def _seen(mechanism: Mechanism, family: Family) -> Iterator[Seen]:
     its = [q for q in family.readings if q in mechanism.outputs]
     if not its:
         return
-    place = family.placement
-    station = place.name if isinstance(place, Station) else None
+    station = _station(family)
     small = [q for q in mechanism.turns if q in family.readings]
     if family.form in POLAR:
         yield Seen(family.name, station, family.form, tuple(its), "m", ())
@@ -63,6 +56,39 @@ def _seen(mechanism: Mechanism, family: Family) -> Iterator[Seen]:
     position = tuple(q for q in its if mechanism.quantities[q] == unit)
     turns = tuple(small or angles)
     yield Seen(family.name, station, family.form, position, unit, turns, bool(small))
+
+
+@dataclass(frozen=True)
+class OutputGroup:
+    """Outputs of one unit [SI] that one instrument reads: positions, or angles."""
+
+    instrument: str
+    station: str | None
+    unit: str
+    outputs: tuple[str, ...]
+    rows: tuple[int, ...]
+    """Their positions among all outputs."""
+
+
+def output_groups(mechanism: Mechanism) -> tuple[OutputGroup, ...]:
+    """The outputs whose sds belong together; each output is in one group."""
+    groups = []
+    for family in _families(mechanism):
+        its = [q for q in family.readings if q in mechanism.outputs]
+        for unit in dict.fromkeys(mechanism.quantities[q] for q in its):
+            alike = tuple(q for q in its if mechanism.quantities[q] == unit)
+            rows = tuple(mechanism.outputs.index(q) for q in alike)
+            groups.append(OutputGroup(family.name, _station(family), unit, alike, rows))
+    return tuple(groups)
+
+
+def _families(mechanism: Mechanism) -> tuple[Family, ...]:
+    """The instruments; a loop without any counts as one."""
+    return mechanism.families or (Family("", (), mechanism.outputs, "plain"),)
+
+
+def _station(family: Family) -> str | None:
+    return family.placement.name if isinstance(family.placement, Station) else None
 
 
 def point_outputs(mechanism: Mechanism, family: Family) -> tuple[str, ...]:

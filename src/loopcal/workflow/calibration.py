@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.calibrate import METHODS, calibrate
 from loopcal.estimation.result import Result
@@ -22,10 +23,17 @@ from loopcal.files.result import result_file
 from loopcal.files.result.residual_parts import NAME as RESIDUALS
 from loopcal.files.result.result_file import WrittenResult
 from loopcal.files.result.truth_file import read_truth
+from loopcal.files.versions import versions as known_versions
 from loopcal.measurements.checks import DataWarning
 from loopcal.statistics.findings import Findings, findings
 from loopcal.workflow.projects import named_project
 
+if TYPE_CHECKING:
+    from loopcal.statistics.models import ModelComparison
+    from loopcal.statistics.validation import Validation
+
+Addition = Callable[[ResultDocument], ResultDocument]
+"""Adds to the document of a result what was asked for beside the fit."""
 Pieces = Callable[[str, int, int], None]
 """Called with what is done in pieces, how many of them are done, and how many there are."""
 
@@ -140,22 +148,31 @@ def run_calibration(
         "start": read.fit.start,
         "max_iterations": read.fit.max_iterations,
     }
+    add: list[Addition] = []
     try:
         folded = how | _shared("folds", executor, pieces)
         if compare:
-            result = _compared(read, loaded, folded, asked_for or ValidationSpec(folds=10))
+            models = _compared(read, loaded, folded, asked_for or ValidationSpec(folds=10))
+            result = models.result
+            add.append(models.added_to)
         else:
             result = calibrate(read.mechanism, loaded.dataset, **how, progress=progress)
             if asked_for is not None and result.status.converged:
-                result = _validated(result, read, loaded, folded, asked_for)
+                try:
+                    add.append(_validated(result, read, loaded, folded, asked_for).added_to)
+                except NoTrustworthyResult as error:
+                    result = result.noted(f"Not validated: {error}")
         if patterns and result.status.converged:
-            from loopcal.statistics.intervals import intervals
+            from loopcal.statistics.intervals import intervals, with_intervals
 
             shared = _shared("intervals", executor, pieces)
-            result = replace(result, intervals=intervals(result, patterns, **shared))
+            found = intervals(result, patterns, **shared)
+            add.append(partial(with_intervals, intervals=found))
     except InputError as error:
         raise error.at(read.name) from None
-    return _written(result, read, folder, loaded.warnings, true, asked=asked, report=report)
+    return _written(
+        result, read, folder, loaded.warnings, true, add=add, asked=asked, report=report
+    )
 
 
 def _tell(warnings: Sequence[DataWarning], warn: Callable[[str], None] | None) -> None:
@@ -175,10 +192,12 @@ def _written(
     warnings: Sequence[DataWarning],
     truth: Mapping[str, float] | None,
     *,
+    add: Sequence[Addition] = (),
     asked: bool,
     report: bool,
 ) -> Calibration:
-    """The result as its files tell it; asked: whether every parameter must be determined."""
+    """The result in its files; add: what else goes to the document; asked: whether every parameter
+    must be determined."""
     if project.fit.apply_variance_factor:
         try:
             result = result.with_variance_factor()
@@ -189,13 +208,16 @@ def _written(
         result = replace(result, errors=MappingProxyType(errors))
     told = findings(result)
     words = tuple(str(warning) for warning in warnings)
+    document = told.added_to(result.document)
+    for addition in add:
+        document = addition(document)
     written = write_result(
         result,
         folder,
         title=project.title,
         inputs=project.inputs,
         warnings=words,
-        found=told,
+        document=document,
         report=report,
     )
     return Calibration(result, told, written, words, _objection(result, told, asked))
@@ -207,27 +229,21 @@ def _validated(
     loaded: LoadedData,
     how: Mapping[str, Any],
     asked_for: ValidationSpec,
-) -> Result:
+) -> Validation:
     from loopcal.statistics.validation import validate
 
     parts = validation_arguments(project, asked_for)
-    try:
-        found = validate(project.mechanism, loaded.dataset, **how, **parts, full=result)
-        return replace(result, validation=found)
-    except NoTrustworthyResult as error:
-        return replace(result, warnings=(*result.warnings, f"Not validated: {error}"))
+    return validate(project.mechanism, loaded.dataset, **how, **parts, full=result)
 
 
 def _compared(
     project: Project, loaded: LoadedData, how: Mapping[str, Any], asked_for: ValidationSpec
-) -> Result:
-    """The calibration with the recommended one of the project's models."""
+) -> ModelComparison:
+    """The project's models, with the calibration by the recommended one."""
     from loopcal.statistics.models import compare_models
 
     parts = validation_arguments(project, asked_for)
-    found = compare_models(project.mechanism, loaded.dataset, project.compare, **how, **parts)
-    chosen = next(m for m in found.models if m.name == found.recommended)
-    return replace(found.result, models=found, validation=chosen.validation)
+    return compare_models(project.mechanism, loaded.dataset, project.compare, **how, **parts)
 
 
 def write_result(
@@ -237,24 +253,32 @@ def write_result(
     title: str | None = None,
     inputs: Mapping[str, Any] | None = None,
     warnings: tuple[str, ...] = (),
-    found: Findings | None = None,
+    document: ResultDocument | None = None,
     report: bool = False,
 ) -> WrittenResult:
     """Write result.json, residuals.csv and mechanism.toml (calibrated), all or none.
 
-    The folder is made if need be; title, inputs (the project as it was read) and warnings go to
-    result.json, with what `findings` tells, or `found`; report: whether report.html comes with
-    them. Raises InputError, naming the file, the reason and a remedy, where they cannot be written.
+    The folder is made if need be. title, inputs (the project as it was read) and warnings go to
+    result.json; document: that of the result with what was added to it, by default its `findings`;
+    report: whether report.html comes with them. Raises InputError, naming the file, the reason and
+    a remedy, where they cannot be written.
     """
-    fields = (found or findings(result)).document()
+    told = document or findings(result).added_to(result.document)
+    versions = known_versions()
+    told = replace(
+        told,
+        loopcal=versions["loopcal"],
+        title=title,
+        warnings=(*warnings, *told.warnings),
+        inputs=result_file.finite_only(inputs or {}),
+        versions=versions,
+    )
     page = None
     if report:
         from loopcal.report.page import page_of
 
         page = page_of(result, folder)
-    return result_file.write_result(
-        result, folder, title=title, inputs=inputs, warnings=warnings, findings=fields, report=page
-    )
+    return result_file.write_result(result, told, folder, report=page)
 
 
 def default_folder(project: Project) -> Path:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from loopcal.document.result_document import ResultDocument
 from loopcal.files.machines.mechanism_file import Loops, read_mechanism
 from loopcal.files.result.result_file import read_result
 from loopcal.mechanisms.mechanism import Mechanism
@@ -16,7 +15,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 class ReadResult:
     """document: of result.json; mechanism: the calibrated one beside it; path: of result.json."""
 
-    document: Mapping[str, Any]
+    document: ResultDocument
     mechanism: Mechanism
     path: Path
 
