@@ -19,7 +19,7 @@ from loopcal.files.result.result_file import read_result
 from loopcal.files.tables.readers import read_dataset
 from loopcal.statistics.models import compare_models
 from loopcal.statistics.outliers import find_outliers
-from loopcal.workflow.calibration import run_calibration
+from loopcal.workflow.calibration import Request, run_calibration
 from loopcal.workflow.checking import run_prediction
 from loopcal.workflow.simulation import run_simulation
 from tests.command_line import run
@@ -112,7 +112,7 @@ def test_calibrations_with_known_constants_are_compared_at_their_poses(project: 
 
 
 def test_the_summary_tells_the_models(project: Path) -> None:
-    done = run_calibration(project, compare=True, folds=5, out=project.with_name("other"))
+    done = run_calibration(project, Request(compare=True, folds=5), out=project.with_name("other"))
     told = str(done.result)
     assert "Recommended: scale" in told
     assert "5 folds of 60 poses" in told

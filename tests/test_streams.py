@@ -28,7 +28,7 @@ from loopcal.files.result.residual_parts import ResidualParts
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
-from loopcal.workflow.calibration import run_calibration
+from loopcal.workflow.calibration import Listeners, Request, run_calibration
 from loopcal.workflow.checking import run_check
 from tests.command_line import run
 from tests.dask_cluster import dask_cluster
@@ -119,7 +119,7 @@ def test_an_interrupted_calibration_goes_on_and_leaves_nothing_half_done(folder:
             raise Broken
 
     with pytest.raises(Broken):
-        run_calibration(folder / "project.toml", progress=interrupt)
+        run_calibration(folder / "project.toml", listeners=Listeners(progress=interrupt))
     result = folder / "project-result"
     assert [path.name for path in result.iterdir()] == ["unfinished.json"]
     reached = json.loads((result / "unfinished.json").read_text())["parameters"]
@@ -128,8 +128,9 @@ def test_an_interrupted_calibration_goes_on_and_leaves_nothing_half_done(folder:
     told: list[str] = []
     done = run_calibration(
         folder / "project.toml",
-        progress=lambda i, merit, decrement: seen.append(merit),
-        notice=told.append,
+        listeners=Listeners(
+            progress=lambda i, merit, decrement: seen.append(merit), notice=told.append
+        ),
     )
     assert told == [f"{result / 'unfinished.json'}: goes on from the parameters in it"]
     assert seen[0] < 1000.0  # it began near the end, not at the nominal machine
@@ -201,7 +202,7 @@ def test_interrupted_with_workers_it_ends_and_goes_on(folder: Path, executor: Ex
 
     project, threads = folder / "project.toml", threading.active_count()
     with pytest.raises(KeyboardInterrupt):
-        run_calibration(project, executor=executor, progress=interrupt)
+        run_calibration(project, executor=executor, listeners=Listeners(progress=interrupt))
     assert threading.active_count() <= threads  # one of an earlier test may have ended
     assert not multiprocessing.active_children()
     result = folder / "project-result"
@@ -245,7 +246,9 @@ def test_a_file_that_is_another_one_where_the_work_is_done(folder: Path, what: s
 
     words = "is not the one" if what == "changed" else "cannot be read .No such file"
     with pytest.raises(InputError, match=rf"part-2\.parquet: on the machine .* {words}") as fault:
-        run_calibration(folder / "project.toml", executor=Threads(2), progress=meddle)
+        run_calibration(
+            folder / "project.toml", executor=Threads(2), listeners=Listeners(progress=meddle)
+        )
     assert "at this path" in str(fault.value.remedy)
     assert [path.name for path in (folder / "project-result").iterdir()] == ["unfinished.json"]
 
@@ -266,10 +269,10 @@ def test_what_was_reached_with_other_readings_is_not_gone_on_from(folder: Path) 
     stale = {"task": "another", "parameters": {"l2": 7.0}}
     (folder / "project-result" / "unfinished.json").write_text(json.dumps(stale))
     told: list[str] = []
-    done = run_calibration(folder / "project.toml", notice=told.append)
+    done = run_calibration(folder / "project.toml", listeners=Listeners(notice=told.append))
     assert not any("earlier run" in warning for warning in done.result.warnings)
     assert [line.endswith("begins anew") for line in told] == [True]
-    run_calibration(folder / "project.toml", notice=told.append)
+    run_calibration(folder / "project.toml", listeners=Listeners(notice=told.append))
     assert len(told) == 1  # nothing was left
 
 
@@ -347,7 +350,7 @@ def test_folders_inside_are_told_and_not_looked_into(folder: Path) -> None:
     inside.mkdir()
     shutil.copy(folder / "poses" / "part-1.parquet", inside)
     told: list[str] = []
-    done = run_calibration(folder / "project.toml", warn=told.append)
+    done = run_calibration(folder / "project.toml", listeners=Listeners(warn=told.append))
     assert done.warnings == tuple(told)
     assert len(told) == 1
     assert "day-2/part-1.parquet" in told[0]
@@ -373,7 +376,9 @@ def test_what_is_odd_is_told_before_the_fit(folder: Path) -> None:
         told.clear()
         read(folder, text)
         with pytest.raises(KeyboardInterrupt):
-            run_calibration(folder / "project.toml", progress=interrupted, warn=told.append)
+            run_calibration(
+                folder / "project.toml", listeners=Listeners(progress=interrupted, warn=told.append)
+            )
 
 
 @pytest.mark.parametrize("where", ["part-1.parquet", "part-2.parquet"])
@@ -433,5 +438,10 @@ def test_what_a_stream_cannot_do_is_refused(folder: Path, old: str, new: str, wo
 def test_no_cluster_is_asked_for_what_is_refused(folder: Path, asked: dict[str, Any]) -> None:
     met: list[Executor] = []
     with pytest.raises(InputError, match="needs all poses in memory"):
-        run_calibration(folder / "project.toml", executor=Threads(2), sharing=met.append, **asked)
+        run_calibration(
+            folder / "project.toml",
+            Request(**asked),
+            executor=Threads(2),
+            listeners=Listeners(sharing=met.append),
+        )
     assert not met

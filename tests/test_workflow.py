@@ -10,7 +10,7 @@ import pytest
 
 from loopcal.errors import InputError, UsageError
 from loopcal.files.result.result_file import read_result
-from loopcal.workflow.calibration import run_calibration
+from loopcal.workflow.calibration import Listeners, Request, run_calibration
 from loopcal.workflow.projects import new_project, schema
 from loopcal.workflow.simulation import run_simulation
 
@@ -84,7 +84,10 @@ def test_readings_are_simulated_and_calibrated(lever: Path) -> None:
     assert made.simulation.parameters["length"] == 0.502
     assert 0 < abs(made.simulation.parameters["offset"]) < 0.025
     done = run_calibration(
-        lever / "lever.toml", function=function(lever), truth=made.truth_file, out=lever / "out"
+        lever / "lever.toml",
+        Request(truth=made.truth_file),
+        function=function(lever),
+        out=lever / "out",
     )
     assert done.objection is None
     assert done.result.errors is not None
@@ -186,7 +189,7 @@ def test_a_quantity_without_a_sensor_is_found_from_the_rest(tmp_path: Path) -> N
         text = text.replace(old, new, 1)
     project.write_text(text)
     run_simulation(project, out=tmp_path / "arm" / "poses.csv", seed=1)
-    done = run_calibration(project, truth=tmp_path / "arm" / "poses.truth.json")
+    done = run_calibration(project, Request(truth=tmp_path / "arm" / "poses.truth.json"))
     result = done.result
     assert result.status.converged
     assert result.errors is not None
@@ -203,14 +206,16 @@ def test_progress_is_reported(lever: Path) -> None:
     run_calibration(
         lever / "lever.toml",
         function=function(lever),
-        progress=lambda iteration, chi_squared, decrease: told.append(iteration),
+        listeners=Listeners(
+            progress=lambda iteration, chi_squared, decrease: told.append(iteration)
+        ),
     )
     assert told == list(range(1, len(told) + 1))
 
 
 def test_a_method_that_is_none_is_a_matter_of_usage(lever: Path) -> None:
     with pytest.raises(UsageError, match="least-squares"):
-        run_calibration(lever / "lever.toml", method="least-sqares")
+        run_calibration(lever / "lever.toml", Request(method="least-sqares"))
     with pytest.raises(UsageError, match="project"):
         schema("projekt")
     with pytest.raises(UsageError, match="function"):

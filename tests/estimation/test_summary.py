@@ -7,10 +7,11 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-
-from loopcal.estimation.calibrate import calibrate
-from loopcal.estimation.result import Accuracy, Result
 from loopcal.estimation.summary import columns, parameter_table, summary
+
+from loopcal.estimation.accuracy import Accuracy
+from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.result import Result
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.prior import Prior
 from tests.reference.four_bars import passive

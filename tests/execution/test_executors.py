@@ -31,7 +31,7 @@ from loopcal.execution.local import Processes, Threads
 from loopcal.expressions import choice
 from loopcal.files.project.new_project import write_new_project
 from loopcal.files.project.templates import TEMPLATES
-from loopcal.workflow.calibration import run_calibration
+from loopcal.workflow.calibration import Listeners, Request, run_calibration
 from tests.execution import pieces
 from tests.execution.pieces import Backwards
 from tests.reference.simulated import planar_arm
@@ -213,12 +213,10 @@ def test_a_calibration_is_the_same_whoever_does_its_pieces(tmp_path: Path) -> No
     def calibrated(name: str, executor: Executor | None) -> Mapping[str, Any]:
         done = run_calibration(
             project,
+            Request(folds=5, profile=["l?"]),
             out=tmp_path / name,
-            folds=5,
-            profile=["l?"],
             executor=executor,
-            sharing=shared.append,
-            pieces=lambda *seen: told.append(seen),
+            listeners=Listeners(sharing=shared.append, pieces=lambda *seen: told.append(seen)),
         )
         return done.written.document
 
@@ -227,7 +225,12 @@ def test_a_calibration_is_the_same_whoever_does_its_pieces(tmp_path: Path) -> No
     assert told == once + once
     assert shared == [Backwards()]
     with pytest.raises(UsageError, match="nothing else is asked for"):
-        run_calibration(project, out=tmp_path / "alone", executor=Threads(2), sharing=shared.append)
+        run_calibration(
+            project,
+            out=tmp_path / "alone",
+            executor=Threads(2),
+            listeners=Listeners(sharing=shared.append),
+        )
     assert shared == [Backwards()]
 
 

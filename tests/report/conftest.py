@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.workflow.calibration import run_calibration, write_result
+from loopcal.workflow.calibration import Request, run_calibration, write_result
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 MARKUP = "<img/src=x/onerror=document.title='run'>"
@@ -19,7 +19,7 @@ SCRIPT = "</script><script>document.title='run'</script>"
 def planar(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The planar example with a validation."""
     out = tmp_path_factory.mktemp("report") / "planar"
-    run_calibration(EXAMPLES / "planar" / "project.toml", out=out, folds=5, report=True)
+    run_calibration(EXAMPLES / "planar" / "project.toml", Request(folds=5, report=True), out=out)
     return out
 
 
@@ -27,7 +27,7 @@ def planar(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def six_axis(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The six-axis example, an arm in space."""
     out = tmp_path_factory.mktemp("report") / "six_axis"
-    run_calibration(EXAMPLES / "six_axis" / "project.toml", out=out, report=True)
+    run_calibration(EXAMPLES / "six_axis" / "project.toml", Request(report=True), out=out)
     return out
 
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loopcal.files.result.result_columns import ResultColumns
 
 from loopcal.errors import InputError, UsageError
-from loopcal.files.result.result_columns import ResultColumns
 from loopcal.report.page import MOST, report_html
 from loopcal.report.source import read_source
 from loopcal.report.tables import accuracy_table, comparison_table, parameter_table

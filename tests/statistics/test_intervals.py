@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loopcal.estimation.on_request import Interval
 
 import loopcal as lc
 from loopcal.errors import InputError
-from loopcal.estimation.on_request import Interval
 from loopcal.statistics.intervals import covariance_interval, intervals
 from tests.reference.simulated import planar_arm
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from loopcal.statistics.models import ComparedModel
 
 from loopcal.errors import InputError, NoTrustworthyResult
-from loopcal.estimation.on_request import ComparedModel
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.effects.effect import with_effects

@@ -8,6 +8,7 @@ import typer
 
 from loopcal.cli.output import log, print_data, print_json, print_out
 from loopcal.errors import NoTrustworthyResult
+from loopcal.estimation.methods.registry import METHODS
 from loopcal.files.project.templates import TEMPLATES
 
 app = typer.Typer(
@@ -75,8 +76,7 @@ def calibrate(
         str | None,
         typer.Option(
             metavar="METHOD",
-            help="implicit-loop, least-squares, reweighted or implicit-loop-undamped, not the "
-            "project's (fit.method).",
+            help=f"{', '.join(METHODS)}; overrides fit.method of the project.",
         ),
     ] = None,
     truth: Annotated[
@@ -133,27 +133,31 @@ def calibrate(
     from loopcal.cli.progress import Progress
     from loopcal.cli.working import executor_of, try_cluster
     from loopcal.document.plain import plain
-    from loopcal.workflow.calibration import run_calibration
+    from loopcal.workflow.calibration import Listeners, Request, run_calibration
 
     with Progress() as progress:
         executor = executor_of(workers, cluster, waiting=progress.waiting)
         done = run_calibration(
             project,
-            method=method,
-            truth=truth,
+            Request(
+                method=method,
+                truth=truth,
+                require_identifiable=require_identifiable,
+                folds=folds,
+                profile=profile or (),
+                compare=compare,
+                report=not no_report,
+            ),
             out=out,
             function=mechanism,
-            require_identifiable=require_identifiable,
-            folds=folds,
-            profile=profile or (),
-            compare=compare,
-            report=not no_report,
             executor=executor,
-            sharing=try_cluster,
-            progress=progress,
-            pieces=progress.pieces,
-            notice=log,
-            warn=lambda words: log(f"warning: {words}"),
+            listeners=Listeners(
+                sharing=try_cluster,
+                progress=progress,
+                pieces=progress.pieces,
+                notice=log,
+                warn=lambda words: log(f"warning: {words}"),
+            ),
         )
     where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
     if as_json:

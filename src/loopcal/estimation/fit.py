@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import TypedDict
+from dataclasses import dataclass
+from typing import TypedDict, Unpack
 
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.methods.method import Method
@@ -93,7 +93,20 @@ class Fit:
     @classmethod
     def of(cls, fit: Fit | None, options: FitOptions) -> Fit:
         """The settings given as one value, as keyword arguments, or both: these then win."""
-        return cls(**options) if fit is None else replace(fit, **options)
+        return (fit or cls()).changed(**options)
+
+    def changed(self, **options: Unpack[FitOptions]) -> Fit:
+        """These settings with others in place of some."""
+        every: FitOptions = {
+            "method": self.method,
+            "loss": self.loss,
+            "start": self.start,
+            "prior": self.prior,
+            "max_iterations": self.max_iterations,
+            "tolerance": self.tolerance,
+            **options,
+        }
+        return Fit(**every)
 
     @property
     def robust_loss(self) -> Loss | None:

@@ -288,6 +288,8 @@ class Result:
                 f"the method {self.method!r} with the loss {self.loss!r} has no variance factor",
                 remedy="use it with the implicit loop or reweighted, and the gaussian loss",
             )
+        if self.variance_factor_applied:
+            return self
         return replace(self, variance_factor_applied=True)
 
     @property

@@ -7,18 +7,80 @@ itself.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 
 Index = NDArray[np.intp]
 SAME = 1e-4
 """Driven readings that differ by no more than this share of their range are one pose, repeated."""
+
+
+class SchemeOptions(TypedDict, total=False):
+    """The fields of `Scheme` as keyword arguments."""
+
+    folds: int
+    hold_out: float | None
+    other: Dataset | None
+    other_noise: NoiseLike | None
+    seed: int
+    groups: Sequence[object] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Scheme:
+    """Which poses take no part in a fit and are predicted by it.
+
+    folds: in how many parts the poses are cut, each left out once; hold_out: instead leave out
+    this share once; other: instead calibrate on all and predict these readings (other_noise:
+    their noise where it is not the same); seed: of the choice; groups: one per pose, never split,
+    by default poses with the same driven readings.
+    """
+
+    folds: int = 10
+    hold_out: float | None = None
+    other: Dataset | None = None
+    other_noise: NoiseLike | None = None
+    seed: int = 0
+    groups: Sequence[object] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """The parts of a data set that a scheme leaves out, and the scheme as stated and in words."""
+
+    indices: tuple[Index, ...]
+    stated: Mapping[str, Any]
+    words: str
+
+
+def parts_of(scheme: Scheme, mechanism: Mechanism, data: Dataset) -> Parts:
+    """The parts that are left out of one data set.
+
+    Raises InputError for a choice that cannot be made.
+    """
+    chosen = grouped(mechanism, data, scheme.groups)
+    if scheme.hold_out is not None:
+        indices: tuple[Index, ...] = (held_out(chosen, scheme.hold_out, scheme.seed),)
+        stated: dict[str, Any] = {"hold_out": scheme.hold_out, "seed": scheme.seed}
+        words = f"{len(indices[0])} of {len(data)} poses held out"
+    else:
+        indices = folds(chosen, scheme.folds, scheme.seed)
+        stated = {"folds": scheme.folds, "seed": scheme.seed}
+        words = f"{scheme.folds} folds of {len(data)} poses"
+    different = len(np.unique(chosen))
+    if different < len(data):
+        stated["groups"] = different
+        words += f", {different} of them different"
+    return Parts(indices, stated, words)
 
 
 def repeated(mechanism: Mechanism, data: Dataset) -> Index:

@@ -15,9 +15,10 @@ and Vehtari 2020).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,15 +28,15 @@ from loopcal.document.plain import known as finite
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import model_table, recommendation
 from loopcal.errors import InputError, NoTrustworthyResult
-from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.fit import Fit
 from loopcal.estimation.result import Result
+from loopcal.execution.executor import Executor, Progress
 from loopcal.measurements.dataset import Dataset
-from loopcal.measurements.noise import Noise
+from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.effects.model import Model, with_only
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.prior import Prior
-from loopcal.statistics.folds import grouped
-from loopcal.statistics.validation import Validation, validate
+from loopcal.statistics.folds import Scheme, grouped
+from loopcal.statistics.validation import Asked, Case, Validation, ValidationOptions, validated
 
 Array = NDArray[np.float64]
 GEOMETRIC = "geometric"
@@ -120,19 +121,18 @@ def compare_models(
     data: Dataset | Any,
     models: Mapping[str, Model],
     *,
-    noise: Noise | None = None,
-    prior: Prior | None = None,
-    method: str = "implicit-loop",
-    loss: str = "gaussian",
-    start: str | Mapping[str, float] = "auto",
-    max_iterations: int = 100,
-    **validation: Any,
+    noise: NoiseLike | None = None,
+    fit: Fit | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+    **options: Unpack[ValidationOptions],
 ) -> ModelComparison:
     """Models of one machine validated on the same poses, and the one to take.
 
     models: by name; "geometric", without effects, is added where it is not among them.
-    validation: folds, hold_out, other, seed, groups, executor, progress as in `validate`, the rest
-    as in `calibrate`.
+    The rest is as in `validate`, with its keyword arguments. Where folds of a model fail, the
+    models are compared on the poses that all of them predict; a model that fails altogether is
+    reported with the reason.
 
     Raises InputError as `validate` does and for models that cannot be, and NoTrustworthyResult
     where no model has a predictive log-likelihood.
@@ -147,35 +147,36 @@ def compare_models(
         )
     if GEOMETRIC not in models:
         models = {GEOMETRIC: Model(), **models}
-    if prior is not None:
-        mechanism = mechanism.with_parameters(prior.apply(mechanism.parameters))
-    how: dict[str, Any] = {"noise": noise, "method": method, "loss": loss, "start": start}
-    how["max_iterations"] = max_iterations
-    machines = {name: with_only(mechanism, model) for name, model in models.items()}
+    asked = Asked.of(fit, options)
+    mechanism = asked.fit.with_prior(mechanism)
+    shared = Case(mechanism, data, Noise.of(noise), replace(asked.fit, prior=None))
     fits: dict[str, Result] = {}
+    errors: list[InputError] = []
     found: list[ComparedModel] = []
     for name, model in models.items():
-        fit = calibrate(machines[name], data, **how)
-        one = ComparedModel(name, model.effects, model.fixed, len(fit.estimated), None)
-        fits[name] = fit
-        found.append(_validated(one, machines[name], data, fit, how, validation))
-    judged = _judged(found, _groups(mechanism, data, validation))
+        case = replace(shared, mechanism=with_only(mechanism, model))
+        free = len(case.mechanism.parameters.free)
+        one = ComparedModel(name, model.effects, model.fixed, free, None)
+        try:
+            fits[name] = case.calibrated()
+        except InputError as error:
+            errors.append(error)
+            found.append(replace(one, failed=error.message))
+            continue
+        run = partial(validated, case, fits[name], asked.scheme, executor, progress)
+        found.append(_validated(one, fits[name], run))
+    if not fits:
+        raise errors[0]
+    judged = _judged(found, _groups(mechanism, data, asked.scheme))
     chosen = recommended(judged)
     return ModelComparison(tuple(judged), chosen, fits[chosen])
 
 
-def _validated(
-    one: ComparedModel,
-    machine: Mechanism,
-    data: Dataset,
-    fit: Result,
-    how: Mapping[str, Any],
-    validation: Mapping[str, Any],
-) -> ComparedModel:
+def _validated(one: ComparedModel, fit: Result, run: Callable[[], Validation]) -> ComparedModel:
     if not fit.status.converged:
         return replace(one, failed=f"the fit did not converge ({fit.status.reason})")
     try:
-        found = validate(machine, data, **how, **validation, full=fit)
+        found = run()
     except NoTrustworthyResult as error:
         return replace(one, failed=error.message)
     if found.by_pose is None:
@@ -183,37 +184,45 @@ def _validated(
     return replace(one, validation=found)
 
 
-def _groups(
-    mechanism: Mechanism, data: Dataset, validation: Mapping[str, Any]
-) -> Mapping[str, int]:
+def _groups(mechanism: Mechanism, data: Dataset, scheme: Scheme) -> Mapping[str, int]:
     """The group of each pose by its id; none where other readings are predicted."""
-    if validation.get("other") is not None:
+    if scheme.other is not None:
         return {}
-    codes = grouped(mechanism, data, validation.get("groups")).tolist()
+    codes = grouped(mechanism, data, scheme.groups).tolist()
     return dict(zip(data.poses, codes, strict=True))
 
 
 def _judged(models: Sequence[ComparedModel], groups: Mapping[str, int]) -> list[ComparedModel]:
-    """The models with how far they are behind the best."""
+    """The models with how far they are behind the best, on the poses that all of them predict."""
     known = [m.validation for m in models if m.validation is not None]
     if not known:
         raise NoTrustworthyResult(
             "no model could be validated: " + "; ".join(f"{m.name}: {m.failed}" for m in models),
             remedy="calibrate one of them alone and see what its summary says",
         )
-    best = max(known, key=_likelihood)
-    return [m if m.validation is None else _behind(m, m.validation, best, groups) for m in models]
+    common = set(known[0].poses).intersection(*(v.poses for v in known))
+    if not common:
+        raise NoTrustworthyResult(
+            "no pose is predicted by every model, because folds of several models failed: "
+            + "; ".join(w for v in known for w in v.warnings),
+            remedy="compare fewer models, or use other folds",
+        )
+    terms = {m.name: _terms(m.validation, common) for m in models if m.validation is not None}
+    best = max(terms.values(), key=lambda own: float(own.sum()))
+    poses = [pose for pose in known[0].poses if pose in common]
+    codes = [groups[pose] for pose in poses] if groups else range(len(poses))
+    index = np.unique([*codes], return_inverse=True)[1]
+    return [_behind(m, best, terms.get(m.name), index) for m in models]
 
 
 def _behind(
-    model: ComparedModel, own: Validation, best: Validation, groups: Mapping[str, int]
+    model: ComparedModel, best: Array, own: Array | None, index: NDArray[np.intp]
 ) -> ComparedModel:
-    d = _terms(best) - _terms(own)
-    if groups:
-        codes = np.unique([groups[pose] for pose in own.poses], return_inverse=True)[1]
-        d = np.asarray(np.bincount(codes, weights=d), dtype=np.float64)
+    if own is None:
+        return model
+    d = np.asarray(np.bincount(index, weights=best - own), dtype=np.float64)
     sd = math.sqrt(len(d) * float(np.var(d, ddof=1))) if len(d) > 1 else math.inf
-    return replace(model, behind=_likelihood(best) - _likelihood(own), sd=sd)
+    return replace(model, behind=float(best.sum() - own.sum()), sd=sd)
 
 
 def recommended(models: Sequence[ComparedModel]) -> str:
@@ -225,11 +234,7 @@ def recommended(models: Sequence[ComparedModel]) -> str:
     return min((m for m in models if not refused(m)), key=lambda m: (m.parameters, m.behind)).name
 
 
-def _likelihood(validation: Validation) -> float:
-    assert validation.log_likelihood is not None
-    return validation.log_likelihood
-
-
-def _terms(validation: Validation) -> Array:
+def _terms(validation: Validation, poses: set[str]) -> Array:
+    """The log densities of these poses, in the order of the readings."""
     assert validation.by_pose is not None
-    return validation.by_pose
+    return validation.by_pose[[pose in poses for pose in validation.poses]]

@@ -211,15 +211,11 @@ def _outlier(problem: Problem, suspect: Suspect, cause: Cause | None) -> Outlier
     if not order or (cause is not None and cause.quantity is None):
         p = float(tail(np.array([suspect.t]), np.array([suspect.freedom]))[0])
         size = unit = None
-        return Outlier(
-            pose, None, known(suspect.t), p, known(suspect.t), size, unit, (), words, verified
-        )
+        return Outlier(pose, None, whole, p, whole, size, unit, (), words, verified)
     j = order[0]
     size, left = suspect.explained[j]
     w = float(np.copysign(np.sqrt(max(suspect.t - left, 0.0)), size))
     p = float(tail(np.array([w * w]), np.array([1]))[0])
     others = tuple(names[i] for i in order[1:])
     unit = problem.mechanism.quantities[names[j]]
-    return Outlier(
-        pose, names[j], known(w), p, known(suspect.t), size, unit, others, words, verified
-    )
+    return Outlier(pose, names[j], known(w), p, whole, size, unit, others, words, verified)

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Unpack, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,19 +24,27 @@ from loopcal.document.tables import validation_table
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import Accuracy, accuracy, by_pose, deviations
 from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.measurements.dataset import Dataset
-from loopcal.measurements.noise import Noise
+from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.prior import Prior
-from loopcal.statistics.folds import Index, grouped, held_out
-from loopcal.statistics.folds import folds as in_folds
+from loopcal.statistics.folds import Index, Scheme, SchemeOptions, parts_of
 from loopcal.statistics.predictive import held_problem, log_densities, taken
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FailedPart:
+    """A part of a validation that could not be predicted: its number, how many poses, and why."""
+
+    number: int
+    poses: int
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +55,8 @@ class Validation:
     computed from the other readings, over all poses left out, None where no pose has both;
     log_likelihood: sum over these poses of log N(misclosure; 0, W + D Cov_p D^T) in the units of
     the loop equations, None where the method has no distribution for it; by_pose: (N,) its
-    terms, distances: (N,) between computed and measured outputs, both in the order of `poses`.
+    terms, distances: (N,) between computed and measured outputs, both in the order of `poses`;
+    parts: how many parts were to be predicted; failed: those whose fit failed, which do not count.
     """
 
     scheme: Mapping[str, Any]
@@ -57,6 +66,17 @@ class Validation:
     poses: tuple[str, ...] = ()
     distances: Array | None = None
     by_pose: Array | None = None
+    parts: int = 1
+    failed: tuple[FailedPart, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Which parts could not be predicted, and why."""
+        return tuple(
+            f"Fold {part.number} of {self.parts} ({part.poses} poses) is not validated: "
+            f"{part.reason}."
+            for part in self.failed
+        )
 
     @property
     def entry(self) -> ValidationEntry:
@@ -74,66 +94,80 @@ class Validation:
 
     def added_to(self, document: ResultDocument) -> ResultDocument:
         """The document of the result that was validated, with this."""
-        return replace(document, validation=self.entry)
+        warnings = (*document.warnings, *self.warnings)
+        return replace(document, validation=self.entry, warnings=warnings)
+
+
+class ValidationOptions(FitOptions, SchemeOptions, total=False):
+    """The fields of `Fit` and of `Scheme` as keyword arguments."""
 
 
 def validate(
     mechanism: Mechanism,
     data: Dataset | Any,
     *,
-    noise: Noise | None = None,
-    prior: Prior | None = None,
-    method: str = "implicit-loop",
-    loss: str = "gaussian",
-    start: str | Mapping[str, float] = "auto",
-    max_iterations: int = 100,
-    folds: int = 10,
-    hold_out: float | None = None,
-    other: Dataset | None = None,
-    other_noise: Noise | None = None,
-    seed: int = 0,
-    groups: Sequence[object] | None = None,
+    noise: NoiseLike | None = None,
+    fit: Fit | None = None,
     full: Result | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
+    **options: Unpack[ValidationOptions],
 ) -> Validation:
     """How well this calibration predicts poses that it has not seen.
 
-    folds: in how many parts the poses are cut, each left out once; hold_out: instead leave out
-    this share once; other: instead calibrate on all and predict these readings (other_noise:
-    their noise where it is not the same). seed: of the choice. groups: one per pose, never split;
-    by default poses with the same driven readings. full: the calibration of all poses, if it is
-    at hand. executor: who does the refits, this process one by one if it is None; it changes no
-    value. progress: called with how many refits are done. The rest is as in `calibrate`.
+    noise, fit: as in `calibrate`, with its keyword arguments; full: the calibration of all poses,
+    if it is at hand; executor: who does the refits, this process one by one if it is None, which
+    changes no value; progress: called with how many refits are done.
 
-    Raises InputError as `calibrate` does and for a choice that cannot be made, and
-    NoTrustworthyResult where a refit does not converge.
+    folds: in how many parts the poses are cut, each left out once (default 10); hold_out: instead
+    leave out this share once; other: instead calibrate on all and predict these readings
+    (other_noise: their noise where it is not the same); seed: of the choice; groups: one per pose,
+    never split, by default poses with the same driven readings.
+
+    A part whose fit fails is reported (`Validation.failed`), and the others count. Raises
+    InputError as `calibrate` does and for a choice that cannot be made, and NoTrustworthyResult
+    where every refit fails.
     """
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
-    given = _Given(mechanism, data, noise, prior, method, loss, start, max_iterations)
-    whole = full or given.fit(None)
-    if other is not None:
-        known = noise if other_noise is None else other_noise
-        scheme: dict[str, Any] = {"file": other.source.name or "other readings"}
+    asked = Asked.of(fit, options)
+    case = Case(mechanism, data, Noise.of(noise), asked.fit)
+    return validated(case, full or case.calibrated(), asked.scheme, executor, progress)
+
+
+def validated(
+    case: Case,
+    whole: Result,
+    scheme: Scheme,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> Validation:
+    """`validate` for a case whose calibration of all poses is at hand."""
+    if scheme.other is not None:
+        other = scheme.other
+        known = case.noise if scheme.other_noise is None else Noise.of(scheme.other_noise)
+        name = other.source.name or "other readings"
         part = _predicted(whole, other, known, np.arange(len(other)))
-        return _pooled(whole, [part], scheme, f"{len(other)} poses of {scheme['file']}", other)
-    chosen = grouped(mechanism, data, groups)
-    if hold_out is not None:
-        parts: tuple[Index, ...] = (held_out(chosen, hold_out, seed),)
-        scheme = {"hold_out": hold_out, "seed": seed}
-        words = f"{len(parts[0])} of {len(data)} poses held out"
-    else:
-        parts = in_folds(chosen, folds, seed)
-        scheme = {"folds": folds, "seed": seed}
-        words = f"{folds} folds of {len(data)} poses"
-    different = len(np.unique(chosen))
-    if different < len(data):
-        scheme["groups"] = different
-        words += f", {different} of them different"
-    begun = _Begun(given, whole.mechanism, dict(whole.value))
-    made = gathered(executor, _left_out, begun, parts, progress)
-    return _pooled(whole, made, scheme, words, data)
+        return _pooled(whole, [part], {"file": name}, f"{len(other)} poses of {name}", other)
+    parts = parts_of(scheme, case.mechanism, case.data)
+    begun = _Begun(case, whole.mechanism, dict(whole.value))
+    made = gathered(executor, _left_out, begun, parts.indices, progress)
+    return _pooled(whole, made, parts.stated, parts.words, case.data)
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What the keyword arguments of `validate` ask for."""
+
+    fit: Fit
+    scheme: Scheme
+
+    @classmethod
+    def of(cls, fit: Fit | None, options: ValidationOptions) -> Asked:
+        """Settings and scheme; keyword arguments override the settings."""
+        given: dict[str, Any] = dict(options)
+        scheme = {name: given.pop(name) for name in SchemeOptions.__annotations__ if name in given}
+        return cls(Fit.of(fit, cast(FitOptions, given)), Scheme(**scheme))
 
 
 @dataclass(frozen=True)
@@ -151,65 +185,59 @@ class _Predicted:
 
 
 @dataclass(frozen=True)
-class _Given:
+class _Failed:
+    """Poses at these positions that could not be predicted, and why."""
+
+    index: Index
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
     """A calibration as it was asked for."""
 
     mechanism: Mechanism
     data: Dataset
     noise: Noise | None
-    prior: Prior | None
-    method: str
-    loss: str
-    start: str | Mapping[str, float]
-    max_iterations: int
+    fit: Fit
 
-    def fit(self, index: Index | None) -> Result:
-        """The calibration of these poses, as asked for."""
+    def calibrated(self, index: Index | None = None) -> Result:
+        """The calibration of these poses, by default of all."""
         data = self.data if index is None else self.data.take(index)
-        return calibrate(
-            self.mechanism,
-            data,
-            noise=taken(self.noise, index),
-            prior=self.prior,
-            method=self.method,
-            loss=self.loss,
-            start=self.start,
-            max_iterations=self.max_iterations,
-        )
+        return calibrate(self.mechanism, data, noise=taken(self.noise, index), fit=self.fit)
 
 
 @dataclass(frozen=True)
 class _Begun:
     """What the fits of all parts share: the calibration, and where that of all poses ended."""
 
-    given: _Given
+    case: Case
     mechanism: Mechanism
     value: Mapping[str, float]
 
-
-def _left_out(begun: _Begun, index: Index) -> _Predicted:
-    """The poses at these positions, predicted by a fit of the others."""
-    given = begun.given
-    rest = np.setdiff1d(np.arange(len(given.data)), index)
-    with one_blas_thread():
-        found = calibrate(
-            begun.mechanism,
-            given.data.take(rest),
-            noise=taken(given.noise, rest),
-            method=given.method,
-            loss=given.loss,
-            start=begun.value,
-            max_iterations=given.max_iterations,
-        )
+    def calibrated(self, index: Index) -> Result:
+        """The calibration of these poses, begun where that of all poses ended."""
+        case = self.case
+        # the mechanism of the calibration has the prior already
+        near = replace(case.fit, start=self.value, prior=None)
+        found = replace(case, mechanism=self.mechanism, fit=near).calibrated(index)
         if found.spectrum.rank < len(found.estimated) or not found.status.converged:
-            found = given.fit(rest)
-        if not found.status.converged:
-            raise NoTrustworthyResult(
-                f"the fit without {len(index)} of {len(given.data)} poses did not converge "
-                f"({found.status.reason}), so they cannot be predicted",
-                remedy="use fewer parts, or look at what the summary says of the fit of all poses",
-            )
-        return _predicted(found, given.data.take(index), taken(given.noise, index), index)
+            return case.calibrated(index)
+        return found
+
+
+def _left_out(begun: _Begun, index: Index) -> _Predicted | _Failed:
+    """The poses at these positions, predicted by a fit of the others."""
+    case = begun.case
+    rest = np.setdiff1d(np.arange(len(case.data)), index)
+    with one_blas_thread():
+        try:
+            found = begun.calibrated(rest)
+            if not found.status.converged:
+                return _Failed(index, f"the fit did not converge ({found.status.reason})")
+            return _predicted(found, case.data.take(index), taken(case.noise, index), index)
+        except (InputError, NoTrustworthyResult) as error:
+            return _Failed(index, error.message)
 
 
 def _predicted(fit: Result, data: Dataset, noise: Noise | None, index: Index) -> _Predicted:
@@ -221,12 +249,25 @@ def _predicted(fit: Result, data: Dataset, noise: Noise | None, index: Index) ->
 
 def _pooled(
     whole: Result,
-    parts: Sequence[_Predicted],
-    scheme: Mapping[str, Any],
+    made: Sequence[_Predicted | _Failed],
+    stated: Mapping[str, Any],
     words: str,
     data: Dataset,
 ) -> Validation:
     mechanism = whole.mechanism
+    failed = tuple(
+        FailedPart(number, len(part.index), part.reason)
+        for number, part in enumerate(made, 1)
+        if isinstance(part, _Failed)
+    )
+    parts = [part for part in made if isinstance(part, _Predicted)]
+    if not parts:
+        raise NoTrustworthyResult(
+            f"no part could be predicted ({words}): {failed[0].reason}",
+            remedy="use fewer parts, or see what the summary says of the fit of all poses",
+        )
+    if failed:
+        words += f"; {len(parts)} of {len(made)} folds predicted"
     measured, differences = np.full((2, len(mechanism.compared), len(data)), np.nan)
     terms: Array | None = np.full(len(data), np.nan)
     for part in parts:
@@ -240,13 +281,15 @@ def _pooled(
     off = by_pose(apart)
     predicted = np.unique(np.concatenate([part.index for part in parts]))
     return Validation(
-        MappingProxyType(dict(scheme)),
+        MappingProxyType(dict(stated)),
         words,
         accuracy(apart),
         None if terms is None else float(terms[predicted].sum()),
         tuple(data.poses[i] for i in predicted),
         None if off is None else off[predicted],
         None if terms is None else terms[predicted],
+        len(made),
+        failed,
     )
 
 
@@ -270,9 +313,9 @@ def compare_methods(
 ) -> MethodComparison:
     """Several methods, noises or priors validated on the same folds.
 
-    methods: a name for each, with what `validate` shall take for it, such as
-    {"basic": {"method": "least-squares"}, "new": {"noise": noise}}; validation: folds, hold_out,
-    other, seed, groups, executor, the same for all.
+    methods: a name for each, with its keyword arguments of `validate`, such as
+    {"robust": {"noise": noise, "loss": "huber"}, "plain": {"noise": noise}}; validation: folds,
+    hold_out, other, seed, groups, executor, the same for all.
 
     Raises InputError as `validate` does, and without any method.
     """

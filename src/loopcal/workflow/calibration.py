@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
-from loopcal.estimation.calibrate import METHODS, calibrate
+from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.fit import Fit
+from loopcal.estimation.methods.registry import METHODS
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.solver import Progress
 from loopcal.execution.executor import Executor
+from loopcal.files.project.fit_entries import ValidationSpec
 from loopcal.files.project.project_data import LoadedData, load_dataset
 from loopcal.files.project.project_file import Project
-from loopcal.files.project.stream import project_stream
-from loopcal.files.project.validation_entries import ValidationSpec, validation_arguments
+from loopcal.files.project.stream import ParquetStream, project_stream
+from loopcal.files.project.validation_entries import validation_arguments
 from loopcal.files.result import result_file
 from loopcal.files.result.residual_parts import NAME as RESIDUALS
 from loopcal.files.result.result_file import WrittenResult
@@ -28,14 +31,11 @@ from loopcal.measurements.checks import DataWarning
 from loopcal.statistics.findings import Findings, findings
 from loopcal.workflow.projects import named_project
 
-if TYPE_CHECKING:
-    from loopcal.statistics.models import ModelComparison
-    from loopcal.statistics.validation import Validation
-
 Addition = Callable[[ResultDocument], ResultDocument]
 """Adds to the document of a result what was asked for beside the fit."""
 Pieces = Callable[[str, int, int], None]
 """Called with what is done in pieces, how many of them are done, and how many there are."""
+_UNCONVERGED = "the fit of all poses did not converge"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,196 +54,260 @@ class Calibration:
     objection: str | None
 
 
+@dataclass(frozen=True)
+class Request:
+    """What is asked of a calibration beyond its project file.
+
+    method: instead of the project's; truth: a file of true parameters, whose errors are added;
+    require_identifiable: whether every parameter must be determined, as the project may ask;
+    folds: of a validation, instead of the project's; profile: parameters that get a profile
+    interval, beside those of the project; compare: whether the project's models are compared, and
+    the result is that of the one recommended; report: whether report.html is written as well.
+    """
+
+    method: str | None = None
+    truth: str | Path | None = None
+    require_identifiable: bool = False
+    folds: int | None = None
+    profile: Sequence[str] = ()
+    compare: bool = False
+    report: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Listeners:
+    """Who is told what happens during a calibration.
+
+    sharing: called with the executor once it is clear that there is work for it; progress: at
+    every iteration; pieces: when a fold or a profile is done; notice: with what an earlier run
+    has left to resume from; warn: with what is odd about the readings, before any fit.
+    """
+
+    sharing: Callable[[Executor], None] | None = None
+    progress: Progress | None = None
+    pieces: Pieces | None = None
+    notice: Callable[[str], None] | None = None
+    warn: Callable[[str], None] | None = None
+
+
 def run_calibration(
     project: str | Path,
+    request: Request = Request(),
     *,
-    method: str | None = None,
-    truth: str | Path | None = None,
     out: str | Path | None = None,
     function: str | None = None,
-    require_identifiable: bool = False,
-    folds: int | None = None,
-    profile: Sequence[str] = (),
-    compare: bool = False,
-    report: bool = False,
     executor: Executor | None = None,
-    sharing: Callable[[Executor], None] | None = None,
-    progress: Progress | None = None,
-    pieces: Pieces | None = None,
-    notice: Callable[[str], None] | None = None,
-    warn: Callable[[str], None] | None = None,
+    listeners: Listeners = Listeners(),
 ) -> Calibration:
     """Calibrate as a project file says, and write result.json, residuals.csv, mechanism.toml.
 
-    project: its path, "-" for standard input; method: instead of the project's; truth: a file
-    of true parameters, whose errors are added; out: the folder to write to, by default
-    NAME-result beside the project NAME.toml; function: FILE.py:NAME of the loops;
-    require_identifiable: whether every parameter must be determined, as the project may ask;
-    folds: of a validation, instead of the project's; profile: parameters that get a profile
-    interval, beside those of the project; compare: whether the project's models are compared,
-    and the result is that of the one recommended; report: whether report.html is written as well;
-    executor: who does the fits of the folds and the profiles, or the chunks of a stream, by default
-    this process; sharing: called with the executor once it is clear that there is work for it;
-    progress: called at every iteration, pieces: when a fold or a profile is done, notice: with
-    what an earlier run has left to go on from, warn: with what is odd about the readings, before
-    any fit.
+    project: its path, "-" for standard input; out: the folder to write to, by default NAME-result
+    beside the project NAME.toml; function: FILE.py:NAME of the loops; executor: who does the fits
+    of the folds and the profiles, or the chunks of a stream, by default this process.
 
     The files are written, all or none, also where the fit did not converge: `objection` tells.
-    Raises InputError for what cannot be used and UsageError for a method that is none, or for an
-    executor without work.
+    Raises InputError for what cannot be used, and UsageError for an unknown method or an executor
+    without work.
     """
-    if method is not None and method not in METHODS:
-        raise UsageError(f"there is no method {method!r}", remedy=nearest(method, METHODS))
-    read = named_project(project, function)
-    folder = default_folder(read) if out is None else Path(out)
-    true = None if truth is None else read_truth(truth, read.mechanism)
-    asked = require_identifiable or read.fit.require_identifiable
-    asked_for = read.fit.validation if folds is None else ValidationSpec(folds=folds)
-    patterns = (*read.fit.profile, *profile)
-    stream = project_stream(read)
-    divisible = stream is not None or patterns or compare or (asked_for and asked_for.folds)
-    if executor and not divisible:
+    if request.method is not None and request.method not in METHODS:
+        raise UsageError(
+            f"there is no method {request.method!r}", remedy=nearest(request.method, METHODS)
+        )
+    run = _Run(named_project(project, function), request, out, executor, listeners)
+    stream = project_stream(run.project)
+    folded = run.validation is not None and run.validation.folds
+    if executor and not (folded or stream or run.patterns or request.compare):
         raise UsageError(
             "one fit of poses in memory is not shared out, and nothing else is asked for",
             remedy="add --folds N or --profile GLOB, or leave out --workers and --cluster",
         )
-    if stream is not None:
+    return run.in_memory() if stream is None else run.streamed(stream)
+
+
+@dataclass(frozen=True, eq=False)
+class _Done:
+    """A calibration, and what is added to its document."""
+
+    result: Result
+    add: tuple[Addition, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """One run: a project, what is asked of it, where results go, who works and who is told."""
+
+    project: Project
+    request: Request
+    out: str | Path | None
+    executor: Executor | None
+    listeners: Listeners
+
+    @cached_property
+    def truth(self) -> Mapping[str, float] | None:
+        """The true parameters."""
+        if self.request.truth is None:
+            return None
+        return read_truth(self.request.truth, self.project.mechanism)
+
+    @cached_property
+    def fit(self) -> Fit:
+        """The settings of the project, with the method asked for."""
+        settings = self.project.fit.settings
+        if self.request.method is None:
+            return settings
+        try:
+            return settings.changed(method=self.request.method)
+        except InputError as error:
+            raise error.at(self.project.name) from None
+
+    @cached_property
+    def validation(self) -> ValidationSpec | None:
+        """The validation asked for."""
+        if self.request.folds is None:
+            return self.project.fit.validation
+        return ValidationSpec(folds=self.request.folds)
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """Parameters that get a profile interval."""
+        return (*self.project.fit.profile, *self.request.profile)
+
+    @property
+    def folder(self) -> Path:
+        """Where results go."""
+        return default_folder(self.project) if self.out is None else Path(self.out)
+
+    def in_memory(self) -> Calibration:
+        """Calibrate from poses that are all in memory."""
+        self._begin()
+        loaded = load_dataset(self.project)
+        self._warn(loaded.warnings)
+        try:
+            done = self._compared(loaded) if self.request.compare else self._calibrated(loaded)
+            if self.patterns:
+                done = self._profiled(done)
+        except InputError as error:
+            raise error.at(self.project.name) from None
+        return self._written(done, loaded.warnings)
+
+    def streamed(self, stream: ParquetStream) -> Calibration:
+        """Calibrate from poses that come as a stream."""
         from loopcal.workflow.streams import refuse_without_all_poses, run_stream
 
         others = {
-            "a validation": asked_for is not None,
-            "a profile interval": patterns,
-            "a comparison of models": compare,
+            "a validation": self.validation is not None,
+            "a profile interval": self.patterns,
+            "a comparison of models": self.request.compare,
         }
-        refuse_without_all_poses(read, others)
-    if executor and sharing:
-        sharing(executor)
-    if stream is not None:
-        _tell(stream.warnings, warn)
+        refuse_without_all_poses(self.project, self.fit, others)
+        self._begin()
+        self._warn(stream.warnings)
         run = run_stream(
-            read,
+            self.project,
             stream,
-            folder,
-            method=method or read.fit.method,
-            executor=executor,
-            progress=progress,
-            notice=notice,
+            self.folder,
+            fit=self.fit,
+            executor=self.executor,
+            progress=self.listeners.progress,
+            notice=self.listeners.notice,
         )
         try:
-            done = _written(
-                run.result, read, folder, stream.warnings, true, asked=asked, report=report
-            )
+            done = self._written(_Done(run.result), stream.warnings)
             run.finish()
         except BaseException:
             run.undo()
             raise
         files = (*done.written.files, f"{RESIDUALS}/")
         return replace(done, written=replace(done.written, files=files))
-    loaded = load_dataset(read)
-    _tell(loaded.warnings, warn)
-    how: dict[str, Any] = {
-        "noise": loaded.noise,
-        "method": method or read.fit.method,
-        "loss": read.fit.loss,
-        "start": read.fit.start,
-        "max_iterations": read.fit.max_iterations,
-    }
-    add: list[Addition] = []
-    try:
-        folded = how | _shared("folds", executor, pieces)
-        if compare:
-            models = _compared(read, loaded, folded, asked_for or ValidationSpec(folds=10))
-            result = models.result
-            add.append(models.added_to)
-        else:
-            result = calibrate(read.mechanism, loaded.dataset, **how, progress=progress)
-            if asked_for is not None and result.status.converged:
-                try:
-                    add.append(_validated(result, read, loaded, folded, asked_for).added_to)
-                except NoTrustworthyResult as error:
-                    result = result.noted(f"Not validated: {error}")
-        if patterns and result.status.converged:
-            from loopcal.statistics.intervals import intervals, with_intervals
 
-            shared = _shared("intervals", executor, pieces)
-            found = intervals(result, patterns, **shared)
-            add.append(partial(with_intervals, intervals=found))
-    except InputError as error:
-        raise error.at(read.name) from None
-    return _written(
-        result, read, folder, loaded.warnings, true, add=add, asked=asked, report=report
-    )
+    def _begin(self) -> None:
+        """Meet what is wrong with the request before any work, then tell who shares in it."""
+        _ = self.truth, self.fit
+        if self.executor and self.listeners.sharing:
+            self.listeners.sharing(self.executor)
 
+    def _warn(self, warnings: Sequence[DataWarning]) -> None:
+        for warning in warnings if self.listeners.warn else ():
+            assert self.listeners.warn
+            self.listeners.warn(str(warning))
 
-def _tell(warnings: Sequence[DataWarning], warn: Callable[[str], None] | None) -> None:
-    if warn:
-        for warning in warnings:
-            warn(str(warning))
+    def _shared(self, what: str) -> dict[str, Any]:
+        pieces = self.listeners.pieces
+        return {"executor": self.executor, "progress": pieces and partial(pieces, what)}
 
+    def _calibrated(self, loaded: LoadedData) -> _Done:
+        result = calibrate(
+            self.project.mechanism,
+            loaded.dataset,
+            noise=loaded.noise,
+            fit=self.fit,
+            progress=self.listeners.progress,
+        )
+        if self.validation is None:
+            return _Done(result)
+        if not result.status.converged:
+            return _Done(result.noted(f"Not validated: {_UNCONVERGED}."))
+        return self._validated(result, loaded)
 
-def _shared(what: str, executor: Executor | None, pieces: Pieces | None) -> dict[str, Any]:
-    return {"executor": executor, "progress": pieces and partial(pieces, what)}
+    def _validated(self, result: Result, loaded: LoadedData) -> _Done:
+        """The calibration of all poses, with its validation."""
+        from loopcal.statistics.validation import validate
 
-
-def _written(
-    result: Result,
-    project: Project,
-    folder: Path,
-    warnings: Sequence[DataWarning],
-    truth: Mapping[str, float] | None,
-    *,
-    add: Sequence[Addition] = (),
-    asked: bool,
-    report: bool,
-) -> Calibration:
-    """The result in its files; add: what else goes to the document; asked: whether every parameter
-    must be determined."""
-    if project.fit.apply_variance_factor:
+        assert self.validation is not None
+        given: dict[str, Any] = {"noise": loaded.noise, "fit": self.fit}
+        given |= validation_arguments(self.project, self.validation) | self._shared("folds")
         try:
-            result = result.with_variance_factor()
-        except InputError as error:
-            raise error.at(project.name) from None
-    if truth is not None:
-        errors = {name: value - result.value[name] for name, value in truth.items()}
-        result = replace(result, errors=MappingProxyType(errors))
-    told = findings(result)
-    words = tuple(str(warning) for warning in warnings)
-    document = told.added_to(result.document)
-    for addition in add:
-        document = addition(document)
-    written = write_result(
-        result,
-        folder,
-        title=project.title,
-        inputs=project.inputs,
-        warnings=words,
-        document=document,
-        report=report,
-    )
-    return Calibration(result, told, written, words, _objection(result, told, asked))
+            found = validate(self.project.mechanism, loaded.dataset, **given, full=result)
+        except NoTrustworthyResult as error:
+            return _Done(result.noted(f"Not validated: {error}"))
+        return _Done(result, (found.added_to,))
 
+    def _compared(self, loaded: LoadedData) -> _Done:
+        """The calibration with the recommended one of the project's models."""
+        from loopcal.statistics.models import compare_models
 
-def _validated(
-    result: Result,
-    project: Project,
-    loaded: LoadedData,
-    how: Mapping[str, Any],
-    asked_for: ValidationSpec,
-) -> Validation:
-    from loopcal.statistics.validation import validate
+        project = self.project
+        given: dict[str, Any] = {"noise": loaded.noise, "fit": self.fit}
+        given |= validation_arguments(project, self.validation or ValidationSpec(folds=10))
+        given |= self._shared("folds")
+        found = compare_models(project.mechanism, loaded.dataset, project.compare, **given)
+        return _Done(found.result, (found.added_to,))
 
-    parts = validation_arguments(project, asked_for)
-    return validate(project.mechanism, loaded.dataset, **how, **parts, full=result)
+    def _profiled(self, done: _Done) -> _Done:
+        from loopcal.statistics.intervals import intervals, with_intervals
 
+        if not done.result.status.converged:
+            return replace(done, result=done.result.noted(f"No profile intervals: {_UNCONVERGED}."))
+        found = intervals(done.result, self.patterns, **self._shared("intervals"))
+        return replace(done, add=(*done.add, partial(with_intervals, intervals=found)))
 
-def _compared(
-    project: Project, loaded: LoadedData, how: Mapping[str, Any], asked_for: ValidationSpec
-) -> ModelComparison:
-    """The project's models, with the calibration by the recommended one."""
-    from loopcal.statistics.models import compare_models
-
-    parts = validation_arguments(project, asked_for)
-    return compare_models(project.mechanism, loaded.dataset, project.compare, **how, **parts)
+    def _written(self, done: _Done, warnings: Sequence[DataWarning]) -> Calibration:
+        """The result as its files tell it."""
+        result = done.result
+        if self.project.fit.apply_variance_factor:
+            try:
+                result = result.with_variance_factor()
+            except InputError as error:
+                raise error.at(self.project.name) from None
+        if self.truth is not None:
+            errors = {name: value - result.value[name] for name, value in self.truth.items()}
+            result = replace(result, errors=MappingProxyType(errors))
+        told = findings(result)
+        document = told.added_to(result.document)
+        for addition in done.add:
+            document = addition(document)
+        words = tuple(str(warning) for warning in warnings)
+        written = write_result(
+            result,
+            self.folder,
+            title=self.project.title,
+            inputs=self.project.inputs,
+            warnings=words,
+            document=document,
+            report=self.request.report,
+        )
+        asked = self.request.require_identifiable or self.project.fit.require_identifiable
+        return Calibration(result, told, written, words, _objection(result, told, asked))
 
 
 def write_result(

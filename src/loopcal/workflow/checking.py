@@ -37,10 +37,10 @@ def run_check(project: str | Path, *, function: str | None = None) -> Checked:
     read = named_project(project, function)
     loaded = load_sample(read)
     noise: Noise | None = loaded.noise
-    if read.fit.method == "least-squares" and not loaded.noise.entries:
+    if read.fit.settings.method.exact and not loaded.noise.entries:
         noise = None
     try:
-        done = check(read.mechanism, loaded.dataset, noise=noise, start=read.fit.start)
+        done = check(read.mechanism, loaded.dataset, noise=noise, start=read.fit.settings.start)
     except InputError as error:
         raise error.at(read.name) from None
     return Checked(done, read.title, tuple(str(warning) for warning in loaded.warnings))

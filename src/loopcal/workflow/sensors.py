@@ -51,7 +51,7 @@ def sensor_noise(
     found = repeated_readings(series)
     if read is not None and _all_read(read, series):
         try:
-            elsewhere = load_sample(read).dataset if read.fit.start != "nominal" else None
+            elsewhere = load_sample(read).dataset if read.fit.settings.start != "nominal" else None
         except InputError:
             elsewhere = None  # its readings are not here; the series may place the machine
         raw = {sensor.name: sensor.about_mean.sd for sensor in found.sensors}

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from loopcal.errors import InputError
+from loopcal.estimation.fit import Fit
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.solver import Progress
-from loopcal.estimation.stream.calibrate import calibrate_stream
+from loopcal.estimation.stream.calibrate import calibrate_stream, refuse_unstreamable
+from loopcal.estimation.stream.ending import Parts
 from loopcal.execution.executor import Executor
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.stream import ParquetStream
@@ -40,12 +42,16 @@ class StreamedRun:
         self.parts.undo()
 
 
-def refuse_without_all_poses(project: Project, asked: Mapping[str, Any]) -> None:
+def refuse_without_all_poses(project: Project, fit: Fit, asked: Mapping[str, Any]) -> None:
     """Raise InputError for what is asked of a stream and needs all its poses in memory.
 
-    asked: what the user asked for, by the words for it.
+    asked: what the user asked for beside the fit, by the words for it.
     """
-    for words, wanted in {**asked, f"the loss {project.fit.loss!r}": _robust(project)}.items():
+    try:
+        refuse_unstreamable(fit)
+    except InputError as error:
+        raise error.at(project.name) from None
+    for words, wanted in asked.items():
         if wanted:
             raise InputError(
                 f"{words} needs all poses in memory, and these come as a stream",
@@ -59,7 +65,7 @@ def run_stream(
     stream: ParquetStream,
     folder: Path,
     *,
-    method: str,
+    fit: Fit,
     executor: Executor | None,
     progress: Progress | None,
     notice: Callable[[str], None] | None,
@@ -74,7 +80,7 @@ def run_stream(
     task = {
         "project": project.inputs,
         "readings": stream.sha256,
-        "method": method,
+        "method": fit.method.name,
         "loopcal": versions()["loopcal"],
     }
     kept = ProgressFile(folder, task)
@@ -87,24 +93,17 @@ def run_stream(
         result = calibrate_stream(
             project.mechanism,
             stream,
-            method=method,
-            start=project.fit.start,
+            fit=fit,
             begin=begin,
-            max_iterations=project.fit.max_iterations,
             executor=executor,
             progress=progress,
             reached=kept.write,
-            part_of=residual_part,
-            part_done=parts.add,
+            parts=Parts(residual_part, parts.add),
         )
     except BaseException:
         parts.undo()
         raise
     if begin is not None:
         told = "Begun from the parameters that an earlier run of the same calibration had reached."
-        result = replace(result, warnings=(*result.warnings, told))
+        result = result.noted(told)
     return StreamedRun(result, parts, kept, begin is not None)
-
-
-def _robust(project: Project) -> bool:
-    return project.fit.loss != "gaussian"

@@ -10,8 +10,10 @@ import pytest
 
 from loopcal import Dataset, Noise, calibrate
 from loopcal.errors import DomainError, InputError
+from loopcal.estimation.fit import Fit
 from loopcal.estimation.result import Result
 from loopcal.estimation.stream.calibrate import calibrate_stream
+from loopcal.estimation.stream.ending import Parts
 from loopcal.estimation.stream.pieces import Chunk
 from loopcal.execution.executor import AHEAD, Executor
 from loopcal.execution.local import Processes, Threads
@@ -87,7 +89,7 @@ def alike(streamed: Result, whole: Result) -> None:
 def test_a_stream_gives_what_memory_gives(method: str) -> None:
     arm, data = arm_and_data()
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
-    streamed = calibrate_stream(arm, Pieces(data, noise), method=method)
+    streamed = calibrate_stream(arm, Pieces(data, noise), fit=Fit(method=method))
     alike(streamed, calibrate(arm, data, noise=noise, method=method))
 
 
@@ -114,7 +116,7 @@ def test_every_chunk_is_handed_out_with_its_corrections() -> None:
     arm, data = arm_and_data(500)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     seen: list[Result] = []
-    calibrate_stream(arm, Pieces(data, noise), part_of=whole_result, part_done=seen.append)
+    calibrate_stream(arm, Pieces(data, noise), parts=Parts(whole_result, seen.append))
     whole = calibrate(arm, data, noise=noise)
     assert [pose for part in seen for pose in part.dataset.poses] == list(data.poses)
     streamed = np.concatenate([part.corrections["theta_2"] for part in seen])
@@ -193,7 +195,7 @@ def test_poses_that_cannot_be_closed_are_named() -> None:
     data = Dataset(data.readings, data.units, ids, data.sds, data.source)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     wrong = with_y(data, "p424", 30.0)
-    found = calibrate_stream(arm, Pieces(wrong, noise), max_iterations=20)
+    found = calibrate_stream(arm, Pieces(wrong, noise), fit=Fit(max_iterations=20))
     assert found.status.reason == "cannot_close"
     assert "p424" in found.status.message
 
@@ -210,7 +212,7 @@ def test_a_parameter_whose_terms_cancel_has_no_effect_here_either(method: str) -
     b = 1.1 * np.sin(a) + 1e-3 * np.random.default_rng(1).normal(size=400)
     data, noise = Dataset.from_arrays({"a": a, "b": b}), Noise({"a": 1e-4, "b": 1e-3})
     whole = calibrate(machine, data, noise=noise, method=method)
-    found = calibrate_stream(machine, Pieces(data, noise), method=method)
+    found = calibrate_stream(machine, Pieces(data, noise), fit=Fit(method=method))
     assert [list(u.combination) for u in whole.identifiability.not_identifiable] == [["c"]]
     assert found.identifiability.not_identifiable == whole.identifiability.not_identifiable
     assert found.value["k"] == pytest.approx(whole.value["k"], rel=1e-9)
@@ -234,10 +236,10 @@ def test_whoever_does_the_chunks_the_result_is_the_same_to_the_bit(executor: Exe
     arm, data = arm_and_data(600)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     here: list[list[float]] = []
-    alone = calibrate_stream(arm, Pieces(data, noise), part_of=theta_1, part_done=here.append)
+    alone = calibrate_stream(arm, Pieces(data, noise), parts=Parts(theta_1, here.append))
     there: list[list[float]] = []
     shared = calibrate_stream(
-        arm, Pieces(data, noise), executor=executor, part_of=theta_1, part_done=there.append
+        arm, Pieces(data, noise), executor=executor, parts=Parts(theta_1, there.append)
     )
     assert told(shared) == told(alone)
     assert there == here
@@ -274,7 +276,7 @@ def test_chunks_are_not_worked_on_far_ahead_of_what_is_written() -> None:
         most.append(begun._value - len(written) + 1)
 
     stream = Pieces(data, noise, size=15)
-    calibrate_stream(arm, stream, executor=Threads(2), part_of=part_of, part_done=write)
+    calibrate_stream(arm, stream, executor=Threads(2), parts=Parts(part_of, write))
     assert written == [15] * 60
     assert max(most) <= 2 * AHEAD
 
@@ -301,7 +303,7 @@ def test_too_few_equations_are_refused() -> None:
     arm, data = arm_and_data(8)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     with pytest.raises(InputError, match=r"24 loop equations \(8 poses\) cannot determine"):
-        calibrate_stream(arm, Pieces(data, noise, 3), start="nominal")
+        calibrate_stream(arm, Pieces(data, noise, 3), fit=Fit(start="nominal"))
 
 
 def test_what_was_reached_is_where_an_interrupted_run_goes_on() -> None:
@@ -323,7 +325,7 @@ def test_what_needs_all_poses_at_once_is_refused() -> None:
     arm, data = arm_and_data(200)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     with pytest.raises(InputError, match="as a stream"):
-        calibrate_stream(arm, Pieces(data, noise), method="reweighted")
+        calibrate_stream(arm, Pieces(data, noise), fit=Fit(method="reweighted"))
     learnt = Noise(noise.entries, estimate={"xyz": "group"})
     with pytest.raises(InputError, match="learnt"):
         calibrate_stream(arm, Pieces(data, learnt))

@@ -10,7 +10,7 @@ import pytest
 from loopcal.errors import InputError
 from loopcal.files.project.project_data import LoadedData, load_dataset
 from loopcal.files.project.project_file import read_project
-from loopcal.workflow.calibration import run_calibration
+from loopcal.workflow.calibration import Request, run_calibration
 from loopcal.workflow.simulation import run_simulation
 
 MECHANISM = """
@@ -158,7 +158,7 @@ def test_a_simulation_writes_the_files_that_the_project_reads(tmp_path: Path) ->
     made = run_simulation(tmp_path / "project.toml", out=tmp_path / "joints.csv", seed=3)
     assert (tmp_path / "joints.csv").read_text().startswith("pose,q1,q2\n")
     assert (tmp_path / "tracker.csv").read_text().startswith("pose,x,y,z\n")
-    done = run_calibration(tmp_path / "project.toml", truth=made.truth_file)
+    done = run_calibration(tmp_path / "project.toml", Request(truth=made.truth_file))
     sd = done.result.sd["a_1"]
     assert sd is not None
     assert abs(done.result.value["a_1"] - 0.401) < 4 * sd

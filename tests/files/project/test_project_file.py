@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from loopcal.errors import InputError
-from loopcal.estimation.calibrate import METHODS, STARTS
+from loopcal.estimation.fit import STARTS, Fit
+from loopcal.estimation.methods.registry import METHODS
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.planar import planar_two_link
@@ -40,7 +41,7 @@ def test_the_shortest_project():
     assert project.mechanism.tape == planar_two_link().tape
     assert project.title == "planar two-link arm"
     assert (project.data, project.simulation, project.path) == (None, None, None)
-    assert (project.fit.method, project.fit.start) == ("implicit-loop", "auto")
+    assert project.fit.settings == Fit(method="implicit-loop", start="auto")
 
 
 def test_the_project_of_the_contract(tmp_path: Path):
@@ -89,7 +90,7 @@ method = "least-squares"
     assert project.data.columns["z"].column == 10
     assert project.noise.sd_of("theta_3") == 5e-5
     assert project.noise.sd_of("y") == 10e-6
-    assert project.fit.method == "least-squares"
+    assert project.fit.settings.method.name == "least-squares"
 
 
 def test_without_columns_each_quantity_has_its_own_name_and_the_files_unit():
@@ -317,9 +318,9 @@ def test_a_path_may_name_the_environment(tmp_path, monkeypatch):
 
 def test_the_choices_are_those_of_the_estimator():
     for method in METHODS:
-        assert planar(f'[fit]\nmethod = "{method}"').fit.method == method
+        assert planar(f'[fit]\nmethod = "{method}"').fit.settings.method.name == method
     for start in STARTS:
-        assert planar(f'[fit]\nstart = "{start}"').fit.start == start
+        assert planar(f'[fit]\nstart = "{start}"').fit.settings.start == start
 
 
 def test_heavy_libraries_wait_until_a_project_is_read():

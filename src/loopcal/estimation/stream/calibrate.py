@@ -57,7 +57,8 @@ def calibrate_stream(
     if not stream.count:
         raise InputError("the stream has no poses", remedy="give one pose at least")
     first, fit = stream.chunk(0), fit or Fit()
-    _refuse(fit, first.noise)
+    refuse_unstreamable(fit)
+    _refuse_estimates(fit, first.noise)
     mechanism, exact = fit.with_prior(mechanism), fit.method.exact
     if not exact:
         stream = _Disturbed(mechanism, stream)
@@ -95,7 +96,8 @@ def _settled(task: Task, first: Problem) -> Task:
     return task
 
 
-def _refuse(fit: Fit, noise: Noise) -> None:
+def refuse_unstreamable(fit: Fit) -> None:
+    """Raise InputError for settings that need all poses in memory."""
     if not fit.method.streamable:
         known = " or ".join(map(repr, names_where("streamable")))
         raise InputError(
@@ -108,6 +110,9 @@ def _refuse(fit: Fit, noise: Noise) -> None:
             f"{what} needs all poses in memory, and these come as a stream",
             remedy="leave it out, or thin the poses (data.every) and say stream = false",
         )
+
+
+def _refuse_estimates(fit: Fit, noise: Noise) -> None:
     if noise.estimate and not fit.method.exact:
         raise InputError(
             "sds are learnt from poses in memory, and these come as a stream",

@@ -52,7 +52,7 @@ class Ending:
 
     def result(self, crew: Crew, merit: StreamMerit, parts: Parts[Any] | None) -> Result:
         poses = sum(merit.sizes)
-        stride, made = max(1, poses // SHOWN), parts and parts.made
+        stride, made = max(1, poses // SHOWN), parts.made if parts else None
         begins = [0, *np.cumsum(merit.sizes).tolist()]
         pieces = [
             _EndPiece(number, begins[number], poses, stride, self.solution, self.fit, made)

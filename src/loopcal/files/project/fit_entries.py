@@ -7,12 +7,22 @@ from typing import TYPE_CHECKING
 
 from loopcal.errors import InputError
 from loopcal.estimation.fit import Fit
-from loopcal.files.project.validation_entries import ValidationSpec, validation_spec
 from loopcal.files.toml.place import Place
 from loopcal.mechanisms.mechanism import Mechanism
 
 if TYPE_CHECKING:
-    from loopcal.files.project.fit_schema import FitEntry, SettingsEntry
+    from loopcal.files.project.fit_schema import FitEntry, SettingsEntry, ValidationEntry
+
+
+@dataclass(frozen=True)
+class ValidationSpec:
+    """One of folds, hold_out and file is stated; group: the column of numbers that name groups."""
+
+    folds: int | None = None
+    hold_out: float | None = None
+    file: str | None = None
+    seed: int = 0
+    group: str | int | None = None
 
 
 @dataclass(frozen=True)
@@ -47,6 +57,23 @@ def fit_spec(entry: FitEntry, mechanism: Mechanism, place: Place) -> FitSpec:
         validation_spec(entry.validation, place.at("validation")),
         tuple(entry.profile),
     )
+
+
+def validation_spec(entry: ValidationEntry | None, place: Place) -> ValidationSpec | None:
+    """The validation asked for.
+
+    Raises InputError unless exactly one way is stated.
+    """
+    if entry is None:
+        return None
+    stated = [k for k in ("folds", "hold_out", "file") if getattr(entry, k) is not None]
+    if len(stated) != 1:
+        raise InputError(
+            f"the validation states {' and '.join(stated) or 'no way to leave poses out'}",
+            place=str(place),
+            remedy='give one of folds = 10, hold_out = 0.3 and file = "other.csv"',
+        )
+    return ValidationSpec(**entry.model_dump())
 
 
 def fit_of(entry: SettingsEntry, place: Place) -> Fit:
