@@ -101,8 +101,8 @@ def test_a_calibration_from_a_stream_is_that_from_memory(folder: Path) -> None:
         assert streamed.result.value[name] == pytest.approx(value, abs=1e-7 * sd)
     assert streamed.written.files == (*whole.written.files, "residuals/")
     document = streamed.written.document
-    assert document["data"]["used"] == 248
-    assert document["data"]["poses"] == 500
+    assert document.data.used == 248
+    assert document.data.poses == 500
     kept = pl.read_parquet(folder / "project-result" / "residuals" / "*.parquet")
     assert kept["pose"].to_list() == list(whole.result.dataset.poses)
     there = kept["phi2 correction [rad]"].to_numpy()

@@ -12,12 +12,13 @@ if TYPE_CHECKING:
     from loopcal import instruments, machines
     from loopcal.document.chi_squared import ChiSquared
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
-    from loopcal.document.fit import Closure, NoiseEntry
+    from loopcal.document.fit import NoiseEntry
     from loopcal.document.result_document import ResultDocument
     from loopcal.errors import InputError, LoopcalError
     from loopcal.estimation.accuracy import Accuracy, InstrumentAccuracy
     from loopcal.estimation.calibrate import calibrate
     from loopcal.estimation.fit import Fit
+    from loopcal.estimation.residuals import Closure
     from loopcal.estimation.result import Result
     from loopcal.estimation.solve.status import Status
     from loopcal.execution.cluster import Cluster
@@ -70,10 +71,11 @@ if TYPE_CHECKING:
 _HOME = {
     "document.chi_squared": ("ChiSquared",),
     "document.findings": ("ColumnFault", "Identifiability", "Outlier", "Undetermined"),
-    "document.fit": ("Closure", "NoiseEntry"),
+    "document.fit": ("NoiseEntry",),
     "document.result_document": ("ResultDocument",),
     "errors": ("InputError", "LoopcalError"),
     "estimation.accuracy": ("Accuracy", "InstrumentAccuracy"),
+    "estimation.residuals": ("Closure",),
     "estimation.calibrate": ("calibrate",),
     "estimation.fit": ("Fit",),
     "estimation.result": ("Result",),

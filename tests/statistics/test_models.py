@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from loopcal.statistics.models import ComparedModel
 
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.measurements.dataset import Dataset
@@ -20,7 +19,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
-from loopcal.statistics.models import compare_models, recommended
+from loopcal.statistics.models import ComparedModel, compare_models, recommended
 
 NOISE = Noise({"?P": 1e-4, "phi?": 2e-4})
 MODELS = {"scale": Model(("scale",)), "gears": Model(("scale", "harmonics"))}

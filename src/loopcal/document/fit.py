@@ -81,7 +81,8 @@ class NoiseEntry:
     """The median where it differs from reading to reading."""
     sd_of_sd: Size | None
     """How sure the sd itself is, where that is known."""
-    source: Literal["given", "estimated", "reading", "repeats", "datasheet"]
+    source: str
+    """Where the sd comes from: given, estimated, reading, repeats or datasheet."""
     upper: Size | None = None
     """95 % upper bound of an estimated sd that is zero or unsure."""
     likelihood_ratio: float | None = None
@@ -95,7 +96,7 @@ class NoiseEntry:
 
 
 @dataclass(frozen=True)
-class Closure:
+class ClosureSize:
     """Size of the loop equations' values over all poses [SI]."""
 
     rms: Size | None
@@ -106,7 +107,7 @@ class Closure:
 class ClosureEntry:
     """The loop equations before and after. That a loop closes is no accuracy."""
 
-    before: Closure
+    before: ClosureSize
     """At the readings and the nominal parameters."""
-    after: Closure
+    after: ClosureSize
     """At the corrected readings and the calibrated parameters."""

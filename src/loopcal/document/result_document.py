@@ -35,7 +35,7 @@ from loopcal.document.tables import (
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.presentation.rounding import significant
 
-SCHEMA = 1
+SCHEMA: Literal[1] = 1
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from loopcal.document.accuracy import (
     AccuracyEntry,
     Deviation,
     Distances,
+    InstrumentDistances,
     ModelEntry,
     ValidationEntry,
 )
@@ -37,17 +38,17 @@ class Stages:
 
 def accuracy_stages(accuracy: AccuracyEntry, validation: ValidationEntry | None) -> Stages:
     """What the tables of accuracy show; several instruments each have lines of their own."""
-    several = len(accuracy.by) > 1
-    unseen = {e.instrument: e for e in validation.by} if validation else {}
-    positions = [_Row("", accuracy, validation and validation.accuracy)]
-    turns = [_Row("", accuracy.orientation, validation and validation.orientation)]
-    for e in accuracy.by if several else ():
-        held = unseen.get(e.instrument)
+    held = validation or ValidationEntry({}, "", 0, None, None)
+    unseen = {e.instrument: e for e in held.by}
+    positions = [_Row("", accuracy, held.accuracy)]
+    turns = [_Row("", accuracy.orientation, held.orientation)]
+    for e in accuracy.by if len(accuracy.by) > 1 else ():
+        its = unseen.get(e.instrument, InstrumentDistances(e.instrument, None, None, None))
         if accuracy.orientation is None and e.position is None:
-            positions.append(_Row(e.instrument, e.orientation, held and held.orientation))
+            positions.append(_Row(e.instrument, e.orientation, its.orientation))
         else:
-            positions.append(_Row(e.instrument, e.position, held and held.position))
-            turns.append(_Row(e.instrument, e.orientation, held and held.orientation))
+            positions.append(_Row(e.instrument, e.position, its.position))
+            turns.append(_Row(e.instrument, e.orientation, its.orientation))
     return Stages(_stages(positions, accuracy.unit), _stages(turns, "rad"))
 
 
@@ -59,18 +60,13 @@ class _Row:
 
 
 def _stages(rows: Sequence[_Row], unit: str) -> tuple[Stage, ...]:
-    shown = [row for row in rows if row.found is not None and row.found.unit == unit]
-    parts = {
-        "nominal": [(r.instrument, r.found and r.found.before) for r in shown],
-        "calibrated": [(r.instrument, r.found and r.found.after) for r in shown],
-        "on poses not used": [(r.instrument, r.unseen) for r in shown],
-    }
-    return tuple(
-        Stage(name, instrument, distances)
-        for name, part in parts.items()
-        for instrument, distances in part
-        if distances is not None
-    )
+    shown = [(r, r.found) for r in rows if r.found is not None and r.found.unit == unit]
+    stages = [Stage("nominal", r.instrument, found.before) for r, found in shown]
+    stages += [Stage("calibrated", r.instrument, found.after) for r, found in shown]
+    for row, _ in shown:
+        if row.unseen is not None:
+            stages.append(Stage("on poses not used", row.instrument, row.unseen))
+    return tuple(stages)
 
 
 def accuracy_table(accuracy: AccuracyEntry, validation: ValidationEntry | None) -> list[str]:

@@ -76,8 +76,8 @@ class InstrumentAccuracy:
         return InstrumentDistances(
             self.instrument,
             self.station,
-            self.position and self.position.distances,
-            self.orientation and self.orientation.distances,
+            None if self.position is None else self.position.distances,
+            None if self.orientation is None else self.orientation.distances,
         )
 
 

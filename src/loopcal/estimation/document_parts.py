@@ -41,7 +41,9 @@ def parameter_entry(
     )
 
 
-def covariance_entry(names: tuple[str, ...], covariance: Array, loose: set[str]) -> CovarianceEntry:
+def covariance_entry(
+    names: tuple[str, ...], covariance: Array, loose: frozenset[str]
+) -> CovarianceEntry:
     """The covariance of these parameters; loose: those that nothing determines."""
     open_ = np.array([name in loose for name in names], dtype=bool)
     lost = open_[:, None] | open_ | ~np.isfinite(covariance)

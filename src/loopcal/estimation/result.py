@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from loopcal.document.chi_squared import ChiSquared
 from loopcal.document.findings import Identifiability
-from loopcal.document.fit import Closure, ClosureEntry, NoiseEntry
+from loopcal.document.fit import ClosureEntry, NoiseEntry
 from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
@@ -31,7 +31,7 @@ from loopcal.estimation.noise.estimation import NoiseEstimate
 from loopcal.estimation.noise.learning import entries, words
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.residuals import by_name, closure, residuals
+from loopcal.estimation.residuals import Closure, by_name, residuals
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
 from loopcal.estimation.solve.robust import robust_covariance
 from loopcal.estimation.solve.solver import Solution
@@ -229,12 +229,12 @@ class Result:
     @property
     def closure_before(self) -> Closure:
         """Loop values at the readings and the start parameters."""
-        return closure(self.residuals_before)
+        return Closure.of(self.residuals_before)
 
     @property
     def closure_after(self) -> Closure:
         """Loop values at the corrected readings and the calibrated parameters."""
-        return closure(self.residuals_after)
+        return Closure.of(self.residuals_after)
 
     @cached_property
     def identifiability(self) -> Identifiability:
@@ -340,7 +340,7 @@ class Result:
             variance_factor_applied=self.variance_factor_applied,
             restricted_criterion=self.restricted_criterion,
             chi_squared=self.chi_squared,
-            closure=ClosureEntry(self.closure_before, self.closure_after),
+            closure=ClosureEntry(self.closure_before.entry, self.closure_after.entry),
             accuracy=accuracy_entry(self.accuracy_before, self.accuracy_after),
             validation=None,
             identifiability=self.identifiability,

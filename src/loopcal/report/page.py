@@ -95,9 +95,9 @@ def identifiability_words(document: ResultDocument) -> list[str]:
     found = document.identifiability
     words = [f"{found.rank} of {found.parameters} parameters are determined."]
     words += [f"Not determined: {entry.words}" for entry in found.not_identifiable]
-    words += [entry.words for entry in found.weak_directions or []]
-    told = found.data_versus_prior or []
-    words += [entry.words for entry in told if entry.ratio > LITTLE]
+    words += [entry.words for entry in found.weak_directions or ()]
+    learned = found.data_versus_prior or ()
+    words += [entry.words for entry in learned if entry.ratio > LITTLE]
     return words
 
 

@@ -47,6 +47,8 @@ def read_source(path: str | Path) -> Source:
         path = path / "result.json"
     document = read_result(path)
     mechanism = read_arm(path.with_name("mechanism.toml"))
-    names = document.mechanism or (mechanism and MechanismEntry.of(mechanism))
+    names = document.mechanism
+    if names is None and mechanism is not None:
+        names = MechanismEntry.of(mechanism)
     table = read_pose_table(path.with_name("residuals.csv"), names)
     return Source(path.absolute().parent.name, document, table, mechanism)

@@ -151,10 +151,7 @@ def outlier_table(document: ResultDocument) -> Table | None:
             entry.quantity or "the whole pose",
             size(entry.statistic, "1", 3),
             chance(entry.p_value),
-            NONE
-            if entry.size is None
-            else f"{size(entry['size'], entry['unit'] or '1', 3)} "
-            f"{unit_shown(entry['unit'] or '1')}",
+            NONE if entry.size is None else with_unit(entry.size, entry.unit or "1"),
             (entry.cause or NONE) + (" (verified)" if entry.verified else ""),
         )
         for entry in entries
@@ -192,12 +189,12 @@ def comparison_table(sources: Sequence[Source]) -> Table:
         ("method", *(d.method for d in documents)),
         ("poses used", *(f"{d.data.used:,}" for d in documents)),
     ]
-    before = [d.accuracy and d.accuracy.before for d in documents]
+    before = [None if d.accuracy is None else d.accuracy.before for d in documents]
     rows.append(("rms before", *map(_rms, documents, before)))
-    after = [d.accuracy and d.accuracy.after for d in documents]
+    after = [None if d.accuracy is None else d.accuracy.after for d in documents]
     rows.append(("rms after", *map(_rms, documents, after)))
-    parts = [d.validation and d.validation.accuracy for d in documents]
-    rows.append(("rms on poses not used", *map(_rms, documents, parts)))
+    unseen = [None if d.validation is None else d.validation.accuracy for d in documents]
+    rows.append(("rms on poses not used", *map(_rms, documents, unseen)))
     names = dict.fromkeys(entry.name for d in documents for entry in d.parameters)
     entries = [{entry.name: entry for entry in d.parameters} for d in documents]
     for name in names:

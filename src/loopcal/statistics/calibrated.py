@@ -85,7 +85,7 @@ class Calibrated:
             np.array([math.inf if exact or sd is None else sd for sd in prior]),
             poses,
             document.data.sha256,
-            chi and chi.p_value,
+            None if chi is None else chi.p_value,
         )
 
 

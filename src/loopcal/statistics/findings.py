@@ -33,7 +33,7 @@ class Findings:
             document,
             identifiability=self.identifiability.added_to(document.identifiability),
             observability=self.observability,
-            prediction=self.predictor and self.predictor.entry,
+            prediction=None if self.predictor is None else self.predictor.entry,
             outliers=self.outliers.found,
             outlier_tests=self.outliers.tests,
             column_faults=self.outliers.columns,

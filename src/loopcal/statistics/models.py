@@ -64,6 +64,23 @@ class ComparedModel:
     sd: float | None = None
     failed: str = ""
 
+    def entry(self, *, recommended: bool) -> ModelEntry:
+        """As a document holds it; recommended: whether it is the one to take."""
+        found = self.validation
+        accuracy = None if found is None else found.accuracy
+        return ModelEntry(
+            self.name,
+            self.effects,
+            self.fixed,
+            self.parameters,
+            None if accuracy is None else accuracy.distances,
+            None if found is None else found.log_likelihood,
+            self.behind,
+            finite(self.sd),
+            recommended,
+            self.failed or None,
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class ModelComparison:
@@ -79,21 +96,7 @@ class ModelComparison:
     @property
     def entries(self) -> tuple[ModelEntry, ...]:
         """As a document holds them."""
-        return tuple(
-            ModelEntry(
-                m.name,
-                m.effects,
-                m.fixed,
-                m.parameters,
-                m.validation and m.validation.accuracy and m.validation.accuracy.distances,
-                m.validation and m.validation.log_likelihood,
-                m.behind,
-                finite(m.sd),
-                m.name == self.recommended,
-                m.failed or None,
-            )
-            for m in self.models
-        )
+        return tuple(m.entry(recommended=m.name == self.recommended) for m in self.models)
 
     @property
     def validation(self) -> Validation | None:

@@ -82,14 +82,15 @@ class Validation:
     def entry(self) -> ValidationEntry:
         """As a document holds it."""
         found = self.accuracy
+        turned = None if found is None else found.orientation
         return ValidationEntry(
             dict(self.scheme),
             self.words,
             len(self.poses),
-            found and found.distances,
+            None if found is None else found.distances,
             self.log_likelihood,
-            found and found.orientation and found.orientation.distances,
-            tuple(one.entry for one in found.by) if found else (),
+            None if turned is None else turned.distances,
+            () if found is None else tuple(one.entry for one in found.by),
         )
 
     def added_to(self, document: ResultDocument) -> ResultDocument:

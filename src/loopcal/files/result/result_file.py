@@ -23,6 +23,8 @@ from loopcal.files.toml.place import Place
 if TYPE_CHECKING:
     from pydantic import TypeAdapter, ValidationError
 
+_REMEDY = "name a result.json that loopcal wrote, or calibrate again"
+
 
 @dataclass(frozen=True, eq=False)
 class WrittenResult:
@@ -86,7 +88,7 @@ def _told(error: ValidationError, content: Mapping[str, Any], place: Place) -> I
             return InputError(
                 f"this is not valid JSON: {detail['msg']}",
                 place=str(place),
-                remedy="name a result.json that loopcal wrote",
+                remedy=_REMEDY,
             )
         if detail["type"] == "unexpected_keyword_argument":
             *path, key = detail["loc"]
@@ -95,8 +97,11 @@ def _told(error: ValidationError, content: Mapping[str, Any], place: Place) -> I
                 *(d["properties"] for d in known["$defs"].values())
             )
             at = place.at(*path) if path else place
-            return InputError(f"unknown key {key!r}", place=str(at), remedy=nearest(key, names))
-    return input_error(details, content, place)
+            return InputError(
+                f"unknown key {key!r}", place=str(at), remedy=nearest(str(key), names)
+            )
+    told = input_error(details, content, place)
+    return InputError(told.message, place=told.place, remedy=_REMEDY)
 
 
 def result_schema() -> dict[str, Any]:
