@@ -13,7 +13,8 @@ from problems import six_axis
 
 import loopcal as lc
 from loopcal.estimation.problem.problem import Problem, build_problem
-from loopcal.estimation.solve.solver import Solution, solve
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import solve
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough

@@ -7,6 +7,8 @@ import multiprocessing
 import pickle
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -30,7 +32,7 @@ from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
 from loopcal.workflow.calibration import Listeners, Request, run_calibration
 from loopcal.workflow.checking import run_check
-from tests.command_line import run
+from tests.command_line import environment, run
 from tests.dask_cluster import dask_cluster
 from tests.execution.pieces import Backwards
 
@@ -48,6 +50,27 @@ units = { length = "mm", angle = "deg" }
 "phi*" = { sd = 1e-4, unit = "rad" }
 xPyP = { sd = 0.02, unit = "mm" }
 """
+
+
+KILLED = """
+import os, signal, sys
+from loopcal.cli.run import main
+from loopcal.files.project import stream
+
+stream.CHUNK = 64
+read, left = stream.ParquetStream.chunk, int(sys.argv[1])
+
+def chunk(self, number):
+    global left
+    left -= 1
+    if left < 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return read(self, number)
+
+stream.ParquetStream.chunk = chunk
+sys.exit(main(sys.argv[2:]))
+"""
+"""The command, killed when it reads so many chunks and one more."""
 
 
 @pytest.fixture
@@ -110,32 +133,68 @@ def test_a_calibration_from_a_stream_is_that_from_memory(folder: Path) -> None:
     assert not (folder / "project-result" / "unfinished.json").exists()
 
 
-def test_an_interrupted_calibration_goes_on_and_leaves_nothing_half_done(folder: Path) -> None:
+def test_a_calibration_interrupted_at_any_iteration_ends_as_an_uninterrupted_one(
+    folder: Path,
+) -> None:
     class Broken(Exception):
         pass
 
-    def interrupt(iteration: int, merit: float, decrement: float) -> None:
-        if iteration == 2:
-            raise Broken
+    project, result = folder / "project.toml", folder / "project-result"
+    whole = run_calibration(project, out=folder / "whole")
+    iterations = whole.result.status.iterations
+    assert iterations >= 3
+    for last in range(1, iterations + 1):
 
-    with pytest.raises(Broken):
-        run_calibration(folder / "project.toml", listeners=Listeners(progress=interrupt))
+        def interrupt(iteration: int, merit: float, decrement: float, last: int = last) -> None:
+            if iteration == last:
+                raise Broken
+
+        with pytest.raises(Broken):
+            run_calibration(project, listeners=Listeners(progress=interrupt))
+        assert [path.name for path in result.iterdir()] == ["unfinished.json"]
+        seen: list[int] = []
+        told: list[str] = []
+        done = run_calibration(
+            project,
+            listeners=Listeners(
+                progress=lambda *given: seen.append(given[0]),  # noqa: B023
+                notice=told.append,
+            ),
+        )
+        where = f"resuming after iteration {last - 1} of an interrupted run"
+        assert told == [f"{result / 'unfinished.json'}: {where}"]
+        assert seen == list(range(last, iterations + 1))
+        assert done.written.document == whole.written.document
+        assert residuals(result) == residuals(folder / "whole")
+        assert not (result / "unfinished.json").exists()
+        shutil.rmtree(result)
+
+
+def test_a_command_killed_anywhere_ends_as_an_uninterrupted_one(folder: Path) -> None:
+    """Killed by SIGKILL again and again: each run reads so many chunks, 9 in a sweep."""
     result = folder / "project-result"
-    assert [path.name for path in result.iterdir()] == ["unfinished.json"]
-    reached = json.loads((result / "unfinished.json").read_text())["parameters"]
-    assert reached["l2"] == pytest.approx(0.803, abs=1e-3)
-    seen: list[float] = []
-    told: list[str] = []
-    done = run_calibration(
-        folder / "project.toml",
-        listeners=Listeners(
-            progress=lambda i, merit, decrement: seen.append(merit), notice=told.append
-        ),
-    )
-    assert told == [f"{result / 'unfinished.json'}: goes on from the parameters in it"]
-    assert seen[0] < 1000.0  # it began near the end, not at the nominal machine
-    assert any("earlier run" in warning for warning in done.result.warnings)
-    assert not (result / "unfinished.json").exists()
+
+    def command(chunks: int, out: Path) -> subprocess.CompletedProcess[bytes]:
+        arguments = ["calibrate", folder / "project.toml", "--out", out, "--no-report", "--json"]
+        return subprocess.run(
+            [sys.executable, "-c", KILLED, str(chunks), *map(str, arguments)],
+            capture_output=True,
+            env=environment(),
+            check=False,
+        )
+
+    whole = command(1000, folder / "whole")
+    assert whole.returncode == 0
+    kept: list[int] = []
+    for chunks in (15, 24, 24):
+        assert command(chunks, result).returncode == -signal.SIGKILL
+        unfinished = json.loads((result / "unfinished.json").read_text())
+        kept.append(unfinished["checkpoint"]["iterations"])
+    assert kept == [0, 1, 2]
+    again = command(1000, result)
+    assert again.returncode == 0
+    assert json.loads(again.stdout) == json.loads(whole.stdout)
+    assert residuals(result) == residuals(folder / "whole")
 
 
 def test_what_a_killed_run_left_goes_with_the_next(folder: Path) -> None:
@@ -210,7 +269,6 @@ def test_interrupted_with_workers_it_ends_and_goes_on(folder: Path, executor: Ex
     shutil.copytree(result, folder / "alone")
     alone = run_calibration(project, out=folder / "alone")
     shared = run_calibration(project, executor=executor)
-    assert any("earlier run" in warning for warning in shared.result.warnings)
     assert shared.written.document == alone.written.document
     assert residuals(result) == residuals(folder / "alone")
 
@@ -266,12 +324,12 @@ def test_a_stream_that_is_sent_need_not_look_at_its_files_again(folder: Path) ->
 
 def test_what_was_reached_with_other_readings_is_not_gone_on_from(folder: Path) -> None:
     (folder / "project-result").mkdir()
-    stale = {"task": "another", "parameters": {"l2": 7.0}}
+    stale = {"task": "another", "checkpoint": {"damping": 0.0}}
     (folder / "project-result" / "unfinished.json").write_text(json.dumps(stale))
     told: list[str] = []
     done = run_calibration(folder / "project.toml", listeners=Listeners(notice=told.append))
-    assert not any("earlier run" in warning for warning in done.result.warnings)
-    assert [line.endswith("begins anew") for line in told] == [True]
+    assert done.result.status.converged
+    assert [line.endswith("starting anew") for line in told] == [True]
     run_calibration(folder / "project.toml", listeners=Listeners(notice=told.append))
     assert len(told) == 1  # nothing was left
 

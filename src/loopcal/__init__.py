@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from loopcal import instruments, machines
-    from loopcal.document.chi_squared import ChiSquared
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
     from loopcal.document.fit import NoiseEntry
+    from loopcal.document.goodness_of_fit import ChiSquared
     from loopcal.document.result_document import ResultDocument
     from loopcal.errors import InputError, LoopcalError
     from loopcal.estimation.accuracy import Accuracy, InstrumentAccuracy
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     from loopcal.workflow.calibration import write_result
 
 _HOME = {
-    "document.chi_squared": ("ChiSquared",),
+    "document.goodness_of_fit": ("ChiSquared",),
     "document.findings": ("ColumnFault", "Identifiability", "Outlier", "Undetermined"),
     "document.fit": ("NoiseEntry",),
     "document.result_document": ("ResultDocument",),

@@ -134,8 +134,9 @@ def test_an_instrument_without_readings_stays_at_its_nominal_place(method: str) 
     result = calibrate(machine, Dataset.from_arrays(east), noise=noise, method=method)
     assert result.status.converged
     assert result.value["west_x"] == pytest.approx(-1.5, abs=1e-12)
-    assert np.isinf(result.sd["west_x"])
-    assert np.isfinite(result.sd["east_x"])
+    assert result.sd["west_x"] == np.inf
+    assert result.sd["east_x"] is not None
+    assert result.sd["east_x"] < 1e-3
 
 
 def test_least_squares_without_a_joint_is_not_told_to_give_sds() -> None:

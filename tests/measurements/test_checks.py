@@ -121,6 +121,24 @@ def test_a_quantity_without_any_reading_stops():
     assert "arm.csv, column 'X'" in message
 
 
+def test_a_lost_reflector_among_several_stops_naming_its_row():
+    points = {f"{axis}_{side}": POINT + 2.0 for side in ("east", "west") for axis in "xyz"}
+    lost = {q: np.where(np.arange(50) == 4, 0.0, v) for q, v in points.items() if "west" in q}
+    groups = [[f"{axis}_{side}" for axis in "xyz"] for side in ("east", "west")]
+    data = filed({**points, **lost})
+    with pytest.raises(InputError) as refused:
+        check_dataset(data, dict.fromkeys(points, "m"), points=groups)
+    assert "x_west, y_west, z_west all read 0 in 1 of 50" in refused.value.message
+    assert refused.value.place == "arm.csv, row 6, column 'X_WEST'"
+    believed = check_dataset(data, dict.fromkeys(points, "m"), points=groups, trusted={"x_west"})
+    assert not any("all read 0" in str(warning) for warning in believed)
+
+
+def test_a_coordinate_of_zero_is_no_lost_reflector():
+    flat = filed({"x": POINT, "y": POINT[::-1], "z": 0.0 * POINT})
+    assert check_dataset(flat, dict.fromkeys("xyz", "m"), points=["xyz"])
+
+
 def test_constant_columns_warn():
     (message,) = warned(filed({"s": np.full(5, 0.25)}), s="rad")
     assert "'s' reads 0.25 in all of 5 poses" in message

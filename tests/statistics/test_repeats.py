@@ -102,6 +102,36 @@ def test_correlated_sensors_are_found_and_others_are_not():
     assert "real motion" in summary(found)
 
 
+def test_a_series_in_which_a_joint_was_parked_says_nothing_of_its_noise():
+    rng = np.random.default_rng(6)
+    a, still = np.round(rng.normal(size=20), 4), np.full(20, 3.1234)
+    found = lc.repeated_readings([series(a), series(still)])["a"]
+    assert found.parked == 1
+    assert found.sd == pytest.approx(a.std(ddof=1), rel=1e-12)
+    assert found.by_series == pytest.approx((a.std(ddof=1), 0.0))
+    assert "without one series in which it never changed" in sentence(found)
+
+
+def test_a_sensor_whose_steps_hide_its_noise_is_not_parked_where_it_stands_still():
+    coarse = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+    found = lc.repeated_readings([series(coarse), series(np.full(10, 2.0))])["a"]
+    assert found.parked == 0
+    assert found.about_mean.degrees == 18
+
+
+def test_rows_in_which_a_reflector_was_lost_are_refused():
+    rng = np.random.default_rng(3)
+    x, y, q = (far + 1e-5 * rng.normal(size=20) for far in (1.2, -0.8, 0.0))
+    x[7] = y[7] = x[9] = y[9] = 0.0
+    with pytest.raises(InputError, match="a, b all read 0 in 2 of 20 poses"):
+        lc.repeated_readings(series(x, y, q))
+
+
+def test_coarse_readings_near_zero_are_no_lost_reflector():
+    counts = np.array([0.0, 1.0, 0.0, 1.0, 1.0, 2.0])
+    assert lc.repeated_readings(series(counts, counts))["a"].sd > 0
+
+
 def test_means_of_series_do_not_matter_and_series_that_differ_are_named():
     rng = np.random.default_rng(6)
     a, b = rng.normal(size=20), 6.0 * rng.normal(size=20)

@@ -9,11 +9,15 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 
-from typer.exceptions import Abort, TyperException
-
 from loopcal.cli.commands import app
 from loopcal.cli.output import log, print_error
 from loopcal.errors import LONGEST_TEXT, LoopcalError, short
+
+try:
+    from typer.exceptions import Abort, TyperException
+except ModuleNotFoundError:  # typer before 0.26 raises the exceptions of click
+    from click.exceptions import Abort  # type: ignore[assignment]
+    from click.exceptions import ClickException as TyperException  # type: ignore[assignment]
 
 INTERRUPTED = 130
 

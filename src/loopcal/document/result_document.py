@@ -8,7 +8,6 @@ from typing import Any, Literal
 
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
 from loopcal.document.bounds import Count, Size
-from loopcal.document.chi_squared import ChiSquared
 from loopcal.document.findings import (
     ColumnFault,
     Identifiability,
@@ -25,6 +24,7 @@ from loopcal.document.fit import (
     ParameterEntry,
     StatusEntry,
 )
+from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.tables import (
     accuracy_table,
     interval_table,
@@ -209,7 +209,7 @@ def _state(document: ResultDocument) -> list[str]:
     lines = [f"{head} in {steps} on {poses}"]
     if not status.converged:
         lines.append(f"  {status.message}")
-    chi = document.chi_squared
+    chi = document.goodness_of_fit
     if chi is not None and chi.variance_factor is not None and chi.p_value is not None:
         lines.append(
             f"chi-squared {significant(chi.value, 5)} at {chi.degrees_of_freedom} degrees of "

@@ -7,6 +7,7 @@ from typing import Any, Unpack
 
 from loopcal.errors import InputError
 from loopcal.estimation.fit import Fit, FitOptions, Start
+from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.noise.estimation import estimate_noise
 from loopcal.estimation.noise.learning import components, with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
@@ -15,7 +16,8 @@ from loopcal.estimation.problem.unreachable import refuse_unreachable
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.robust import solve_robust
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.solve.solver import Progress, Solution
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import Progress
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
@@ -93,8 +95,8 @@ def refuse_noise(fit: Fit, noise: Noise | None) -> None:
     if noise is None and not fit.method.exact:
         raise InputError(
             f"the method {fit.method.name!r} needs to know how uncertain the readings are",
-            remedy="give noise=Noise({...}) with an sd for every quantity, or use a method that "
-            "takes the readings as exact",
+            remedy="give noise=Noise({...}) with an sd for every quantity, or use "
+            f"method={' or '.join(map(repr, names_where('exact')))}",
         )
     if noise is not None and noise.estimate and fit.robust_loss is not None:
         raise InputError(

@@ -8,7 +8,7 @@ from loopcal.document.findings import Identifiability, Undetermined
 from loopcal.document.plain import known
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.reduction import spectrum, undetermined
-from loopcal.estimation.solve.solver import Solution
+from loopcal.estimation.solve.solution import Solution
 
 
 def identifiability(problem: Problem, solution: Solution) -> Identifiability:

@@ -11,9 +11,9 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.chi_squared import ChiSquared
 from loopcal.document.findings import Identifiability
 from loopcal.document.fit import ClosureEntry, NoiseEntry
+from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
@@ -34,7 +34,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.residuals import Closure, by_name, residuals
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
 from loopcal.estimation.solve.robust import robust_covariance
-from loopcal.estimation.solve.solver import Solution
+from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism

@@ -13,10 +13,11 @@ and warn.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.measurements.dataset import Array, Dataset
@@ -41,14 +42,19 @@ class DataWarning:
 
 
 def check_dataset(
-    dataset: Dataset, quantities: Mapping[str, str], *, trusted: Collection[str] = ()
+    dataset: Dataset,
+    quantities: Mapping[str, str],
+    *,
+    trusted: Collection[str] = (),
+    points: Iterable[Sequence[str]] = (),
 ) -> tuple[DataWarning, ...]:
     """What is odd about the readings of `quantities` (quantity -> unit the mechanism expects).
 
     Quantities that the dataset does not have are passed over, as are other columns of it.
     Those `trusted`, here or by `check = false` where they were read, are looked at for their
-    unit's dimension only. Raises InputError, with file, row and column, for a unit of another
-    dimension, a quantity without a single reading, degrees taken as rad, millimetres as m.
+    unit's dimension only. points: the coordinates of each measured point. Raises InputError, with
+    file, row and column, for a unit of another dimension, a quantity without a single reading,
+    degrees taken as rad, millimetres as m, and points whose coordinates all read 0.
     """
     check_units(dataset, quantities)
     sure = {*trusted, *dataset.source.trusted}
@@ -58,6 +64,9 @@ def check_dataset(
     for quantity, si in suspects.items():
         _stop_if_all_missing(dataset, quantity)
         _stop_if_far(dataset, quantity, si)
+    for point in points:
+        if len(point) > 1 and all(q in suspects for q in point):
+            refuse_lost(dataset, point, np.all(_zeros(dataset, point), axis=0))
     return (
         *_repeated_poses(dataset),
         *_empty_poses(dataset, [q for q in quantities if q in dataset.readings]),
@@ -80,6 +89,39 @@ def check_units(dataset: Dataset, quantities: Mapping[str, str]) -> None:
                 place=_column(dataset, quantity),
                 remedy=f"state a unit of {unit(expected).dimension}, or map another column",
             )
+
+
+def refuse_lost(dataset: Dataset, names: Sequence[str], lost: NDArray[np.bool_]) -> None:
+    """Raise InputError for poses (N,) in which these quantities read 0 for a lost reflector."""
+    where = np.flatnonzero(lost)
+    if where.size:
+        raise InputError(
+            f"{', '.join(names)} all read 0 in {where.size} of {len(dataset)} poses "
+            f"({_few([dataset.poses[i] for i in where])}): instruments write 0 where the reflector "
+            "was lost",
+            place=dataset.place(int(where[0]), names[0]),
+            remedy=f"leave these cells blank; if the point is right, set check = false for "
+            f"{names[0]!r}",
+        )
+
+
+def lost_rows(dataset: Dataset) -> tuple[tuple[str, ...], NDArray[np.bool_]]:
+    """Of repeated readings of one pose: quantities that drop to 0 together, and in which rows."""
+    names = tuple(q for q in dataset.quantities if _far_from_zero(dataset.readings[q]))
+    zeros = _zeros(dataset, names)
+    lost: NDArray[np.bool_] = zeros.sum(axis=0) > 1
+    return tuple(q for q, zero in zip(names, zeros, strict=True) if zero[lost].any()), lost
+
+
+def _far_from_zero(values: Array) -> bool:
+    """Whether all that is not exactly 0 scatters far away from it."""
+    others = values[~np.isnan(values) & (values != 0.0)]
+    return others.size > 1 and 0.0 < float(np.ptp(others)) < 0.1 * float(np.abs(others).min())
+
+
+def _zeros(dataset: Dataset, names: Sequence[str]) -> NDArray[np.bool_]:
+    """(n, N): which of the readings are exactly 0."""
+    return np.array([dataset.readings[q] == 0.0 for q in names]).reshape(len(names), len(dataset))
 
 
 def _stop_if_all_missing(dataset: Dataset, quantity: str) -> None:

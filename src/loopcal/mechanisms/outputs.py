@@ -101,6 +101,13 @@ def point_outputs(mechanism: Mechanism, family: Family) -> tuple[str, ...]:
     return tuple(its)
 
 
+def measured_points(mechanism: Mechanism) -> list[tuple[str, ...]]:
+    """The outputs of each point that is measured; of an own loop, all that are lengths."""
+    if mechanism.families:
+        return [point_outputs(mechanism, family) for family in mechanism.families]
+    return [tuple(q for q in mechanism.outputs if mechanism.quantities[q] == "m")]
+
+
 def points(family: Family, readings: Array) -> Array:
     """Cartesian points (d, N) of readings (r, N) of the outputs that say where a point is."""
     return cartesian(readings) if family.form in POLAR else readings

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.model_error import PREFIX
+from loopcal.mechanisms.outputs import measured_points
 from loopcal.statistics.pose_tests import Fit, try_rows
 from loopcal.units import from_si, to_si
 
@@ -108,14 +109,14 @@ def find_causes(
 
 
 def _repeated(problem: Problem, suspect: Suspect) -> Cause | None:
-    """A reading that stands in the row before as well, where that is no habit of its column."""
-    i = suspect.pose
+    """A point of zeros, or a reading of the row before again where its column rarely repeats."""
+    i, x = suspect.pose, problem.readings
+    names = problem.mechanism.tape.quantities
+    for point in measured_points(problem.mechanism):
+        if len(point) > 1 and not x[[names.index(q) for q in point], i].any():
+            return Cause(f"no reflector: {', '.join(point)} read 0", None, True)
     if i == 0:
         return None
-    x = problem.readings
-    outputs = _outputs(problem)
-    if outputs and not x[outputs, i].any():
-        return Cause("no reflector: every coordinate reads 0", None, True)
     for j in suspect.explained:
         same = x[j, 1:] == x[j, :-1]
         if same[i - 1] and same.mean() < _OFTEN:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import quantile, tail
 from loopcal.presentation.rounding import rounded_by_sd, significant
 from loopcal.presentation.shown import SHOWN
 from loopcal.presentation.text_table import columns
@@ -66,11 +67,9 @@ class PointDifference:
         free: NDArray[np.bool_] | None,
     ) -> PointDifference:
         """From differences, their distances and squares in sds; free: without any bound."""
-        from scipy.special import chdtri
-
         worst = int(np.argmax(distance))
         direction = delta[worst] / max(float(distance[worst]), 1e-300)
-        limit = float(chdtri(delta.shape[1], 0.05))
+        limit = quantile(0.05, delta.shape[1])
         within = square <= limit
         if free is not None:
             within = within | free
@@ -106,11 +105,9 @@ class Compared:
     @property
     def p_value(self) -> float | None:
         """Probability of a difference at least this large between two right calibrations."""
-        from scipy.special import chdtrc
-
         if not self.degrees_of_freedom:
             return None
-        return float(chdtrc(self.degrees_of_freedom, self.chi_squared))
+        return tail(self.chi_squared, self.degrees_of_freedom)
 
     def document(self) -> dict[str, Any]:
         """Plain values, SI, for JSON."""

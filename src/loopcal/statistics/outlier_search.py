@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import quantile
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.loss import Huber, Loss
-from loopcal.estimation.solve.solver import Solution
+from loopcal.estimation.solve.solution import Solution
 from loopcal.mechanisms.model_error import disturbances
 from loopcal.statistics.pose_tests import Fit, PoseTests, pose_tests, settle
 
@@ -86,14 +87,14 @@ class Search:
         return bool(gone.mean() > 0.5)
 
     def _remarkable(self, tests: PoseTests) -> NDArray[np.bool_]:
-        from scipy.special import chdtri
-
         w = tests.w[self.readings]
         poses = 0.5 * self.level / max(self.tested(tests), 1)
         readings = 0.5 * self.level / max(float(np.isfinite(w).sum()) * self._share, 1)
-        limits = np.where(tests.freedom > 0, chdtri(np.maximum(tests.freedom, 1), poses), np.inf)
+        limits = np.where(
+            tests.freedom > 0, quantile(poses, np.maximum(tests.freedom, 1.0)), np.inf
+        )
         misfit = ~(tests.t <= limits)  # what is no number is one
-        wrong = np.square(w) > float(chdtri(1, readings))
+        wrong = np.square(w) > quantile(readings, 1)
         remarkable: NDArray[np.bool_] = misfit | wrong.any(axis=0)
         return remarkable
 
@@ -141,15 +142,13 @@ class Search:
         return replace(fit, factor=factor)
 
     def _factor(self, fit: Fit, gone: NDArray[np.bool_], cleaned: bool) -> float:
-        from scipy.special import chdtri
-
         found = pose_equations(self.problem, fit.parameters, fit.corrections, exact=self.exact)
         ratios, total, equations = [], 0.0, 0
         for block in found:
             r = block.E.shape[1]
             if r:
                 s = np.square(block.E).sum(axis=1)[~gone[block.poses]]
-                ratios.append(s / float(chdtri(r, 0.5)))
+                ratios.append(s / quantile(0.5, r))
                 total, equations = total + float(s.sum()), equations + r * len(s)
         middle = float(np.median(np.concatenate(ratios)))
         spare = max(self.problem.equations - len(self.problem.free), 1) / self.problem.equations

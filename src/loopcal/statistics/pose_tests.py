@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal import chi_squared
 from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.problem.problem import Problem, left_unmeasured, taken
 from loopcal.estimation.solve.closing import UNMEASURED_SCALE, Closed
@@ -62,10 +63,8 @@ class Fit:
 
 def tail(t: Array, freedom: NDArray[np.intp]) -> Array:
     """Probability of a chi-squared above t; 1 without freedom to test, 0 for an infinite t."""
-    from scipy.special import chdtrc
-
     some = freedom > 0
-    p: Array = np.where(some, chdtrc(np.where(some, freedom, 1), np.maximum(t, 0.0)), 1.0)
+    p: Array = np.where(some, chi_squared.tail(np.maximum(t, 0.0), np.where(some, freedom, 1)), 1.0)
     return np.where(np.isfinite(t), p, 0.0)
 
 

@@ -13,7 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import quantile
 from loopcal.errors import InputError
+from loopcal.measurements.checks import lost_rows, refuse_lost
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
 from loopcal.statistics.resolution import Grid, grid
@@ -50,7 +52,8 @@ class SensorScatter:
     there is no straight drift; slow_p_value: no slow change of any kind; alternating_p_value: no
     up and down from row to row; by_series: sds about the mean; homogeneity_p_value: that the
     series scatter alike, None for one series; grid: step of the readings and rounding_sd, what
-    it leaves; sd: what to put into [noise].
+    it leaves; parked: series left out because the sensor stood still in them; sd: what to put
+    into [noise].
     """
 
     name: str
@@ -66,6 +69,7 @@ class SensorScatter:
     homogeneity_p_value: float | None
     resolution: float | None
     rounding_sd: float | None
+    parked: int = 0
 
     @property
     def drifts(self) -> bool:
@@ -123,13 +127,15 @@ def repeated_readings(series: Dataset | Sequence[Dataset]) -> Repeats:
     """Sensor sds from one or several series of readings, each of one pose, in order of time.
 
     sd = sqrt(sum over series of (x - its mean)^2 / degrees of freedom); rows without one of the
-    readings are left out for that sensor.
+    readings are left out for that sensor, and so are series in which it never changes although in
+    others it scatters by more than its step: a joint was parked there.
 
     >>> still = Dataset.from_arrays({"a": [0.1, 0.3, 0.2, 0.1, 0.3]})
     >>> round(repeated_readings(still)["a"].sd, 3)
     0.1
 
-    Raises InputError where series have different quantities or fewer than three readings.
+    Raises InputError where series have different quantities or fewer than three readings, and for
+    rows in which several quantities drop to 0 together.
     """
     every = [series] if isinstance(series, Dataset) else list(series)
     if not every:
@@ -143,6 +149,8 @@ def repeated_readings(series: Dataset | Sequence[Dataset]) -> Repeats:
                 place=one.source.name,
                 remedy="name the columns that all of them have",
             )
+    for one in every:
+        refuse_lost(one, *lost_rows(one))
     sensors = tuple(_sensor(name, every) for name in names)
     labels = tuple((s.source.name or f"series {i}", len(s)) for i, s in enumerate(every, 1))
     return Repeats(labels, sensors, _correlations(every, [s for s in sensors if s.about_mean.sd]))
@@ -158,20 +166,22 @@ def scatter(sum_of_squares: float, degrees: float) -> Scatter:
 
     sd of sd = sd sqrt(1 - c4^2), c4 = sqrt(2/nu) Gamma((nu+1)/2) / Gamma(nu/2).
     """
-    from scipy.special import chdtri, gammaln
+    from scipy.special import gammaln
 
     sd = math.sqrt(sum_of_squares / degrees)
     c4 = math.sqrt(2.0 / degrees) * math.exp(gammaln((degrees + 1) / 2) - gammaln(degrees / 2))
-    low, high = (sd * math.sqrt(degrees / float(chdtri(degrees, tail))) for tail in (0.025, 0.975))
+    low, high = (sd * math.sqrt(degrees / quantile(tail, degrees)) for tail in (0.025, 0.975))
     return Scatter(sd, sd * math.sqrt(1.0 - c4 * c4), low, high, degrees)
 
 
 def _sensor(name: str, every: Sequence[Dataset]) -> SensorScatter:
-    values = [_read(one, name) for one in every]
+    read = [_read(one, name) for one in every]
     stated = every[0].source.stated.get(name, every[0].units.get(name, ""))
+    step = _resolution([grid(from_si(v, stated or "1")) for v in read])
+    si_step = None if step is None else step * unit(stated or "1").factor
+    values = _moving(read, si_step or 0.0)
     counts = np.array([len(v) for v in values])
     N, S = int(counts.sum()), len(values)
-    found = [grid(from_si(v, stated or "1")) for v in values]
     centred = _without_rounding_of_floats([v - v.mean() for v in values], values)
     square = sum(float(v @ v) for v in centred)
     difference = sum(float(np.square(np.diff(v)).sum()) for v in centred)
@@ -179,8 +189,6 @@ def _sensor(name: str, every: Sequence[Dataset]) -> SensorScatter:
     matching = 2.0 * (N - S) ** 2 / (3 * N - 4 * S)
     lines = [_line(v) for v in centred]
     slow = _slow(square, difference, counts)
-    step = _resolution(found)
-    si_step = None if step is None else step * unit(stated or "1").factor
     return SensorScatter(
         name,
         stated,
@@ -191,10 +199,11 @@ def _sensor(name: str, every: Sequence[Dataset]) -> SensorScatter:
         _drift_p_value(square, sum(line.left for line in lines), N, S),
         slow,
         None if slow is None else 1.0 - slow,
-        tuple(math.sqrt(float(v @ v) / (len(v) - 1)) for v in centred),
+        tuple(float(v.std(ddof=1)) if np.ptp(v) else 0.0 for v in read),
         _homogeneity(values) if S > 1 and square > 0.0 else None,
         si_step,
         None if si_step is None else rounding_sd(si_step),
+        len(read) - len(values),
     )
 
 
@@ -208,6 +217,12 @@ def _read(one: Dataset, name: str) -> Array:
             remedy=f"read one pose {FEWEST} times at least, better 20, or name other columns",
         )
     return values
+
+
+def _moving(values: list[Array], step: float) -> list[Array]:
+    """The series in which the sensor moved; all, where standing still may be chance."""
+    moving = [v for v in values if np.ptp(v)]
+    return moving if moving and all(v.std(ddof=1) > step for v in moving) else values
 
 
 def _without_rounding_of_floats(centred: list[Array], values: list[Array]) -> list[Array]:

@@ -60,6 +60,9 @@ def sentence(sensor: SensorScatter) -> str:
             f"but the series differ (p = {sensor.homogeneity_p_value:.2g}: {own}): it depends on "
             "the pose, or something moved"
         )
+    if sensor.parked:
+        series = "one series" if sensor.parked == 1 else f"{sensor.parked} series"
+        reasons.append(f"without {series} in which it never changed (parked?)")
     return "; ".join([its, *reasons]) + "."
 
 

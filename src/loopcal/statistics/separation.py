@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import tail
 from loopcal.errors import InputError
 from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model
 from loopcal.estimation.noise.variance_components import (
@@ -213,8 +214,6 @@ def _with_offsets(model: LinearModel, owner: NDArray[np.intp], count: int) -> Li
 
 
 def _judged(model: LinearModel, found: Estimate, which: int, group: SeparatedSd) -> SeparatedSd:
-    from scipy.special import chdtrc
-
     ratio = math.sqrt(float(found.ratios[which]))
     sd_of_ratio = found.sd_of_root(which)
     unsure = sd_of_ratio is None or sd_of_ratio > _UNCERTAIN * ratio
@@ -227,7 +226,7 @@ def _judged(model: LinearModel, found: Estimate, which: int, group: SeparatedSd)
         sd_of_sd=None if sd_of_ratio is None else sd_of_ratio * group.raw,
         upper=None if bound is None else math.sqrt(bound) * group.raw,
         # at the boundary the rise is zero in half of all cases (Self and Liang 1987)
-        p_value=None if rise is None else 0.5 * float(chdtrc(1, rise)) if rise > 0.0 else 1.0,
+        p_value=None if rise is None else 0.5 * tail(rise, 1) if rise > 0.0 else 1.0,
     )
 
 

@@ -21,7 +21,8 @@ from loopcal.estimation.solve.reduction import undetermined
 from loopcal.estimation.solve.reweighted import solve_reweighted
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.seed_iteration import iterate_undamped
-from loopcal.estimation.solve.solver import Solution, solve
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import solve
 from loopcal.files.study.study_file import Scenario, StudyMethod
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism

@@ -1,4 +1,4 @@
-"""Calibration of more poses than memory holds: chunk by chunk, resumed where it was broken off."""
+"""Calibration of more poses than memory holds: chunk by chunk, resumed after an interruption."""
 
 from __future__ import annotations
 
@@ -20,17 +20,16 @@ from loopcal.files.result.progress_file import ProgressFile
 from loopcal.files.result.residual_parts import ResidualParts, residual_part
 from loopcal.files.versions import versions
 
-DROPPED = "left by a run with another project, readings, method or version; begins anew"
+DROPPED = "left by a run with another project, readings, method or version; starting anew"
 
 
 @dataclass(frozen=True, eq=False)
 class StreamedRun:
-    """A calibration from a stream whose files are not yet in place; resumed: where it went on."""
+    """A calibration from a stream whose files are not yet in place."""
 
     result: Result
     parts: ResidualParts
     progress: ProgressFile
-    resumed: bool
 
     def finish(self) -> None:
         """Put the residuals of all poses in place, once the result is written."""
@@ -73,9 +72,9 @@ def run_stream(
     """Calibrate from readings that come in chunks.
 
     folder: of the result; executor: who reads the chunks and does their part of the work, whereas
-    files are written here alone; notice: told where the run begins. The parameters of every
-    iteration are kept there in unfinished.json, and a run that finds those of the same project,
-    readings and method goes on from them. The residuals of all poses are written as they come.
+    files are written here alone; notice: called with a message about where the run begins. Every
+    iteration keeps a checkpoint there in unfinished.json. A run that finds one of the same project,
+    readings and method resumes from it. The residuals of all poses are written as they come.
     """
     task = {
         "project": project.inputs,
@@ -84,9 +83,10 @@ def run_stream(
         "loopcal": versions()["loopcal"],
     }
     kept = ProgressFile(folder, task)
-    begin = kept.read()
+    resume = kept.read()
     if notice and kept.there():
-        notice(f"{kept.path}: {DROPPED if begin is None else 'goes on from the parameters in it'}")
+        resumed = resume and f"resuming after iteration {resume.iterations} of an interrupted run"
+        notice(f"{kept.path}: {resumed or DROPPED}")
     parts = ResidualParts(folder)
     parts.begin()
     try:
@@ -94,7 +94,7 @@ def run_stream(
             project.mechanism,
             stream,
             fit=fit,
-            begin=begin,
+            resume=resume,
             executor=executor,
             progress=progress,
             reached=kept.write,
@@ -103,7 +103,4 @@ def run_stream(
     except BaseException:
         parts.undo()
         raise
-    if begin is not None:
-        told = "Begun from the parameters that an earlier run of the same calibration had reached."
-        result = result.noted(told)
-    return StreamedRun(result, parts, kept, begin is not None)
+    return StreamedRun(result, parts, kept)

@@ -17,7 +17,8 @@ from loopcal.estimation.solve.block_kernel import BlockKernel, Reduced, kernel_f
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.kernel import BlockNoise, unweighted, whiten
 from loopcal.estimation.solve.loss import Huber, Loss
-from loopcal.estimation.solve.solver import Solution, solve, solve_with
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import solve, solve_with
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.choice import AVAILABLE, ENGINES
 from loopcal.expressions.derivative import linearise

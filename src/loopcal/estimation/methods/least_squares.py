@@ -5,7 +5,8 @@ from __future__ import annotations
 from loopcal.estimation.methods.method import Method
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.loss import Loss
-from loopcal.estimation.solve.solver import Progress, Solution, solve
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import Progress, solve
 
 
 def _solve(

@@ -7,7 +7,8 @@ from typing import Protocol
 
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.loss import Loss
-from loopcal.estimation.solve.solver import Progress, Solution
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import Progress
 
 
 class Solve(Protocol):

@@ -7,7 +7,8 @@ from loopcal.estimation.methods.method import Method
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.seed_iteration import iterate_undamped
-from loopcal.estimation.solve.solver import Progress, Solution
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import Progress
 
 
 def _solve(

@@ -10,7 +10,7 @@ import numpy as np
 from loopcal.estimation.noise.linear_model import linear_model
 from loopcal.estimation.noise.variance_components import estimate_ratios
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.solve.solver import Solution
+from loopcal.estimation.solve.solution import Solution
 from loopcal.measurements.noise import ReadingUncertainty
 from loopcal.mechanisms.model_error import disturbances, with_model_error
 

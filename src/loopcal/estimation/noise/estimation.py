@@ -23,7 +23,7 @@ from loopcal.estimation.noise.variance_components import (
     without_component,
 )
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.solve.solver import Solution
+from loopcal.estimation.solve.solution import Solution
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
 Array = NDArray[np.float64]

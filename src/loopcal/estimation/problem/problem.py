@@ -247,11 +247,11 @@ def _patterns(
     """
     codes = np.concatenate([unmeasured, unmeasured if blind is None else blind])
     if (codes == codes[:, :1]).all():
-        found = _pattern(mechanism, *np.split(codes[:, 0], 2), slice(None))
+        found = _pattern(mechanism, codes[:, 0])
         return (found,) if found.loops else ()
     unique, inverse = np.unique(codes.T, axis=0, return_inverse=True)
     alike: dict[tuple[tuple[int, ...], ...], list[int]] = {}
-    patterns = [_pattern(mechanism, *np.split(code, 2), slice(None)) for code in unique]
+    patterns = [_pattern(mechanism, code) for code in unique]
     for i, pattern in enumerate(patterns):
         alike.setdefault((pattern.loops, pattern.unmeasured), []).append(i)
     return tuple(
@@ -261,10 +261,10 @@ def _patterns(
     )
 
 
-def _pattern(
-    mechanism: Mechanism, unmeasured: NDArray[np.bool_], blind: NDArray[np.bool_], poses: Poses
-) -> Pattern:
+def _pattern(mechanism: Mechanism, code: NDArray[np.bool_]) -> Pattern:
+    """The pattern of all poses in which this is unmeasured and, in the second half, blind."""
     tape = mechanism.tape
+    unmeasured, blind = code.reshape(2, -1)
     missing = {tape.quantities[i] for i in np.flatnonzero(unmeasured)}
     unread = {tape.quantities[i] for i in np.flatnonzero(blind)}
     silent = {loop for f in mechanism.families if unread.issuperset(f.readings) for loop in f.loops}
@@ -276,7 +276,7 @@ def _pattern(
         tuple(loops),
         tuple(i for i, name in places if name in missing and name in present),
         tuple(i for i, name in enumerate(tape.quantities) if name not in present),
-        poses,
+        slice(None),
     )
 
 

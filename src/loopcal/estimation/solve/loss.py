@@ -21,6 +21,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import lower, tail
 from loopcal.errors import InputError, nearest
 
 Array = NDArray[np.float64]
@@ -106,12 +107,10 @@ def huber_constant(r: int) -> float:
 
 def huber_efficiency(k: float, r: int) -> float:
     """Efficiency of Huber's loss with constant k on r whitened gaussian equations."""
-    from scipy.special import chdtr, chdtrc
-
     k2 = k * k
-    slope = float(chdtr(r, k2))
+    slope = lower(k2, r)
     if r > 1:  # E[1/u; u > k], by the chi distribution of one degree less
         ratio = math.exp(math.lgamma(0.5 * (r - 1)) - math.lgamma(0.5 * r)) / math.sqrt(2.0)
-        slope += (r - 1) / r * k * ratio * float(chdtrc(r - 1, k2))
-    square = float(chdtr(r + 2, k2)) + k2 / r * float(chdtrc(r, k2))
+        slope += (r - 1) / r * k * ratio * tail(k2, r - 1)
+    square = lower(k2, r + 2) + k2 / r * tail(k2, r)
     return slope * slope / square

@@ -28,7 +28,8 @@ from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.kernel import BlockNoise, Whitened
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.scratch import one_blas_thread, scratch
-from loopcal.estimation.solve.solver import Progress, Solution, solve_with
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.solve.status import Status
 from loopcal.estimation.solve.sweep import NEAR, NEGLIGIBLE, Sweeper
 from loopcal.expressions.engine import Engine, LoopValues, Stage

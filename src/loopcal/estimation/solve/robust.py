@@ -18,7 +18,8 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.solve.solver import Progress, Solution
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import Progress
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.kernel import unload
 from loopcal.estimation.solve.reduction import Accumulator, spectrum
-from loopcal.estimation.solve.solver import Solution
+from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.status import Status
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.domain import explain_domain

@@ -13,28 +13,28 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
+from typing import Generic
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.solve.checkpoint import Checkpoint, Place
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import NONE_FAILED, Evaluation, Failed, Merit, State
 from loopcal.estimation.solve.reduction import (
     WELL_CONDITIONED,
-    Accumulator,
     Spectrum,
     hardly_determined,
     spectrum,
 )
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
+from loopcal.estimation.solve.solution import End, Solution
 from loopcal.estimation.solve.status import Status
 from loopcal.estimation.solve.sweep import NEAR, NEGLIGIBLE, Sweeper
 
 Array = NDArray[np.float64]
-Other = TypeVar("Other")
 Progress = Callable[[int, float, float], None]
 """Called with iteration, chi-squared and the predicted decrease."""
 
@@ -55,50 +55,6 @@ on the way, where that does not do, and at the end."""
 
 
 @dataclass(frozen=True)
-class End(Generic[State]):
-    """Where a fit ended.
-
-    parameters: (n_all,) [SI]; state: of the merit, with loops closed there; data, cost: the
-    parameter system and the summed loss of all poses; spectrum: of data and prior; prior_square:
-    (p - nominal)^2 over prior variance, summed; status.
-    """
-
-    parameters: Array
-    state: State
-    data: Accumulator
-    cost: float
-    spectrum: Spectrum
-    prior_square: float
-    status: Status
-
-    def with_state(self, state: Other) -> End[Other]:
-        """The same end, with the state of another merit."""
-        return End(
-            self.parameters,
-            state,
-            self.data,
-            self.cost,
-            self.spectrum,
-            self.prior_square,
-            self.status,
-        )
-
-    @property
-    def corrections(self: End[Array]) -> Array:
-        """Of poses in memory: the corrections (k, N) [SI] that close the loops."""
-        return self.state
-
-    @property
-    def chi_squared(self) -> float:
-        """The merit: corrections, or what the loss makes of them, and prior together."""
-        return self.cost + self.prior_square
-
-
-Solution = End[Array]
-"""Where a fit of poses in memory ended."""
-
-
-@dataclass(frozen=True)
 class _Point(Generic[State]):
     """A trial: parameters, evaluation, merit and parameter system; closed: how well loops are."""
 
@@ -107,15 +63,6 @@ class _Point(Generic[State]):
     merit: float
     spectrum: Spectrum | None
     closed: float | None
-
-
-@dataclass(frozen=True)
-class _Start(Generic[State]):
-    """Where the search began."""
-
-    parameters: Array
-    state: State
-    merit: float
 
 
 def solve(
@@ -152,28 +99,40 @@ def solve_with(
     max_iterations: int = 100,
     tolerance: float | None = None,
     progress: Progress | None = None,
+    reached: Callable[[Checkpoint[State]], None] | None = None,
+    resume: Checkpoint[State] | None = None,
 ) -> End[State]:
-    """The same for any merit function: the solver knows no more of a method."""
-    step = RELATIVE_STEP if tolerance is None else tolerance
-    return _Solver(merit, step, progress).run(max_iterations)
+    """The same for any merit function: the solver knows no more of a method.
+
+    tolerance: as in `solve`; reached: called at the beginning of each iteration; resume: what it
+    was called with in an interrupted run, from which this one goes on to the same end.
+    """
+    solver = _Solver(merit, tolerance, progress, reached)
+    return solver.run(max_iterations, resume)
 
 
 class _Solver(Generic[State]):
-    def __init__(self, merit: Merit[State], tolerance: float, progress: Progress | None) -> None:
+    def __init__(
+        self,
+        merit: Merit[State],
+        tolerance: float | None,
+        progress: Progress | None,
+        reached: Callable[[Checkpoint[State]], None] | None,
+    ) -> None:
         self.merit = merit
-        self.tolerance = tolerance
+        self.tolerance = RELATIVE_STEP if tolerance is None else tolerance
         self.unknowns = merit.unknowns
-        self.progress = progress
+        self.progress, self.reached = progress, reached
         self.triangular = False
+        self.counted = 0  # evaluations of an interrupted run
         self.floor = 0.0
         self.iterations = 0
         self.before = np.inf
 
-    def run(self, max_iterations: int) -> End[State]:
-        current = self._first()
-        # of the first point only what it takes to return to it: arrays by pose are large
-        first = _Start(current.parameters, current.found.state, current.merit)
-        damping = 0.0
+    def run(self, max_iterations: int, resume: Checkpoint[State] | None) -> End[State]:
+        current = self._resumed(resume) if resume else self._first()
+        first = resume.first if resume else self._place(current)
+        damping = resume.damping if resume else 0.0
         while True:
             assert current.spectrum is not None
             if not self.triangular and current.spectrum.condition > WELL_CONDITIONED:
@@ -191,6 +150,8 @@ class _Solver(Generic[State]):
             assert current.spectrum is not None
             if self.iterations >= max_iterations:
                 return self._give_up(first, current, "max_iterations")
+            if self.reached:
+                self.reached(self._checkpoint(first, current, damping))
             self.iterations += 1
             if self.progress:
                 self.progress(self.iterations, current.merit, current.spectrum.decrement)
@@ -209,6 +170,31 @@ class _Solver(Generic[State]):
         assert point.spectrum is not None
         if point.closed is None and not self._far(point, point.spectrum.decrement):
             return self._evaluate(start, found.state, _NEAR)
+        return point
+
+    def _checkpoint(
+        self, first: Place[State], current: _Point[State], damping: float
+    ) -> Checkpoint[State]:
+        return Checkpoint(
+            first,
+            self._place(current),
+            damping,
+            self.before,
+            self.floor,
+            self.triangular,
+            self.iterations,
+            self.counted + self.merit.evaluations,
+        )
+
+    def _place(self, point: _Point[State]) -> Place[State]:
+        return Place(point.parameters, point.found.state, point.found.closing, point.merit)
+
+    def _resumed(self, kept: Checkpoint[State]) -> _Point[State]:
+        self.before, self.floor = kept.before, kept.floor
+        self.triangular, self.iterations = kept.triangular, kept.iterations
+        place = kept.current
+        point = self._evaluate(place.parameters, place.state, place.closing)
+        self.counted = kept.evaluations - self.merit.evaluations
         return point
 
     def _evaluate(
@@ -325,14 +311,14 @@ class _Solver(Generic[State]):
             return self._solution(point, "converged")
         return self._solution(replace(point, parameters=parameters), "converged", closed)
 
-    def _stalled(self, first: _Start[State], current: _Point[State]) -> End[State]:
+    def _stalled(self, first: Place[State], current: _Point[State]) -> End[State]:
         """The end where no step lowers the merit: given up, unless only rounding is in the way."""
         end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
         if self._negligible(end):
             return self._converged(end)
         return self._give_up(first, current, "stalled")
 
-    def _give_up(self, first: _Start[State], current: _Point[State], reason: str) -> End[State]:
+    def _give_up(self, first: Place[State], current: _Point[State], reason: str) -> End[State]:
         end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
         late = end.found.late
         if late or end.spectrum is None:
@@ -356,7 +342,7 @@ class _Solver(Generic[State]):
         assert end.spectrum is not None
         if reason in ("max_iterations", "stalled"):
             detail = _weakness(hardly_determined(end.spectrum, self.unknowns.names))
-        evaluations = self.merit.evaluations / end.found.poses
+        evaluations = (self.counted + self.merit.evaluations) / end.found.poses
         if closed is None:
             near = end.found.step <= 1.0  # a longer step may lead anywhere
             closed = end.found.proposal if near else end.found.state

@@ -21,11 +21,12 @@ from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.checkpoint import Checkpoint
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.solve.solver import Progress
+from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.stream.ending import Ending, Parts
 from loopcal.estimation.stream.pieces import Chunk, Stream, Task, do
-from loopcal.estimation.stream.sweeps import StreamMerit, solve_stream
+from loopcal.estimation.stream.sweeps import StreamMerit
 from loopcal.execution.executor import Executor, InProcess
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -38,19 +39,19 @@ def calibrate_stream(
     stream: Stream,
     *,
     fit: Fit | None = None,
-    begin: dict[str, float] | None = None,
+    resume: Checkpoint[bool] | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
-    reached: Callable[[dict[str, float]], None] | None = None,
+    reached: Callable[[Checkpoint[bool]], None] | None = None,
     parts: Parts[Any] | None = None,
 ) -> Result:
     """Calibrate from more poses than memory holds; memory does not grow with their number.
 
     stream: its chunks bring data and noise; fit: the settings, of a streamable method and without
-    a loss; begin: parameter values [SI] that an earlier, interrupted run had reached; executor: who
-    reads the chunks and does their part of the work, by default this process, to the same result to
-    the last bit; reached: called with the values that each iteration begins with; parts: what to
-    make of each chunk at the end.
+    a loss; reached: called with a checkpoint at the beginning of each iteration; resume: such a
+    checkpoint of an interrupted run, from which this one goes on to the same result to the last
+    bit; executor: who reads the chunks and does their part of the work, by default this process,
+    again to the same result to the last bit; parts: what to make of each chunk at the end.
 
     Raises InputError as `calibrate` does, and for what needs all poses at once.
     """
@@ -72,14 +73,16 @@ def calibrate_stream(
         problem = task.problem(first)
         task = _settled(task, problem)
 
-        def told(parameters: Array) -> None:
-            if reached:
-                names = task.mechanism.parameters.names
-                reached(dict(zip(names, parameters.tolist(), strict=True)))
-
         with (executor or InProcess()).crew(do, task) as crew:
-            merit = StreamMerit(task, crew, problem, begin or {})
-            solution = solve_stream(merit, fit=fit, progress=progress, reached=told)
+            merit = StreamMerit(task, crew, problem)
+            solution = solve_with(
+                merit,
+                max_iterations=fit.max_iterations,
+                tolerance=fit.tolerance,
+                progress=progress,
+                reached=reached,
+                resume=resume,
+            )
             return Ending(task, fit, solution).result(crew, merit, parts)
 
 

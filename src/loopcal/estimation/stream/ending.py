@@ -15,7 +15,7 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import AllPoses, Result
-from loopcal.estimation.solve.solver import End
+from loopcal.estimation.solve.solution import End
 from loopcal.estimation.solve.sweep import NEGLIGIBLE
 from loopcal.estimation.stream.pieces import Task
 from loopcal.estimation.stream.shown import Shown, joined, misfits

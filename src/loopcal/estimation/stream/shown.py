@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import quantile
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.stream.pieces import Chunk, Task
 from loopcal.measurements.dataset import Dataset
@@ -64,8 +65,6 @@ def misfits(
     The scale of these is the stated one, or that of the middle pose where it is larger; the
     method of exact sensors has no other.
     """
-    from scipy.special import chdtri
-
     sweeper = task.sweeper(problem)
     sweeper.at(parameters)
     count = len(problem.poses)
@@ -74,8 +73,8 @@ def misfits(
         freedom = len(pattern.loops) - len(pattern.unmeasured)
         if freedom > 0:
             whole[some] = sweeper.misfit(corrections[:, some], pattern, some)
-            ratio[some] = whole[some] / float(chdtri(freedom, 1.0 / poses))
-            middle[some] = whole[some] / float(chdtri(freedom, 0.5))
+            ratio[some] = whole[some] / quantile(1.0 / poses, freedom)
+            middle[some] = whole[some] / quantile(0.5, freedom)
     known = np.isfinite(middle)
     scale = float(np.median(middle[known])) if known.any() else 0.0
     scale = scale if task.exact else max(scale, 1.0)

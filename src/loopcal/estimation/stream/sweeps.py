@@ -8,19 +8,17 @@ and needs no memory. What a sweep returns in their place only says whether the l
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.fit import Fit
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.in_memory import cannot_close
 from loopcal.estimation.solve.merit import Evaluation, Failed
 from loopcal.estimation.solve.reduction import Accumulator
-from loopcal.estimation.solve.solver import End, Progress, solve_with
 from loopcal.estimation.solve.sweep import NEAR
 from loopcal.estimation.stream.pieces import SweepPiece, Swept, Task
 from loopcal.execution.executor import Crew, in_order
@@ -58,22 +56,17 @@ class StreamMerit:
     """The merit over the poses of a stream, its chunks evaluated by a crew and added in order.
 
     Its state says whether loops are closed; corrections are found anew from the readings. first:
-    the problem of the first chunk; begin: parameter values [SI] to begin from, where not the
-    nominal ones. lowest: the parameters of the lowest merit so far; sizes: poses of each chunk,
+    the problem of the first chunk; equations: of the whole stream, sizes: poses of each chunk, both
     known from the first evaluation on.
     """
 
-    def __init__(self, task: Task, crew: Crew, first: Problem, begin: Mapping[str, float]) -> None:
-        names = task.mechanism.parameters.names
-        values = dict(zip(names, first.start.tolist(), strict=True)) | dict(begin)
+    def __init__(self, task: Task, crew: Crew, first: Problem) -> None:
         prior_sd = np.full(len(first.free), np.inf) if task.exact else first.prior_sd
-        start = np.array([values[name] for name in names])
-        self.unknowns = replace(first.unknowns, start=start, prior_sd=prior_sd)
+        self.unknowns = replace(first.unknowns, prior_sd=prior_sd)
         self.task, self.crew = task, crew
         self.evaluations = 0
         self.equations = 0
         self.sizes: list[int] = []
-        self.lowest, self._merit = start, np.inf
         self._units = first.units
 
     def first(self, parameters: Array) -> Evaluation[bool]:
@@ -85,7 +78,6 @@ class StreamMerit:
         found = self._evaluated(parameters, triangular=False, closing=None, first=True)
         if found.singular:
             raise cannot_close(found.singular)
-        self.equations = found.equations
         needed = len(self.unknowns.free) - int(np.isfinite(self.unknowns.prior_sd).sum())
         if found.equations < needed:
             raise InputError(
@@ -138,8 +130,8 @@ class StreamMerit:
                 sizes.append(found.poses)
                 equations += found.equations
                 self.evaluations += part.evaluations
-        self.sizes = sizes
-        whole = Evaluation(
+        self.sizes, self.equations = sizes, equations
+        return Evaluation(
             data,
             state=closing is not None,
             proposal=True,
@@ -152,31 +144,3 @@ class StreamMerit:
             singular=singular,
             late=late,
         )
-        merit = whole.cost + self.unknowns.prior_square(parameters)
-        if merit <= self._merit:
-            self.lowest, self._merit = parameters.copy(), merit
-        return whole
-
-
-def solve_stream(
-    merit: StreamMerit,
-    *,
-    fit: Fit,
-    progress: Progress | None = None,
-    reached: Callable[[Array], None] | None = None,
-) -> End[bool]:
-    """The parameters of maximum likelihood from a stream; its corrections are not kept.
-
-    reached: called with the parameters (n_all,) that each iteration begins with. Raises InputError
-    as `solve` does, and where the stream has fewer equations than parameters.
-    """
-
-    def told(iteration: int, value: float, decrement: float) -> None:
-        if reached:
-            reached(merit.lowest)
-        if progress:
-            progress(iteration, value, decrement)
-
-    return solve_with(
-        merit, max_iterations=fit.max_iterations, tolerance=fit.tolerance, progress=told
-    )

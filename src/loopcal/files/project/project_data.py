@@ -21,6 +21,7 @@ from loopcal.measurements.checks import DataWarning, check_dataset
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.joining import join
 from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.outputs import measured_points
 
 Array = NDArray[np.float64]
 LEFT_OUT = ("exclude", "every")
@@ -55,7 +56,8 @@ def load_dataset(project: Project) -> LoadedData:
     read, told = _read(project, spec, place, columns_aside(project))
     loaded = loaded_from(project, read)
     own = {**project.mechanism.quantities, **project.mechanism.known}
-    return replace(loaded, warnings=(*told, *check_dataset(loaded.dataset, own)))
+    odd = check_dataset(loaded.dataset, own, points=measured_points(project.mechanism))
+    return replace(loaded, warnings=(*told, *odd))
 
 
 def columns_aside(project: Project) -> dict[str, Column]:

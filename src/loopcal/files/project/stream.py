@@ -44,6 +44,7 @@ from loopcal.measurements.checks import DataWarning, check_dataset
 from loopcal.measurements.dataset import checked_every
 from loopcal.measurements.poses import pose_id
 from loopcal.measurements.source import Source
+from loopcal.mechanisms.outputs import measured_points
 
 LARGE = 2_000_000
 """Rows from which on a file is read in chunks unless the project says otherwise."""
@@ -96,7 +97,8 @@ class ParquetStream:
         """
         loaded = self._loaded(self._parts[0])
         mechanism = self.project.mechanism
-        odd = check_dataset(loaded.dataset, {**mechanism.quantities, **mechanism.known})
+        own = {**mechanism.quantities, **mechanism.known}
+        odd = check_dataset(loaded.dataset, own, points=measured_points(mechanism))
         return (*odd, *self._repeated_files(), *self._folders_inside())
 
     def _repeated_files(self) -> Iterator[DataWarning]:

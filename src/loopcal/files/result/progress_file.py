@@ -1,14 +1,14 @@
-"""How far an interrupted calibration came: its parameters after the last finished iteration."""
+"""How far an interrupted calibration came: where its last iteration began."""
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from loopcal.estimation.solve.checkpoint import Checkpoint
 from loopcal.files.atomic import write_atomic
 
 NAME = "unfinished.json"
@@ -24,23 +24,21 @@ class ProgressFile:
         self.path = Path(folder) / NAME
         self.key = sha256(json.dumps(task, sort_keys=True, default=str).encode()).hexdigest()
 
-    def read(self) -> dict[str, float] | None:
-        """The parameter values [SI] that this very calibration had reached; None without any."""
+    def read(self) -> Checkpoint[bool] | None:
+        """The checkpoint that this very calibration had reached; None without any."""
         try:
             found = json.loads(self.path.read_text("utf-8"))
-            values = {str(name): float(v) for name, v in found["parameters"].items()}
+            return Checkpoint.read(found["checkpoint"]) if found["task"] == self.key else None
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return None
-        usable = found.get("task") == self.key and all(map(math.isfinite, values.values()))
-        return values if usable else None
 
     def there(self) -> bool:
         """Whether there is such a file, of whatever calibration."""
         return self.path.is_file()
 
-    def write(self, parameters: Mapping[str, float]) -> None:
-        """Keep these values. Raises InputError where they cannot be written."""
-        document = {"task": self.key, "parameters": dict(parameters)}
+    def write(self, reached: Checkpoint[bool]) -> None:
+        """Keep a checkpoint. Raises InputError where it cannot be written."""
+        document = {"task": self.key, "checkpoint": reached.document()}
         write_atomic(self.path, json.dumps(document, indent=1) + "\n")
 
     def remove(self) -> None:

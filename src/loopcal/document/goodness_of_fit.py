@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from loopcal.chi_squared import tail
 from loopcal.document.bounds import Probability, Size
 
 
@@ -28,9 +29,7 @@ class ChiSquared:
         """With what follows from value and degrees of freedom, None where these are none."""
         if freedom <= 0:
             return cls(value, freedom, None, None)
-        from scipy.special import chdtrc
-
-        return cls(value, freedom, float(chdtrc(freedom, value)), value / freedom)
+        return cls(value, freedom, tail(value, freedom), value / freedom)
 
     @property
     def too_large(self) -> bool:
