@@ -132,7 +132,6 @@ def calibrate(
     """Fit; write result.json, residuals.csv, mechanism.toml and report.html; print a summary."""
     from loopcal.cli.progress import Progress
     from loopcal.cli.working import executor_of, try_cluster
-    from loopcal.document.plain import plain
     from loopcal.workflow.calibration import Listeners, Request, run_calibration
 
     with Progress() as progress:
@@ -161,7 +160,7 @@ def calibrate(
         )
     where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
     if as_json:
-        print_json(plain(done.written.document))
+        print_json(done.written.document)
         log(where)
     else:
         document = done.written.document

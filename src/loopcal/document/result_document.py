@@ -209,7 +209,7 @@ def _state(document: ResultDocument) -> list[str]:
     lines = [f"{head} in {steps} on {poses}"]
     if not status.converged:
         lines.append(f"  {status.message}")
-    chi = document.goodness_of_fit
+    chi = document.chi_squared
     if chi is not None and chi.variance_factor is not None and chi.p_value is not None:
         lines.append(
             f"chi-squared {significant(chi.value, 5)} at {chi.degrees_of_freedom} degrees of "

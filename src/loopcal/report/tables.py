@@ -162,7 +162,7 @@ def outlier_table(document: ResultDocument) -> Table | None:
 
 def facts_table(document: ResultDocument) -> Table:
     """Poses, chi-squared, closure and observability."""
-    chi, closure, data = document.goodness_of_fit, document.closure, document.data
+    chi, closure, data = document.chi_squared, document.closure, document.data
     rows = [
         ("poses used", f"{data.used:,} of {data.poses:,}"),
         ("poses left out", ", ".join(data.excluded) or "none"),

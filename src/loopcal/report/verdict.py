@@ -114,7 +114,7 @@ def _of_model(document: ResultDocument) -> list[tuple[str, str]]:
                 "fix or give a prior to what is not determined, or measure other poses",
             )
         )
-    chi = document.goodness_of_fit
+    chi = document.chi_squared
     if chi is not None and chi.p_value is not None and chi.p_value < REJECTED:
         more = ""
         extra = document.model_discrepancy

@@ -75,7 +75,7 @@ class Calibrated:
             covariance, loose = np.nan_to_num(matrix), np.eye(len(free))[:, open_]
         prior = [entries[n].prior_sd for n in names]
         exact = document.sensors_exact
-        chi = document.goodness_of_fit
+        chi = document.chi_squared
         return cls(
             name,
             mechanism.with_nominal({n: entries[n].value for n in names}),
