@@ -26,7 +26,7 @@ for p in $(1); do \
 	else echo "$$p: could not be installed; $(2)"; fi; done
 endef
 
-export PIP_CACHE_DIR := $(CURDIR)/.cache/pip
+export PIP_CACHE_DIR ?= $(CURDIR)/.cache/pip
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export TMPDIR := $(CURDIR)/.cache/tmp
 export HYPOTHESIS_STORAGE_DIRECTORY := $(CURDIR)/.cache/hypothesis
@@ -35,7 +35,7 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
-.PHONY: help install demo test lint types suite partners chromium test-pythons test-without-compiler sanitize fuzz benchmark clean
+.PHONY: help install demo test lint types suite partners chromium test-pythons test-lowest test-without-compiler sanitize fuzz benchmark clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -84,6 +84,16 @@ test-pythons: ## the suite on every interpreter of VERSIONS found, each in its o
 		echo "Python $$v: $$python"; \
 		$(MAKE) --no-print-directory suite VENV=.venv-$$v PYTHON="$$python" || status=1; \
 	done; exit $$status
+
+# Every dependency at its lower bound; build tools and test partners as they come.
+LOWEST := $(CURDIR)/.cache/lowest.txt
+
+test-lowest: ## the suite on the oldest dependencies that pyproject.toml allows, in an environment of its own
+	@mkdir -p $(TMPDIR) && $(PYTHON) -c 'import re, tomllib; \
+		bounds = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
+		print(*(re.sub(">=([^,]*).*", r"==\1", bound) for bound in bounds), sep="\n")' > $(LOWEST)
+	@PIP_CONSTRAINT=$(LOWEST) $(MAKE) --no-print-directory install VENV=.venv-lowest
+	@$(MAKE) --no-print-directory suite VENV=.venv-lowest
 
 # A PATH with everything on it but what builds the engine.
 BARE := $(CURDIR)/.cache/bare

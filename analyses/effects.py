@@ -36,16 +36,19 @@ RANGES = dict(
     )
 )
 SDS = lc.Noise({"theta_*": 5e-5, "?": 2e-5})
-WRIST, ELBOW = lc.Load("wrist", "theta_5"), lc.Load("elbow", "theta_3")
-WEIGHED = (lc.Load("wrist", "theta_5", mass=20.0), lc.Load("elbow", "theta_3", mass=60.0))
+WRIST, ELBOW = lc.effects.Load("wrist", "theta_5"), lc.effects.Load("elbow", "theta_3")
+WEIGHED = (
+    lc.effects.Load("wrist", "theta_5", mass=20.0),
+    lc.effects.Load("elbow", "theta_3", mass=60.0),
+)
 SETUPS: dict[str, Sequence[Effect]] = {
-    "harmonics": [lc.Harmonics(JOINTS[:3])],
-    "scale": [lc.Scale()],
-    "sag": [lc.Compliance((WRIST, ELBOW), ("theta_[12346]", "phi[xy]0"))],
-    "yield": [lc.Compliance(WEIGHED, ("theta_[1234]", "phi[xy]0"))],
-    "backlash": [lc.Backlash()],
-    "drift": [lc.Drift(("[xy]0", "z1", "?6B"))],
-    "shift": [lc.Shift(("?6B",), (20, 60))],
+    "harmonics": [lc.effects.Harmonics(JOINTS[:3])],
+    "scale": [lc.effects.Scale()],
+    "sag": [lc.effects.Compliance((WRIST, ELBOW), ("theta_[12346]", "phi[xy]0"))],
+    "yield": [lc.effects.Compliance(WEIGHED, ("theta_[1234]", "phi[xy]0"))],
+    "backlash": [lc.effects.Backlash()],
+    "drift": [lc.effects.Drift(("[xy]0", "z1", "?6B"))],
+    "shift": [lc.effects.Shift(("?6B",), (20, 60))],
 }
 SETUPS["all"] = [effect for one in SETUPS.values() for effect in one if one != SETUPS["yield"]]
 POSES = 150
@@ -131,7 +134,7 @@ def chosen(true: str, seed: int, poses: int = 100, folds: int = 10) -> str:
 def _named(name: str) -> list[Effect]:
     """The effects of a setup; compliance under the name of its setup."""
     if name == "sag":
-        return [lc.Compliance((WRIST, ELBOW), ("theta_2", "theta_3"), name="sag")]
+        return [lc.effects.Compliance((WRIST, ELBOW), ("theta_2", "theta_3"), name="sag")]
     return list(SETUPS[name])
 
 

@@ -26,8 +26,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.estimation.solve.block_kernel import BlockKernel, CompiledKernel, NumpyKernel
-from loopcal.estimation.solve.kernel import BlockNoise, unweighted, whiten
+from loopcal.estimation.solve.kernel import unweighted, whiten
 from loopcal.expressions import _compiled
 from loopcal.expressions.choice import in_words
 from loopcal.expressions.compiled_engine import CompiledEngine
@@ -36,7 +37,7 @@ from loopcal.expressions.engine import Stage
 from loopcal.expressions.numpy_engine import NumpyEngine
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
-from loopcal.measurements.noise import CovarianceBlock
+from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 from tests.reference.random_loops import BINARY, UNARY
 
 Array = NDArray[np.float64]
@@ -61,10 +62,7 @@ class Case:
 
     tape: Tape
     parameters: Array
-    readings: Array
-    corrections: Array
-    known: Array
-    noise: BlockNoise
+    block: Block
 
 
 def draw(rng: np.random.Generator, wild: bool) -> Case:
@@ -104,10 +102,13 @@ def draw(rng: np.random.Generator, wild: bool) -> Case:
     return Case(
         tape.only(held),
         rng.uniform(-2, 2, n) * (rng.random(n) < 0.9),
-        readings,
-        1e-2 * rng.normal(size=(k, poses)),
-        rng.uniform(-1, 1, (c, poses)),
-        _noise(rng, k, len(held), poses),
+        Block(
+            slice(0, poses),
+            readings,
+            1e-2 * rng.normal(size=(k, poses)),
+            rng.uniform(-1, 1, (c, poses)),
+            _noise(rng, k, len(held), poses),
+        ),
     )
 
 
@@ -125,7 +126,7 @@ def _noise(rng: np.random.Generator, k: int, m: int, poses: int) -> BlockNoise:
         blocks = (
             CovarianceBlock(among, 1e-3 * (np.eye(len(among)) + 0.3 * rng.normal(size=shape))),
         )
-    return BlockNoise(sd, blocks, unmeasured, measured)
+    return BlockNoise(ReadingUncertainty(sd, blocks), unmeasured, measured)
 
 
 def nudged(case: Case, rng: np.random.Generator) -> Case:
@@ -135,15 +136,16 @@ def nudged(case: Case, rng: np.random.Generator) -> Case:
         moved: Array = a * (1.0 + 4e-16 * rng.integers(-2, 3, a.shape))
         return moved
 
-    noise = case.noise
+    noise = case.block.noise
     blocks = tuple(CovarianceBlock(b.indices, last_places(b.factor)) for b in noise.blocks)
-    noise = replace(noise, sd=last_places(noise.sd), blocks=blocks)
-    return replace(case, readings=last_places(case.readings), noise=noise)
+    noise = replace(noise, uncertainty=ReadingUncertainty(last_places(noise.sd), blocks))
+    block = replace(case.block, readings=last_places(case.block.readings), noise=noise)
+    return replace(case, block=block)
 
 
 def numbers(case: Case, compiled: bool, *, exact: bool) -> list[Array]:
     """What one engine makes of the case, as arrays (..., poses)."""
-    tape, readings, b = case.tape, case.readings, case.readings.shape[1]
+    tape, block, b = case.tape, case.block, case.block.count
     linearisation = linearise(tape, tape.quantities, tape.parameters)
     kernel: BlockKernel
     if compiled:
@@ -154,26 +156,24 @@ def numbers(case: Case, compiled: bool, *, exact: bool) -> list[Array]:
         engine = NumpyEngine(linearisation, b)
         kernel = NumpyKernel(engine, unweighted if exact else whiten)
     engine.at(case.parameters)
-    values = engine.evaluate(readings + case.corrections, case.known, Stage.BY_PARAMETER)
+    values = engine.evaluate(block.corrected, block.known, Stage.BY_PARAMETER)
     found = [a.copy() for a in (values.f, values.by_quantity, values.by_parameter)]
-    given = (readings, case.corrections, case.known, case.noise)
-    rows = kernel.equations(*given, summed=False)
+    rows = kernel.equations(block, summed=False)
     assert rows.rows is not None
     found += [rows.rows[:-1].copy(), rows.rows[-1].copy(), rows.correction.copy(), rows.step.copy()]
-    total = kernel.equations(*given, summed=True).total
+    total = kernel.equations(block, summed=True).total
     assert total is not None
-    return [*found, total[:, :, None], kernel.corrected(*given).correction.copy()]
+    return [*found, total[:, :, None], kernel.corrected(block).correction.copy()]
 
 
 def everything(case: Case, *, exact: bool) -> list[Array]:
     """What the compiled engine makes of the case, the search for unmeasured quantities too."""
     found = numbers(case, True, exact=exact)
-    if case.noise.unmeasured:
+    if case.block.noise.unmeasured:
         tape = case.tape
         engine = CompiledEngine(linearise(tape, tape.quantities, tape.parameters), 1)
         engine.at(case.parameters)
-        given = (case.readings, case.corrections, case.known, case.noise)
-        found.append(CompiledKernel(engine, exact).search(*given))
+        found.append(CompiledKernel(engine, exact).search(case.block))
     return found
 
 

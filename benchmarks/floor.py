@@ -93,9 +93,8 @@ def _measured() -> Floor:
     problem = build_problem(arm.mechanism, arm.dataset, arm.noise)
     sweeper = Sweeper(problem)
     sweeper.at(problem.start)
-    (pattern, poses), zeros = next(problem.blocks(POSES)), np.zeros_like(problem.readings)
-    kernel, noise = sweeper.kernel(pattern), sweeper.noise(pattern, poses)
-    given = (problem.readings, zeros, problem.known, noise)
+    pattern, block = next(sweeper.blocks(np.zeros_like(problem.readings), POSES))
+    kernel = sweeper.kernel(pattern)
     m, k, n = 3, 9, len(problem.free)
     tape = _tape(problem.mechanism.tape, problem.names)
     closing = _tape(problem.mechanism.tape, ()) + _whitening(m, k, 0)
@@ -104,10 +103,10 @@ def _measured() -> Floor:
     found = [
         _timed(run)
         for run in (
-            lambda: kernel.equations(*given, summed=True),
-            lambda: kernel.equations(*given, summed=False),
+            lambda: kernel.equations(block, summed=True),
+            lambda: kernel.equations(block, summed=False),
             lambda: engine.evaluate(problem.readings, problem.known, Stage.BY_PARAMETER),
-            lambda: kernel.corrected(*given),
+            lambda: kernel.corrected(block),
         )
     ]
     seconds, sweeps, closings = _solve()

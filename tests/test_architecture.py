@@ -29,9 +29,9 @@ LAYERS = (
     ("cli",),
 )
 HEIGHT = {name: height for height, names in enumerate(LAYERS) for name in names}
-# The public face, the package and its two namespaces, may import anything, and nothing imports it;
+# The public face, the package and its namespaces, may import anything, and nothing imports it;
 # `python -m loopcal` starts the command.
-FACE = {"__init__", "machines", "instruments"}
+FACE = {"__init__", "effects", "instruments", "machines"}
 ABOVE_ALL = {*FACE, "__main__"}
 
 MOST_LINES = 400

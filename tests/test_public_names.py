@@ -11,13 +11,16 @@ from typing import Any
 import pytest
 
 import loopcal
-from loopcal.files.machines.instrument_entries import MAKERS as INSTRUMENTS
-from loopcal.files.machines.mechanism_file import BUILDERS
+from loopcal.files.machines.registry import MACHINES
+from loopcal.mechanisms.effects.registry import EFFECTS
+from loopcal.mechanisms.instruments.registry import INSTRUMENTS
 from tests.documentation import blocks
 
 ROOT = Path(__file__).resolve().parents[1]
-REFERENCE = ROOT / "docs" / "reference" / "api.md"
-NAMESPACES = {"": loopcal, "instruments": loopcal.instruments, "machines": loopcal.machines}
+REFERENCE = "\n".join(p.read_text("utf-8") for p in sorted((ROOT / "docs/reference").glob("*.md")))
+NAMESPACES = {"": loopcal} | {
+    n: getattr(loopcal, n) for n in ("effects", "instruments", "machines")
+}
 LISTED = {key: list(getattr(place, "__all__", [])) for key, place in NAMESPACES.items()}
 NAMES = [f"{key}.{name}".lstrip(".") for key, names in LISTED.items() for name in names]
 DOCUMENTED = [name for name in NAMES if not name.startswith("__")]
@@ -79,7 +82,7 @@ def test_its_docstring_says_something(name: str) -> None:
 
 @pytest.mark.parametrize("name", DOCUMENTED)
 def test_it_is_in_the_reference(name: str) -> None:
-    assert re.search(rf"\b{re.escape(name)}\b", REFERENCE.read_text("utf-8"))
+    assert re.search(rf"\b{re.escape(name)}\b", REFERENCE)
 
 
 @pytest.mark.parametrize("name", DOCUMENTED)
@@ -103,10 +106,12 @@ def test_it_returns_no_bare_tuple(name: str) -> None:
 def test_the_namespaces_hold_what_mechanism_files_do() -> None:
     """Machines and instruments by the types that files call them, apart from what shows a point."""
     instruments = {kind.replace("-", "_") for kind in INSTRUMENTS}
-    machines = {kind.replace("-", "_") for kind in BUILDERS} - {"motoman_ma1400"}
+    machines = {kind.replace("-", "_") for kind in MACHINES} - {"motoman_ma1400"}
     found = {
         name for name in LISTED["instruments"] if inspect.isfunction(public(f"instruments.{name}"))
     }
     assert found == instruments
     found = {name for name in LISTED["machines"] if inspect.isfunction(public(f"machines.{name}"))}
     assert found == machines
+    effects = {name.lower() for name in LISTED["effects"]} - {"load"}
+    assert effects == set(EFFECTS)

@@ -113,6 +113,14 @@ def test_chunks_are_the_poses_that_memory_would_hold(folder: Path) -> None:
     assert chunks[-1].place(0, "xP").startswith("poses, part-2.parquet, row ")
 
 
+def test_a_stream_reports_where_its_sds_come_from(folder: Path) -> None:
+    encoders = PROJECT.replace('{ sd = 1e-4, unit = "rad" }', "{ encoder = { bits = 14 } }")
+    read(folder, encoders)
+    done = run_calibration(folder / "project.toml")
+    sources = {q: n["source"] for n in done.written.document["noise"] for q in n["quantities"]}
+    assert sources == {"phi2": "datasheet", "phi3": "datasheet", "xP": "given", "yP": "given"}
+
+
 def test_a_calibration_from_a_stream_is_that_from_memory(folder: Path) -> None:
     streamed = run_calibration(folder / "project.toml")
     read(folder, PROJECT.replace('"poses"', '"whole.parquet"'))

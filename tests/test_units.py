@@ -10,7 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from loopcal.errors import InputError
-from loopcal.units import _UNITS, SI, Unit, convertible, from_si, to_si, unit
+from loopcal.units import (
+    _UNITS,
+    SI,
+    Unit,
+    convertible,
+    difference_from_si,
+    difference_to_si,
+    from_si,
+    to_si,
+    unit,
+)
 
 # Definitions, from the SI brochure (9th edition) and the international inch of 1959.
 FACTORS = {
@@ -33,6 +43,9 @@ FACTORS = {
     "N": 1.0,
     "s": 1.0,
     "K": 1.0,
+    "mK": 1e-3,
+}
+COMPOSED = {
     "rad/m": 1.0,
     "mrad/m": 1e-3,
     "urad/m": 1e-6,
@@ -40,8 +53,12 @@ FACTORS = {
     "urad/(N m)": 1e-6,
     "m/N": 1.0,
     "um/N": 1e-6,
+    "um/K": 1e-6,
+    "mm/mK": 1.0,
+    "arcsec/degC": FACTORS["arcsec"],
 }
-NAMES = sorted(_UNITS)
+FACTORS |= COMPOSED
+NAMES = sorted([*(name for name in _UNITS if not _UNITS[name].zero), *COMPOSED])
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -71,8 +88,31 @@ def test_infinite_stays_infinite_in_every_unit(value: float) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_the_si_unit_of_a_dimension_has_factor_one(name: str) -> None:
     si = unit(unit(name).si)
-    assert si == Unit(SI[unit(name).dimension], unit(name).dimension, 1.0)
+    assert si == Unit(si.name, unit(name).dimension, 1.0)
+    assert name in COMPOSED or si.name == SI[unit(name).dimension]
     assert convertible(name, si.name)
+
+
+def test_celsius_has_a_zero_and_differences_have_none() -> None:
+    assert to_si(20.0, "degC") == 293.15
+    assert from_si(293.15, "°C") == 20.0
+    assert difference_to_si(0.1, "degC") == difference_from_si(0.1, "degC") == 0.1
+    np.testing.assert_array_equal(to_si(np.array([-273.15, 0.0]), "degC"), [0.0, 273.15])
+    assert convertible("degC", "K")
+
+
+def test_in_a_composed_unit_a_temperature_is_a_difference() -> None:
+    assert to_si(2.0, "um/degC") == to_si(2.0, "um/K") == 2e-6
+    assert unit("µm/°C").name == "um/degC"
+    assert unit("um/degC").si == "m/K"
+    assert convertible("mm/K", "um/degC")
+    assert not convertible("mm/K", "rad/K")
+
+
+@pytest.mark.parametrize("name", ["m/", "/K", "m/K/s", "m/(K", "m/()", "m/(K kg) s", "m/kelvin"])
+def test_what_does_not_compose_is_not_known(name: str) -> None:
+    with pytest.raises(InputError, match="is not known"):
+        unit(name)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from loopcal import instruments, machines
+    from loopcal import effects, instruments, machines
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
     from loopcal.document.fit import NoiseEntry
     from loopcal.document.goodness_of_fit import ChiSquared
@@ -33,14 +33,8 @@ if TYPE_CHECKING:
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
     from loopcal.measurements.noise import Noise
-    from loopcal.mechanisms.effects.backlash import Backlash
-    from loopcal.mechanisms.effects.compliance import Compliance
-    from loopcal.mechanisms.effects.drift import Drift, Shift
     from loopcal.mechanisms.effects.effect import with_effects
-    from loopcal.mechanisms.effects.gravity import Load
-    from loopcal.mechanisms.effects.harmonics import Harmonics
     from loopcal.mechanisms.effects.model import Model
-    from loopcal.mechanisms.effects.scale import Scale
     from loopcal.mechanisms.machine import Instrument, Machine, assemble
     from loopcal.mechanisms.mechanism import Mechanism
     from loopcal.mechanisms.motoman import motoman_ma1400
@@ -94,14 +88,8 @@ _HOME = {
     "measurements.dataset": ("Dataset",),
     "measurements.datasheet": ("Tracker", "encoder_sd", "tracker_covariance"),
     "measurements.noise": ("Noise",),
-    "mechanisms.effects.backlash": ("Backlash",),
-    "mechanisms.effects.compliance": ("Compliance",),
-    "mechanisms.effects.drift": ("Drift", "Shift"),
     "mechanisms.effects.effect": ("with_effects",),
-    "mechanisms.effects.gravity": ("Load",),
-    "mechanisms.effects.harmonics": ("Harmonics",),
     "mechanisms.effects.model": ("Model",),
-    "mechanisms.effects.scale": ("Scale",),
     "mechanisms.machine": ("Instrument", "Machine", "assemble"),
     "mechanisms.mechanism": ("Mechanism",),
     "mechanisms.motoman": ("motoman_ma1400",),
@@ -124,12 +112,11 @@ _HOME = {
     "statistics.repeats": ("Repeats", "repeated_readings"),
     "workflow.calibration": ("write_result",),
 }
-_NAMESPACES = ("instruments", "machines")
+_NAMESPACES = ("effects", "instruments", "machines")
 _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name in names}
 
 __all__ = [
     "Accuracy",
-    "Backlash",
     "Check",
     "ChiSquared",
     "Closure",
@@ -137,19 +124,15 @@ __all__ = [
     "ColumnFault",
     "Compared",
     "ComparedModel",
-    "Compliance",
     "Dataset",
-    "Drift",
     "Findings",
     "Fit",
-    "Harmonics",
     "Identifiability",
     "InputError",
     "Instrument",
     "InstrumentAccuracy",
     "Interval",
     "Joint",
-    "Load",
     "LoadedData",
     "LoopcalError",
     "Machine",
@@ -170,8 +153,6 @@ __all__ = [
     "Repeats",
     "Result",
     "ResultDocument",
-    "Scale",
-    "Shift",
     "Simulation",
     "Status",
     "Threads",
@@ -189,6 +170,7 @@ __all__ = [
     "compare_models",
     "cross",
     "dot",
+    "effects",
     "encoder_sd",
     "find_outliers",
     "findings",

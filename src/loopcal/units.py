@@ -1,13 +1,18 @@
 """Units in which data enter and leave; inside, everything is SI (m, rad).
 
-A unit is a dimension and a factor to the SI unit of that dimension, nothing more:
-value [SI] = factor * value [unit].
+A unit has a dimension, a factor to the SI unit of that dimension and, for degC, a zero:
+
+    value [SI] = factor * value [unit] + zero,    difference [SI] = factor * difference [unit]
+
+Sds, steps and spans are differences. Units compose: "um/K", "rad/(N m)".
 """
 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
+from functools import cache
 from typing import TypeVar
 
 import numpy as np
@@ -39,36 +44,44 @@ _TABLE: dict[str, dict[str, float]] = {
     "mass": {"kg": 1.0, "g": 1e-3},
     "force": {"N": 1.0},
     "time": {"s": 1.0},
-    "temperature": {"K": 1.0},
-    "angle per length": {"rad/m": 1.0, "mrad/m": 1e-3, "urad/m": 1e-6},
-    "torsional compliance": {"rad/(N m)": 1.0, "urad/(N m)": 1e-6},
-    "compliance": {"m/N": 1.0, "um/N": 1e-6},
+    "temperature": {"K": 1.0, "mK": 1e-3, "degC": 1.0},
 }
+_ZEROS = {"degC": 273.15}
 _SPELLINGS = {
     "µm": "um", "μm": "um", "micron": "um", "inch": "in",
     "µrad": "urad", "μrad": "urad", "°": "deg", "degree": "deg", "degrees": "deg",
     "arcsecond": "arcsec", "arcseconds": "arcsec", "as": "arcsec", '"': "arcsec", "″": "arcsec",
     "arcminute": "arcmin", "arcminutes": "arcmin", "'": "arcmin", "′": "arcmin",
-    "": "1", "-": "1",
+    "": "1", "-": "1", "°C": "degC", "℃": "degC",
 }  # fmt: skip
 SI = {dimension: next(iter(members)) for dimension, members in _TABLE.items()}
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit: `value [SI] = factor * value [unit]`, of one dimension ("length", "angle", ...)."""
+    """A unit of one dimension ("length", "angle", "length per temperature", ...).
+
+    value [SI] = factor * value [unit] + zero, and differences without the zero.
+    """
 
     name: str
     dimension: str
     factor: float
+    zero: float = 0.0
 
     @property
     def si(self) -> str:
         """Name of the SI unit of this dimension."""
-        return SI[self.dimension]
+        above, _, below = self.dimension.partition(" per ")
+        return _quotient(SI[above], [SI[d] for d in below.split()])
 
 
-_UNITS = {n: Unit(n, d, f) for d, members in _TABLE.items() for n, f in members.items()}
+_UNITS = {
+    n: Unit(n, d, f, _ZEROS.get(n, 0.0))
+    for d, members in _TABLE.items()
+    for n, f in members.items()
+}
+_QUOTIENT = re.compile(r"([^/()]+)/(?:\(([^/()]+)\)|([^/() ]+))")
 
 
 def unit(name: str) -> Unit:
@@ -77,23 +90,70 @@ def unit(name: str) -> Unit:
     >>> unit("arcseconds").dimension
     'angle'
 
+    >>> unit("um/K").si
+    'm/K'
+
     Raises InputError naming the nearest unit we know.
     """
-    key = name.strip()
-    key = _SPELLINGS.get(key, key)
-    if key not in _UNITS:
+    found = _known(name.strip())
+    if found is None:
         raise InputError(f"unit {name!r} is not known", remedy=nearest(name, _UNITS))
-    return _UNITS[key]
+    return found
+
+
+@cache
+def _known(key: str) -> Unit | None:
+    """A unit by its name, or composed: A/B or A/(B C). A temperature in it is a difference."""
+    key = _SPELLINGS.get(key, key)
+    if key in _UNITS:
+        return _UNITS[key]
+    composed = _QUOTIENT.fullmatch(key)
+    if composed is None:
+        return None
+    above = _simple(composed[1])
+    below = [_simple(part) for part in (composed[2] or composed[3]).split()]
+    if above is None or not all(below):
+        return None
+    parts = [part for part in below if part]
+    return Unit(
+        _quotient(above.name, [part.name for part in parts]),
+        f"{above.dimension} per {' '.join(part.dimension for part in parts)}",
+        above.factor / math.prod(part.factor for part in parts),
+    )
+
+
+def _simple(key: str) -> Unit | None:
+    key = key.strip()
+    return _UNITS.get(_SPELLINGS.get(key, key)) if key else None
+
+
+def _quotient(above: str, below: list[str]) -> str:
+    if not below:
+        return above
+    return f"{above}/{below[0]}" if len(below) == 1 else f"{above}/({' '.join(below)})"
 
 
 def to_si(values: Value, name: str) -> Value:
     """Values [unit `name`] as SI values; any shape. What is too large becomes infinite."""
+    its = unit(name)
     with np.errstate(over="ignore", invalid="ignore"):  # damaged files hold signalling NaNs
+        return values * its.factor + its.zero if its.zero else values * its.factor
+
+
+def difference_to_si(values: Value, name: str) -> Value:
+    """Differences, sds or spans [unit `name`] in SI; any shape."""
+    with np.errstate(over="ignore", invalid="ignore"):
         return values * unit(name).factor
 
 
 def from_si(values: Value, name: str) -> Value:
     """SI values in the unit `name`; any shape."""
+    its = unit(name)
+    return (values - its.zero) / its.factor if its.zero else values / its.factor
+
+
+def difference_from_si(values: Value, name: str) -> Value:
+    """SI differences, sds or spans in the unit `name`; any shape."""
     return values / unit(name).factor
 
 

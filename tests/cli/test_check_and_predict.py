@@ -132,7 +132,7 @@ def test_a_result_of_no_outputs_predicts_nothing(folder: Path, run: Run) -> None
     (folder / "new.csv").write_text(NEW)
     done = run("predict", "project-result", "new.csv")
     assert done.code == 3
-    assert "does not hold what predictions need" in done.err
+    assert "no outputs to predict" in done.err
 
 
 def test_a_result_written_from_python_is_read_in_si(folder: Path, run: Run) -> None:

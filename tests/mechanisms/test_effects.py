@@ -248,6 +248,7 @@ def test_both_poses_of_a_row_are_changed() -> None:
     ("effect", "words"),
     [
         (lambda: Harmonics(orders=(0,)), "orders"),
+        (lambda: Harmonics(orders=(1, 1 + 1e-14)), "twice"),
         (lambda: Harmonics(("theta_7",)), "theta_7"),
         (lambda: Harmonics(("x",)), "'x'"),
         (lambda: Drift(("base_*",)), "base_"),
@@ -262,6 +263,11 @@ def test_both_poses_of_a_row_are_changed() -> None:
         (lambda: Compliance((WRIST,), ("elbow",)), "elbow"),
         (lambda: Compliance((WRIST,), gravity=(0.0, 0.0, 0.0)), "gravity"),
         (lambda: Load("hand", "theta_6", mass=-1.0), "mass"),
+        (
+            lambda: Compliance((Load("hand", "theta_5", (150.0, 0.0, 0.0)),)),
+            "millimetres are meant",
+        ),
+        (lambda: Compliance((Load("hand", "theta_5", (9e9, 0.0, 0.0)),)), "9e.09 m from its joint"),
     ],
 )
 def test_what_cannot_be_is_refused(effect: object, words: str) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from loopcal.errors import InputError
-from loopcal.files.machines.mechanism_file import Loops
-from loopcal.files.machines.python_function import load_function
+from loopcal.files.machines.python_function import Loops, load_function
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.result.result_poses import read_result_poses

@@ -30,13 +30,11 @@ def residuals(
     out = np.full((len(loops), len(problem.poses)), np.nan)
     sweeper = Sweeper(problem)
     sweeper.at(parameters)
-    for pattern, poses in problem.blocks():
-        x = problem.readings[:, poses]
-        if corrections is not None:
-            x = x + corrections[:, poses]
-        values = sweeper.engine(pattern).evaluate(x, problem.known[:, poses], Stage.VALUES).f
+    none = np.broadcast_to(0.0, problem.readings.shape)
+    for pattern, block in sweeper.blocks(none if corrections is None else corrections):
+        found = sweeper.engine(pattern).evaluate(block.corrected, block.known, Stage.VALUES)
         for row, loop in enumerate(pattern.loops):
-            out[loop, poses] = values[row]
+            out[loop, block.poses] = found.f[row]
     return by_name(loops, out)
 
 

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from loopcal.errors import InputError
-from loopcal.files.tables.raw import existing_file, unreadable
+from loopcal.files.tables.raw import bytes_of
+
+MOST_BYTES = 1_000_000_000
 
 
 def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:
@@ -16,10 +18,11 @@ def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:
     Raises InputError, with line and column, for what is no such file.
     """
     remedy = f"name a {kind} that loopcal wrote"
-    try:
-        content = existing_file(path).read_bytes()
-    except OSError as error:
-        raise unreadable(Path(path), error) from None
+    content = bytes_of(path, MOST_BYTES)
+    if len(content) > MOST_BYTES:
+        raise InputError(
+            f"the file is larger than {MOST_BYTES / 1e9:g} GB", place=str(path), remedy=remedy
+        )
     try:
         document = json.loads(content, parse_constant=_refused)
     except json.JSONDecodeError as error:

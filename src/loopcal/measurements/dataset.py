@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Any
@@ -14,7 +14,7 @@ from loopcal.errors import InputError, nearest
 from loopcal.measurements.poses import counted, pose_id, positions_of
 from loopcal.measurements.source import Source
 from loopcal.measurements.tables import as_numbers, column, column_names
-from loopcal.units import to_si, unit
+from loopcal.units import difference_to_si, to_si, unit
 
 Array = NDArray[np.float64]
 _MOST = {"rad": 1e8, "": 1e30}
@@ -80,15 +80,22 @@ class Dataset:
                     remedy=nearest(name, names),
                 )
 
-        def si(name: str, values: Any, what: str) -> Array:
+        def si(
+            name: str, values: Any, what: str, convert: Callable[[Array, str], Array] = to_si
+        ) -> Array:
             numbers = as_numbers(values, what)  # an array of its own
-            numbers = to_si(numbers, units[name]) if name in units else numbers
+            numbers = convert(numbers, units[name]) if name in units else numbers
             numbers.flags.writeable = False  # is kept then, without another copy
             return numbers
 
         readings = {q: si(q, column(table, q), f"column {q!r}") for q in names}
         spread = {
-            q: si(q, column(table, s) if isinstance(s, str) else s, f"the sd of {q!r}")
+            q: si(
+                q,
+                column(table, s) if isinstance(s, str) else s,
+                f"the sd of {q!r}",
+                difference_to_si,
+            )
             for q, s in sds.items()
         }
         number = len(next(iter(readings.values()), ()))

@@ -120,6 +120,11 @@ class CovarianceBlock:
     indices: tuple[int, ...]
     factor: Array
 
+    def of(self, chosen: NDArray[np.intp] | slice) -> CovarianceBlock:
+        """The covariance in some poses, by their positions."""
+        by_pose = self.factor.ndim > 2
+        return CovarianceBlock(self.indices, self.factor[chosen]) if by_pose else self
+
 
 @dataclass(frozen=True)
 class ReadingUncertainty:
@@ -131,8 +136,20 @@ class ReadingUncertainty:
     """
 
     sd: Array
-    blocks: tuple[CovarianceBlock, ...]
-    sources: tuple[str, ...]
+    blocks: tuple[CovarianceBlock, ...] = ()
+    sources: tuple[str, ...] = ()
+
+    @property
+    def by_pose(self) -> bool:
+        """Whether it differs from pose to pose."""
+        return self.sd.shape[1] > 1 or any(block.factor.ndim > 2 for block in self.blocks)
+
+    def of(self, chosen: NDArray[np.intp] | slice) -> ReadingUncertainty:
+        """The uncertainty in some poses, by their positions."""
+        if not self.by_pose:
+            return self
+        sd = self.sd if self.sd.shape[1] == 1 else self.sd[:, chosen]
+        return ReadingUncertainty(sd, tuple(b.of(chosen) for b in self.blocks), self.sources)
 
 
 def resolve_noise(

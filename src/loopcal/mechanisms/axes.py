@@ -9,11 +9,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated, Any
 
 from loopcal.errors import InputError
 from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.keys import Key
 
 Triple = tuple[float, float, float]
+JointName = Annotated[str, Key("The quantity that is read; begins the names of its parameters.")]
+
+
+def moved_in(joint: Any) -> str:
+    """SI unit in which a joint moves, by its kind."""
+    return "m" if joint.kind == "prismatic" else "rad"
+
+
+Limits = Annotated[
+    tuple[float, float] | None,
+    Key("Range of the reading, within which identifiable parameters are chosen.", unit=moved_in),
+]
 ROUNDED = 1e-3
 """How far from 1 the norm of a direction may be: digits were left out when it was written."""
 _CYCLE = {"x": "yzx", "y": "zxy", "z": "xyz"}

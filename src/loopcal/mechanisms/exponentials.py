@@ -15,13 +15,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 from loopcal.errors import InputError
-from loopcal.mechanisms.axes import AxisFrame, Triple, fixed_frame
+from loopcal.mechanisms.axes import AxisFrame, JointName, Limits, Triple, fixed_frame
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.frame import ChainFrame
+from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parameters import Parameter
+
+KINDS = ("revolute", "prismatic")
+NAME = "product of exponentials"
+"""What a machine is called that has no other name."""
 
 
 @dataclass(frozen=True)
@@ -32,14 +38,14 @@ class ScrewJoint:
     or "prismatic"; limits: of the reading [m or rad], where known.
     """
 
-    name: str
-    axis: Triple
-    point: Triple = (0.0, 0.0, 0.0)
-    kind: str = "revolute"
-    limits: tuple[float, float] | None = None
+    name: JointName
+    axis: Annotated[Triple, Key("Unit vector in the base frame.")]
+    point: Annotated[Triple, Key("A point on the axis.", unit="m")] = (0.0, 0.0, 0.0)
+    kind: Annotated[str, Key("How the joint moves.", choices=KINDS)] = "revolute"
+    limits: Limits = None
 
     def __post_init__(self) -> None:
-        if self.kind not in ("revolute", "prismatic"):
+        if self.kind not in KINDS:
             raise InputError(
                 f"the joint {self.name!r} is of the kind {self.kind!r}",
                 remedy="give 'revolute' or 'prismatic'",
@@ -69,7 +75,7 @@ def exponentials(
     joints: Sequence[ScrewJoint],
     *,
     home: tuple[Triple, Triple] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-    name: str = "product of exponentials",
+    name: str = NAME,
 ) -> Machine:
     """The machine T = exp([S_1] q_1) ... exp([S_n] q_n) M, joints from the base to the tip.
 
@@ -96,7 +102,12 @@ def exponentials(
         {p.name: p for p in own},
         lambda x, p: ChainFrame(steps, x, p),
         chain=steps,
-        description={"type": "exponentials", "joints": list(joints), "home": home},
+        description={
+            "type": "exponentials",
+            "fix_redundant": False,
+            "home": dict(zip(("xyz", "rpy"), home, strict=True)),
+            "joints": list(joints),
+        },
     )
 
 

@@ -8,18 +8,22 @@ the instrument was read. Parameters of the same name are the same parameter, whe
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import wraps
+from typing import Any, ParamSpec
 
 from loopcal.errors import InputError, nearest
 from loopcal.mechanisms.chain import Step
-from loopcal.mechanisms.frame import Frame, Values
+from loopcal.mechanisms.frame import Frame, Values, Vector
 from loopcal.mechanisms.gauge import Gauge, fixed, held
 from loopcal.mechanisms.instruments.orientation import Orientation
+from loopcal.mechanisms.keys import described
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 from loopcal.mechanisms.parameters import Parameter
 
+Arguments = ParamSpec("Arguments")
 SECOND = 0.01
 """By how much [m, rad] the home of a row's second pose differs from that of the first."""
 ENDS = ("", "_b")
@@ -35,8 +39,9 @@ class Machine:
     `loops`; home: a typical value [SI] of the quantities that nobody may read, from which the
     search for them begins; known: constants that vary by pose; dimension: 2 for a machine that
     moves in the plane z = 0; gauge: parameters that only say where its frames lie; chain: the
-    steps from the base to the body, where it is a serial arm; description: what a mechanism file
-    says to build it, empty where none can.
+    steps from the base to the body, where it is a serial arm; lines(x, p): what draws it, polylines
+    of points (3,) [m] in its base frame; description: what a mechanism file says to build it, empty
+    where none can.
     """
 
     name: str
@@ -50,6 +55,7 @@ class Machine:
     dimension: int = 3
     gauge: Gauge = field(default_factory=Gauge)
     chain: tuple[Step, ...] = ()
+    lines: Callable[[Values, Values], list[list[Vector]]] | None = None
     description: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -89,6 +95,18 @@ class Instrument:
     def loops(self) -> tuple[str, ...]:
         """Names of its loop equations: those of its readings."""
         return tuple(self.readings)
+
+
+def recorded(make: Callable[Arguments, Instrument]) -> Callable[Arguments, Instrument]:
+    """The same maker of instruments, which writes what it was given into `description`."""
+    signature = inspect.signature(make)
+
+    @wraps(make)
+    def made(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Instrument:
+        given = signature.bind(*args, **kwargs).arguments
+        return replace(make(*args, **kwargs), description=described(make, given))
+
+    return made
 
 
 def assemble(

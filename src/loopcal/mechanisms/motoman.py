@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
+from typing import Annotated
 
+from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
-from loopcal.mechanisms.serial import Joint, serial_arm
+from loopcal.mechanisms.serial import Joint, Motions, serial_arm
 
 AXES = "zyyxyz"
 DIRECTIONS = (1, 1, -1, -1, -1, -1)
@@ -34,8 +37,8 @@ NOMINAL = {
 def motoman_ma1400(
     nominal: Mapping[str, float | Parameter] | None = None,
     *,
-    before: Mapping[str, float] | None = None,
-    name: str = "Motoman MA1400",
+    before: Motions = MappingProxyType({}),
+    name: Annotated[str, Key("Name of the machine.")] = "Motoman MA1400",
 ) -> Mechanism:
     """The MA1400 arm with the seed's 27 parameters; joints theta_1 to theta_6, point x, y, z.
 
@@ -47,7 +50,7 @@ def motoman_ma1400(
         Joint(f"theta_{i}", f"transition-{axis}", direction=direction)
         for i, (axis, direction) in enumerate(zip(AXES, DIRECTIONS, strict=True), 1)
     ]
-    joints[0] = replace(joints[0], before=dict(before or {}))
+    joints[0] = replace(joints[0], before=dict(before))
     made = serial_arm(joints, {**NOMINAL, **(nominal or {})}, name=name)
     described = {"type": "motoman-ma1400", "before": joints[0].before}
     return replace(made, description=described)

@@ -12,16 +12,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 from loopcal.errors import InputError, nearest
-from loopcal.mechanisms.axes import AxisFrame, Triple, fixed_frame
+from loopcal.mechanisms.axes import AxisFrame, JointName, Limits, Triple, fixed_frame
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.frame import ChainFrame
+from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parameters import Parameter
 
-KINDS = ("revolute", "continuous", "prismatic", "fixed")
+MOVING = ("revolute", "continuous", "prismatic")
+KINDS = (*MOVING, "fixed")
 ORIGIN = ("tx", "ty", "tz", "rz", "ry", "rx")
 
 
@@ -32,10 +34,10 @@ class Mimic:
     kind: that of the joint followed, which is the one that is read.
     """
 
-    joint: str
-    multiplier: float = 1.0
-    offset: float = 0.0
-    kind: str = "revolute"
+    joint: Annotated[str, Key("The joint that is read.")]
+    multiplier: Annotated[float, Key("In m and rad.")] = 1.0
+    offset: Annotated[float, Key("In m or rad.")] = 0.0
+    kind: Annotated[str, Key("Kind of the joint that is read.", choices=MOVING)] = "revolute"
 
 
 @dataclass(frozen=True)
@@ -47,13 +49,13 @@ class LinkJoint:
     joint's frame; limits: of the reading [m or rad], where known.
     """
 
-    name: str
-    kind: str
-    xyz: Triple = (0.0, 0.0, 0.0)
-    rpy: Triple = (0.0, 0.0, 0.0)
-    axis: Triple = (1.0, 0.0, 0.0)
-    limits: tuple[float, float] | None = None
-    mimic: Mimic | None = None
+    name: JointName
+    kind: Annotated[str, Key("How the joint moves.", choices=KINDS)] = "revolute"
+    xyz: Annotated[Triple, Key("Origin in the frame of the parent.", unit="m")] = (0.0, 0.0, 0.0)
+    rpy: Annotated[Triple, Key("Roll, pitch and yaw of the origin.", unit="rad")] = (0.0, 0.0, 0.0)
+    axis: Annotated[Triple, Key("Unit vector in the frame of the joint.")] = (1.0, 0.0, 0.0)
+    limits: Limits = None
+    mimic: Annotated[Mimic | None, Key("The joint that this one follows.")] = None
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -135,6 +137,7 @@ def joint_chain(
             remedy="name a base and a tip with moving joints between them",
         )
     steps = tuple(step for joint in joints for step in joint.steps(axes=axes))
+    stated = {"type": "urdf", "fix_redundant": False, "axes": axes, "joints": list(joints)}
     tilts = [Parameter(s.parameter, 0.0, "rad") for j in joints for s in j.tilts if s.parameter]
     parameters = [*(tilts if axes else ()), *(p for joint in joints for p in joint.origin)]
     return Machine(
@@ -143,5 +146,5 @@ def joint_chain(
         {p.name: p for p in parameters},
         lambda x, p: ChainFrame(steps, x, p),
         chain=steps,
-        description=description or {"type": "urdf", "axes": axes, "joints": list(joints)},
+        description=description or stated,
     )

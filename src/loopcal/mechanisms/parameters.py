@@ -9,7 +9,7 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from loopcal.errors import InputError, nearest
-from loopcal.units import unit
+from loopcal.units import to_si, unit
 
 
 @dataclass(frozen=True)
@@ -139,6 +139,5 @@ def declared(parameters: Mapping[str, object]) -> Parameters:
                 f"parameter {name!r} has the value {given!r}",
                 remedy="give (value, unit), for example (0.8, 'm')",
             ) from None
-        its = unit(str(unit_name))
-        items.append(Parameter(name, number * its.factor, its.si))
+        items.append(Parameter(name, to_si(number, str(unit_name)), unit(str(unit_name)).si))
     return Parameters(tuple(items))

@@ -19,6 +19,8 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.serial import chain_machine
 
+NAME = "planar two-link arm"
+"""What the arm is called that has no other name."""
 PLANAR_TWO_LINK = {
     "xA": (0.0, "m"),
     "yA": (0.0, "m"),
@@ -60,7 +62,7 @@ def _loops(x: Inputs, p: Inputs) -> tuple[Any, Any]:
 
 
 def planar_two_link(
-    nominal: Mapping[str, float | Parameter] | None = None, *, name: str = "planar two-link arm"
+    nominal: Mapping[str, float | Parameter] | None = None, *, name: str = NAME
 ) -> Mechanism:
     """The planar two-link arm: A, two links, two joint offsets, end point P measured.
 
@@ -98,7 +100,7 @@ def planar_two_link(
     )
 
 
-def planar_machine(*, name: str = "planar two-link arm") -> Machine:
+def planar_machine(*, name: str = NAME) -> Machine:
     """The same arm without its end point measured, to be looked at by any instrument.
 
     A is the origin of the base, so the links alone are left: l2, l3, phi30, and phi20, which says

@@ -19,19 +19,42 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 from loopcal.errors import InputError, nearest
+from loopcal.mechanisms.axes import JointName
 from loopcal.mechanisms.chain import MOTIONS, Step
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.instruments.point import point as cartesian
+from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import Station, Target
 
+NAME = "serial arm"
+"""What an arm is called that has no other name."""
+FORMS = ("dh", "mdh", "hayati", "transition-x", "transition-y", "transition-z")
+KINDS = ("revolute", "prismatic")
+Direction = Annotated[int, Key("-1: the reading counts against the axis.", choices=(1, -1))]
 _PLANES = {"z": "xy", "y": "xz", "x": "yz"}
+
+
+def moved_by(motion: str) -> str:
+    """SI unit of a fixed motion such as "tx" or "rz"."""
+    return "m" if motion[0] == "t" else "rad"
+
+
+Motions = Annotated[
+    Mapping[str, float],
+    Key(
+        "Fixed, exactly known motions in the order of writing: displacements along x, y, z and "
+        "turns about them.",
+        unit=moved_by,
+        choices=MOTIONS,
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -44,19 +67,19 @@ class Joint:
     writing, [m, rad]) ahead of and behind this joint's own transform.
     """
 
-    name: str
-    form: str = "dh"
-    kind: str = "revolute"
-    direction: int = 1
-    before: Mapping[str, float] = field(default_factory=dict)
-    after: Mapping[str, float] = field(default_factory=dict)
+    name: JointName
+    form: Annotated[str, Key("Convention of the joint.", choices=FORMS)] = "dh"
+    kind: Annotated[str, Key("How the joint moves.", choices=KINDS)] = "revolute"
+    direction: Direction = 1
+    before: Motions = field(default_factory=dict)
+    after: Motions = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.form not in FORMS:
             raise InputError(
                 f"joint {self.name!r} has the form {self.form!r}", remedy=nearest(self.form, FORMS)
             )
-        if self.kind not in ("revolute", "prismatic"):
+        if self.kind not in KINDS:
             raise InputError(
                 f"joint {self.name!r} is of the kind {self.kind!r}",
                 remedy="give 'revolute' or 'prismatic'",
@@ -72,9 +95,6 @@ class Joint:
                     f"joint {self.name!r} has the fixed motion {motion!r}",
                     remedy=nearest(motion, MOTIONS),
                 )
-
-
-FORMS = ("dh", "mdh", "hayati", "transition-x", "transition-y", "transition-z")
 
 
 def parameter_keys(form: str) -> tuple[str, ...]:
@@ -157,7 +177,7 @@ def chain_machine(
     )
 
 
-def serial_machine(joints: Sequence[Joint], *, name: str = "serial arm") -> Machine:
+def serial_machine(joints: Sequence[Joint], *, name: str = NAME) -> Machine:
     """A serial arm without any instrument; joints from the base to the tip, the body is the last.
 
     T_base_body = T_1 ... T_n, the T_i in the forms of the joints (see `Joint`). Quantities: the
@@ -182,7 +202,7 @@ def serial_arm(
     *,
     base: bool | None = None,
     point: tuple[str, str, str] = ("x", "y", "z"),
-    name: str = "serial arm",
+    name: str = NAME,
 ) -> Mechanism:
     """A serial arm whose tool point an instrument measures as x, y, z in its own frame.
 

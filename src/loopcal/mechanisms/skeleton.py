@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from loopcal.mechanisms.chain import product
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.parallel.drawing import LINES, PLANAR, parallel_lines
+from loopcal.mechanisms.parallel.drawing import parallel_lines
+from loopcal.mechanisms.parallel.registry import PARALLEL
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.serial import tool_names
 from loopcal.mechanisms.station import Station, Target
@@ -31,13 +32,11 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     stands = next((f.placement for f in mechanism.families if f.placement), None)
     station = stands.steps if isinstance(stands, Station) else ()
     kind = described.get("type")
-    if kind in LINES:
-        lines = parallel_lines(mechanism, kind, joints)
-        return (
-            None
-            if lines is None
-            else _seen(lines, product(station, {}, values), 2 if kind in PLANAR else 3)
-        )
+    if kind in PARALLEL:
+        machine = PARALLEL[kind]()
+        lines = parallel_lines(mechanism, machine, joints)
+        T_station_base = product(station, {}, values)
+        return None if lines is None else _seen(lines, T_station_base, machine.dimension)
     if not mechanism.chain:
         return None
     steps = (*station, *mechanism.chain)

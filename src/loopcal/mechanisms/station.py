@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from loopcal.expressions.vectors import vector
 from loopcal.mechanisms.chain import Step, apply, product
 from loopcal.mechanisms.frame import Values, Vector
+from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.placement import rigid, yaw_pitch_roll
 
@@ -81,6 +83,11 @@ class Target:
         """The point NAME_x, NAME_y, NAME_z, in a plane without z."""
         return cls(tuple(f"{name}_{axis}" for axis in "xyz"[:dimension]))
 
+    @classmethod
+    def of(cls, target: str | Target, dimension: int = 3) -> Target:
+        """The target itself, or the point of that name."""
+        return cls.named(target, dimension) if isinstance(target, str) else target
+
     @property
     def declared(self) -> dict[str, Parameter]:
         """The parameters, nominal 0."""
@@ -90,6 +97,40 @@ class Target:
         """The point (3,) in the body's frame, z = 0 in a plane."""
         given = [parameters[name] for name in self.parameters]
         return vector(*given, *[0.0] * (3 - len(given)))
+
+
+LookedAt = Annotated[
+    str | Target,
+    Key(
+        "Name of the point of the body: parameters TARGET_x, _y, _z. A list names the coordinates "
+        "themselves."
+    ),
+]
+StandsAt = Annotated[
+    str | None,
+    Key(
+        "Name of the place of the instrument: six parameters STATION_x, _y, _z, _rz, _ry, _rx, in "
+        "a plane STATION_x, _y, _rz. Instruments at one place have the same station. false: "
+        "coordinates are those of the machine's base."
+    ),
+]
+OwnStation = Annotated[
+    str | None,
+    Key(
+        "Name of the place of the instrument: six parameters STATION_x, _y, _z, _rz, _ry, _rx, in "
+        "a plane STATION_x, _y, _rz. Instruments at one place have the same station. Default: the "
+        "name of the instrument."
+    ),
+]
+Anchor = Annotated[
+    str | None,
+    Key(
+        "Name of the point fixed in the machine's base: three parameters such as NAME_x, _y, _z, "
+        "which need nominal values. Default: the name of the instrument."
+    ),
+]
+Reading = Annotated[str | None, Key("Name of the reading. Default: the name of the instrument.")]
+Name = Annotated[str, Key("Name of the instrument; begins the names of what is its own.")]
 
 
 def _key(motion: str) -> str:

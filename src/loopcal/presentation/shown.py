@@ -5,7 +5,7 @@ from __future__ import annotations
 from loopcal.presentation.rounding import rounded_by_sd, significant
 from loopcal.units import from_si
 
-SHOWN = {"m": "mm", "rad": "deg"}
+SHOWN = {"m": "mm", "rad": "deg", "m/K": "um/K", "rad/K": "urad/K"}
 """Units in which SI values are printed, because drawings and controllers use them."""
 FINE = {"m": "um", "rad": "urad"}
 """Units in which sds of sensors are printed."""

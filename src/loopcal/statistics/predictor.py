@@ -87,8 +87,8 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
     stored, names = document.prediction, document.covariance.names
     if stored is None:
         raise InputError(
-            "the result does not hold what predictions need",
-            remedy="calibrate again a mechanism that names its outputs",
+            f"{mechanism.name!r} has no outputs to predict: no instrument measures it",
+            remedy="add the instrument whose readings are to be predicted, and calibrate again",
         )
     sds = {q: entry.sd for entry in document.noise for q in entry.quantities}
     if any(q.startswith(PREFIX) for q in sds):

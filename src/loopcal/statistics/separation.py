@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from loopcal.chi_squared import tail
 from loopcal.errors import InputError
-from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model
+from loopcal.estimation.noise.linear_model import LinearModel, linear_model
 from loopcal.estimation.noise.variance_components import (
     ALIKE,
     Estimate,
@@ -207,10 +207,10 @@ def _with_offsets(model: LinearModel, owner: NDArray[np.intp], count: int) -> Li
         poses, r = block.e.shape
         own = np.eye(count)[owner[begin : begin + poses]]
         J = np.einsum("bs,rt->brst", own, np.eye(r)).reshape(poses, r, count * r)
-        blocks.append(ModelBlock(block.e, J, block.fixed, block.parts))
+        blocks.append(replace(block, J=J))
         begin += poses
     n = blocks[0].J.shape[2]
-    return LinearModel(tuple(blocks), np.zeros(n), np.zeros(n))
+    return replace(model, blocks=tuple(blocks), precision=np.zeros(n), offset=np.zeros(n))
 
 
 def _judged(model: LinearModel, found: Estimate, which: int, group: SeparatedSd) -> SeparatedSd:

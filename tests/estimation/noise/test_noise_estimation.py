@@ -9,17 +9,28 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 from scipy.special import chdtri
 
 import loopcal as lc
 from analyses.variance_components import SMALL, SmallNoise
 from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.noise.estimation import estimate_noise
+from loopcal.estimation.noise.learning import components
 from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model
 from loopcal.estimation.noise.linear_model import fit as mixed_fit
-from loopcal.estimation.noise.variance_components import estimate_ratios, upper_bound
-from loopcal.estimation.problem.problem import build_problem
+from loopcal.estimation.noise.variance_components import (
+    estimate_ratios,
+    upper_bound,
+    without_component,
+)
+from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import solve
 from loopcal.mechanisms.model_error import with_model_error
+
+EACH = {"theta_*": "each", "model": "group"}
 
 
 def planar_poses() -> dict[str, np.ndarray[Any, Any]]:
@@ -57,16 +68,17 @@ def test_parameters_that_are_hardly_told_apart_cost_the_criterion_no_digits() ->
     """J A dp' describes the same poses as J dp: the criterion changes by 2 log |det A| at most."""
     rng = np.random.default_rng(2)
     e, J = rng.normal(size=(100, 3)), rng.normal(size=(100, 3, 8))
-    parts = np.array([rng.uniform(1, 2, (100, 1, 1)) * np.diag(d) for d in ([1, 1, 0], [0, 1, 1])])
+    sizes = rng.uniform(1, 2, (100, 4)) ** 0.5
+    G, owner = np.eye(3)[:, [0, 1, 1, 2]] * sizes[:, None, :], np.array([0, 0, 1, 1])
     A = np.eye(8)
     A[0, 1], A[1, 1] = 1.0, 1e-6
     at = np.array([1.0, 1.0])
-    flat = np.zeros(8)
+    flat, none = np.zeros(8), np.zeros((100, 3, 3))
     changes = []
     for ratios in (at, 1.1 * at):
         found = [
-            mixed_fit(LinearModel((ModelBlock(e, D, np.zeros((100, 3, 3)), parts),), flat, flat), r)
-            for D, r in ((J, ratios), (J @ A, ratios))
+            mixed_fit(LinearModel((ModelBlock(e, D, none, G, owner),), flat, flat, 2), ratios)
+            for D in (J, J @ A)
         ]
         assert found[0] is not None
         assert found[1] is not None
@@ -144,6 +156,118 @@ def test_two_sensors_that_only_show_as_a_sum_are_named() -> None:
         assert entry.sd_of_sd is None  # any share of the sum fits as well
         assert entry.upper is not None
         assert entry.upper > true
+
+
+def test_a_sum_is_named_although_one_of_its_parts_ends_at_zero() -> None:
+    machine = lc.Mechanism.from_function(
+        lambda x, p: x.a + x.b - p.c, {"a": "m", "b": "m"}, {"c": (0.0, "m")}
+    )
+    rng = np.random.default_rng(1)
+    readings = {"a": rng.normal(size=200), "b": rng.normal(size=200)}
+    noise = lc.Noise({"a": 30.0, "b": 0.5}, estimate={"?": "each"})
+    result = calibrate(machine, readings, noise=noise)
+    assert min(entry.sd for entry in result.noise) == 0.0
+    assert any("'a'" in w and "'b'" in w and "told apart" in w for w in result.warnings)
+    for entry in result.noise:
+        assert entry.sd_of_sd is None
+        assert entry.upper is not None
+        assert entry.upper > 1.0
+
+
+def two_alike(shared: float, stated: float = 1.0) -> LinearModel:
+    """Two sensors that show in nearly the same direction, of which the first is noisy.
+
+    stated: the sd stated of the second.
+    """
+    rng = np.random.default_rng(5)
+    poses, n = 120, 3
+    G = rng.normal(size=(poses, 2, 2))
+    G[:, :, 1] = shared * G[:, :, 0] + (1.0 - shared) * G[:, :, 1]
+    e = 2.0 * G[:, :, 0] * rng.normal(size=(poses, 1)) + 0.3 * rng.normal(size=(poses, 2))
+    G[:, :, 1] *= stated
+    fixed = np.broadcast_to(0.09 * np.eye(2), (poses, 2, 2))
+    block = ModelBlock(e, rng.normal(size=(poses, 2, n)), fixed, G, np.array([0, 1]))
+    return LinearModel((block,), np.zeros(n), np.zeros(n), 2)
+
+
+@pytest.mark.parametrize("stated", [1.0, 1e-4])
+def test_a_component_at_zero_is_free_again_when_another_is_dropped(stated: float) -> None:
+    """Its likelihood ratio is that of the better of all fits without the other."""
+    model = two_alike(0.8, stated)
+    found = estimate_ratios(model)
+    assert found.ratios[1] == 0.0
+    without = without_component(model, found, 0)
+    assert without is not None
+
+    def criterion(logarithm: float) -> float:
+        at = mixed_fit(model, np.array([0.0, math.exp(logarithm) / stated**2]))
+        assert at is not None
+        return at.criterion
+
+    best = minimize_scalar(criterion, bounds=(-10, 5), method="bounded")
+    at_zero = mixed_fit(model, np.zeros(2))
+    assert at_zero is not None
+    assert best.fun < at_zero.criterion - 10.0
+    assert without == pytest.approx(best.fun, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_ratios_do_not_depend_on_where_the_search_begins(seed: int) -> None:
+    model = two_alike(0.5)
+    start = np.exp(np.random.default_rng(seed).uniform(-12.0, 6.0, 2))
+    found, again = estimate_ratios(model), estimate_ratios(model, start)
+    assert again.criterion == pytest.approx(found.criterion, abs=1e-8)
+    assert again.ratios == pytest.approx(found.ratios, rel=1e-4)
+
+
+def test_the_likelihood_ratios_of_the_real_grid_do_not_depend_on_the_sds_stated(
+    shared_data: Callable[[str], Path],
+) -> None:
+    file = shared_data("motoman_ma1400_leica/left_arm_grid.csv")
+    columns = {f"theta_{i}": c for i, c in enumerate("SLURBT", 1)} | {k: k for k in "xyz"}
+    data = lc.read_dataset(file, columns, pose="pose")
+    arm = lc.motoman_ma1400({"x6B": 0.05, "y6B": 0.0, "z6B": -0.45}, before={"rz": math.pi / 2})
+    found = []
+    for sd in (5e-5, 3e-4):
+        noise = lc.Noise({"theta_*": sd, "xyz": 5e-6, "model": 1e-5}, estimate=EACH)
+        result = calibrate(arm, data, noise=noise)
+        found.append([e.likelihood_ratio for e in result.noise if e.source == "estimated"])
+    assert found[0] == pytest.approx(found[1], rel=1e-3, abs=1e-3)
+
+
+def test_a_search_that_begins_where_another_ended_ends_there() -> None:
+    arm, poses = lc.planar_two_link(), planar_poses()
+    truth = lc.Noise({"?P": 1e-4, "phi2": 1e-3, "phi3": 0.0})
+    noise = lc.Noise({"?P": 1e-4, "phi?": 1e-3}, estimate={"phi?": "each"})
+    zeros = 0
+    for draw in range(4):
+        data = lc.simulate(arm, poses, noise=truth, seed=draw).dataset
+        problem = build_problem(arm, data, noise)
+        stated = components(problem, noise)
+        first = estimate_noise(problem, stated, solve)
+        again = estimate_noise(problem, stated, solve, begin=first.factors)
+        assert list(again.factors.values()) == pytest.approx(list(first.factors.values()), rel=1e-4)
+        assert again.solution.status.iterations < first.solution.status.iterations
+        zeros += min(first.factors.values()) == 0.0
+    assert zeros
+
+
+def test_the_search_ends_with_fits_that_do_not_converge() -> None:
+    """Sds learnt where the loops were left say nothing, and more fits from there cost minutes."""
+    arm, poses = lc.planar_two_link(), planar_poses()
+    noise = lc.Noise({"?P": 1e-4, "phi?": 1e-3}, estimate={"phi?": "each"})
+    data = lc.simulate(arm, poses, noise=noise, seed=1).dataset
+    problem = build_problem(arm, data, noise)
+    fits = []
+
+    def hopeless(present: Problem) -> Solution:
+        fits.append(present)
+        return solve(present, max_iterations=0)
+
+    found = estimate_noise(problem, components(problem, noise), hopeless)
+    assert not found.settled
+    assert not found.solution.status.converged
+    assert len(fits) == 2
 
 
 def test_the_model_s_own_error_takes_what_no_sensor_explains() -> None:

@@ -9,16 +9,16 @@ import pytest
 from numpy.typing import NDArray
 from scipy.linalg import null_space
 
+from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.estimation.solve.kernel import (
     REORTHOGONAL,
-    BlockNoise,
     eliminate,
     orthonormalise,
     unweighted,
     whiten,
 )
 from loopcal.expressions.engine import LoopValues
-from loopcal.measurements.noise import CovarianceBlock
+from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
 Array = NDArray[np.float64]
 K, M, N, B = 6, 3, 4, 11
@@ -26,12 +26,11 @@ K, M, N, B = 6, 3, 4, 11
 
 
 @dataclass(frozen=True)
-class Block:
+class Case:
     """A block of random poses: what the kernel is given, and the covariance of every pose."""
 
     values: LoopValues
-    correction: Array
-    noise: BlockNoise
+    held: Block
     Sigma: Array
 
     def pose(self, b: int) -> tuple[Array, Array, Array, Array]:
@@ -41,11 +40,11 @@ class Block:
             v.f[:, b],
             v.by_quantity[:, :, b].T,
             v.by_parameter[:, :, b].T,
-            self.correction[:, b],
+            self.held.corrections[:, b],
         )
 
 
-def random_block(kind: str, unmeasured: tuple[int, ...] = (), seed: int = 1) -> Block:
+def random_block(kind: str, unmeasured: tuple[int, ...] = (), seed: int = 1) -> Case:
     """kind: how the noise is told: "sd", "sds by pose", "covariance", "covariances by pose"."""
     rng = np.random.default_rng(seed)
     values = LoopValues(
@@ -66,7 +65,9 @@ def random_block(kind: str, unmeasured: tuple[int, ...] = (), seed: int = 1) -> 
         sd[list(among)] = np.sqrt(np.einsum("...ii->...i", part)).T.reshape(len(among), -1)
     sd[list(unmeasured)] = np.inf
     measured = tuple(i for i in range(K) if i not in unmeasured)
-    return Block(values, correction, BlockNoise(sd, blocks, unmeasured, measured), Sigma)
+    noise = BlockNoise(ReadingUncertainty(sd, blocks), unmeasured, measured)
+    held = Block(slice(0, B), np.zeros_like(correction), correction, np.zeros((0, B)), noise)
+    return Case(values, held, Sigma)
 
 
 KINDS = ["sd", "sds by pose", "covariance", "covariances by pose"]
@@ -75,7 +76,7 @@ KINDS = ["sd", "sds by pose", "covariance", "covariances by pose"]
 @pytest.mark.parametrize("kind", KINDS)
 def test_whitening_is_the_inverse_cholesky_factor_of_each_pose(kind: str) -> None:
     block = random_block(kind)
-    white = whiten(block.values, block.correction, block.noise)
+    white = whiten(block.values, block.held)
     assert not white.singular.any()
     for b in range(B):
         f, J, J_p, c = block.pose(b)
@@ -90,9 +91,9 @@ def test_eliminating_is_projecting_onto_the_left_null_space(
     kind: str, unmeasured: tuple[int, ...]
 ) -> None:
     block = random_block(kind, unmeasured)
-    white = whiten(block.values, block.correction, block.noise)
+    white = whiten(block.values, block.held)
     assert white.D.shape == (N, M - len(unmeasured), B)
-    measured = list(block.noise.measured)
+    measured = list(block.held.noise.measured)
     for b in range(B):
         f, J, J_p, c = block.pose(b)
         free = null_space(J[:, list(unmeasured)].T) if unmeasured else np.eye(M)
@@ -112,7 +113,7 @@ def test_corrections_are_the_least_that_close_the_linearised_loops(
     kind: str, unmeasured: tuple[int, ...]
 ) -> None:
     block = random_block(kind, unmeasured)
-    white = whiten(block.values, block.correction, block.noise)
+    white = whiten(block.values, block.held)
     for b in range(B):
         f, J, _, c = block.pose(b)
         new = white.correction[:, b]
@@ -120,7 +121,7 @@ def test_corrections_are_the_least_that_close_the_linearised_loops(
         assert new[4] == 0.0  # exact quantities are not corrected
         # least: Sigma^-1 new = J^T multipliers, so new = Sigma J^T multipliers, with
         # J_unmeasured^T multipliers = 0
-        measured, loose = list(block.noise.measured), list(unmeasured)
+        measured, loose = list(block.held.noise.measured), list(unmeasured)
         part = block.Sigma[b][np.ix_(measured, measured)] @ J[:, measured].T
         stacked = np.vstack([part, J[:, loose].T])
         wanted = np.concatenate([new[measured], np.zeros(len(loose))])
@@ -146,7 +147,7 @@ def test_a_loop_without_anything_uncertain_is_marked_singular() -> None:
     by_quantity = block.values.by_quantity.copy()
     by_quantity[:4, 1, 3] = by_quantity[5, 1, 3] = 0.0  # only the exact quantity is left
     values = LoopValues(block.values.f, by_quantity, block.values.by_parameter)
-    white = whiten(values, block.correction, block.noise)
+    white = whiten(values, block.held)
     assert np.flatnonzero(white.singular).tolist() == [3]
 
 
@@ -155,21 +156,21 @@ def test_two_loops_that_say_the_same_are_marked_singular() -> None:
     by_quantity = block.values.by_quantity.copy()
     by_quantity[:, 2, 5] = 3.0 * by_quantity[:, 0, 5]
     values = LoopValues(block.values.f, by_quantity, block.values.by_parameter)
-    white = whiten(values, block.correction, block.noise)
+    white = whiten(values, block.held)
     assert np.flatnonzero(white.singular).tolist() == [5]
 
 
 def test_exact_sensors_leave_the_loops_unweighted() -> None:
     block = random_block("sd")
-    plain = unweighted(block.values, block.correction, block.noise)
+    plain = unweighted(block.values, block.held)
     assert plain.D.tolist() == block.values.by_parameter.tolist()
     assert plain.E.tolist() == (-block.values.f).tolist()
-    assert plain.correction.tolist() == block.correction.tolist()
+    assert plain.correction.tolist() == block.held.corrections.tolist()
 
 
 def test_exact_sensors_with_an_unmeasured_quantity_find_it_by_least_squares() -> None:
     block = random_block("sd", unmeasured=(1, 3))
-    plain = unweighted(block.values, block.correction, block.noise)
+    plain = unweighted(block.values, block.held)
     for b in range(B):
         f, J, J_p, c = block.pose(b)
         loose = J[:, [1, 3]]

@@ -7,10 +7,10 @@ import pytest
 from loopcal.errors import InputError
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
-from loopcal.files.machines.parallel_entries import MAKERS
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import toml_data
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parallel.registry import PARALLEL
 
 PASSIVE = {"four-bar": "theta_2", "five-bar": "phi_1", "three-rrr": "phi_3"}
 PASSIVE["stewart-gough"] = "alpha_2"
@@ -21,7 +21,7 @@ def read(text: str) -> Mechanism:
     return mechanism_from_data(data, Place("machine.toml"))
 
 
-@pytest.mark.parametrize("kind", MAKERS)
+@pytest.mark.parametrize("kind", PARALLEL)
 @pytest.mark.parametrize("instrument", ["", '[[instrument]]\ntype = "point"\n'])
 def test_they_are_written_again_bit_for_bit_also_where_held_parameters_are_freed(
     kind: str, instrument: str

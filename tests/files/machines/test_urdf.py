@@ -135,6 +135,9 @@ MALFORMED = {
     "circle": (
         robot(LINKS + JOINTS.replace('parent link="a"', 'parent link="d"')), "in a circle", "parent"
     ),
+    "circle through the base": (
+        robot(LINKS + JOINTS + joint("da", "d", "a")), "lead back to it", "parent"
+    ),
 }  # fmt: skip
 
 

@@ -7,15 +7,15 @@ new sds (`loopcal.estimation.noise.variance_components`); both are repeated unti
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.noise.linear_model import LinearModel, linear_model
 from loopcal.estimation.noise.variance_components import (
-    ALIKE,
     Component,
     Estimate,
     estimate_ratios,
@@ -34,6 +34,8 @@ _FAR = 100.0
 """A variance so many times the stated one, or less than it by as much, is checked again."""
 _ROUGHLY, _SLOWLY = 0.1, 100.0
 """Variance ratios that change less than this are roughly right; early ones fall no faster."""
+_FAILURES = 1
+"""So many fits in succession may end without converging."""
 _UNCERTAIN = 0.5
 """Relative sd of an sd from which on an upper bound says more than the estimate."""
 
@@ -63,16 +65,45 @@ class EstimatedSd:
 class NoiseEstimate:
     """The fit at the estimated sds, and what was learnt of these.
 
-    criterion: -2 log of the restricted likelihood, up to a constant of the readings; alike: pairs
-    of components whose estimates are so correlated that these data cannot separate them.
+    problem: at these sds; model: the loops linearised at this fit; found: its variance ratios.
     """
 
     problem: Problem
     solution: Solution
-    components: tuple[EstimatedSd, ...]
-    criterion: float
-    alike: tuple[tuple[str, str], ...]
+    stated: tuple[Component, ...]
+    model: LinearModel
+    found: Estimate
     settled: bool
+
+    @property
+    def criterion(self) -> float:
+        """-2 log of the restricted likelihood at this fit's own linearisation.
+
+        Up to a constant of the readings; not to be compared with that of another fit, whose loops
+        are linearised elsewhere.
+        """
+        return self.found.criterion
+
+    @property
+    def factors(self) -> Mapping[str, float]:
+        """Estimated over stated sd of each component, by name."""
+        ratios = zip(self.stated, self.found.ratios, strict=True)
+        return {component.name: math.sqrt(ratio) for component, ratio in ratios}
+
+    @cached_property
+    def alike(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of components that these data cannot separate: only their sum shows."""
+        names = [component.name for component in self.stated]
+        return tuple((names[j], names[i]) for j, i in self.found.alike)
+
+    @cached_property
+    def components(self) -> tuple[EstimatedSd, ...]:
+        """What the calibration says of each component; computed on request, it costs most."""
+        unsure = {name for pair in self.alike for name in pair}
+        return tuple(
+            _judged(self.model, self.found, i, component, component.name in unsure)
+            for i, component in enumerate(self.stated)
+        )
 
 
 def estimate_noise(
@@ -81,29 +112,33 @@ def estimate_noise(
     fit: Callable[[Problem], Solution],
     *,
     at_readings: bool = False,
+    begin: Mapping[str, float] | None = None,
 ) -> NoiseEstimate:
-    """Fit and sds together, from the sds that the problem states.
+    """Fit and sds together.
 
-    fit: the method; at_readings: whether it weighs the readings where they are (reweighted).
+    fit: the method; at_readings: whether it weighs the readings where they are (reweighted);
+    begin: `NoiseEstimate.factors` of nearly the same readings, from which the sds settle in a few
+    rounds; by default the search begins at the sds that the problem states.
     """
     positions = [component.quantities for component in components]
     search = _Search(problem, positions, fit, at_readings)
-    best = search.run(np.ones(len(components)))
-    doubtful = list(search.doubtful(best))
-    while doubtful:
-        again = search.run(doubtful.pop(0))
-        if again.found.criterion < best.found.criterion - _BETTER:
-            best = again
-            doubtful = list(search.doubtful(best))
-    model, found = best.model, best.found
-    alike = _alike(found, components)
-    unsure = {name for pair in alike for name in pair}
+    if begin is not None:
+        best = search.run(np.square([begin[component.name] for component in components]), near=True)
+    else:
+        best = search.run(np.ones(len(components)))
+        doubtful = list(search.doubtful(best))
+        while doubtful and best.fitted:
+            again = search.run(doubtful.pop(0))
+            if again.fitted and again.found.criterion < best.found.criterion - _BETTER:
+                best = again
+                doubtful = list(search.doubtful(best))
+    status = replace(best.solution.status, iterations=best.iterations)
     return NoiseEstimate(
         best.present,
-        replace(best.solution, status=replace(best.solution.status, iterations=best.iterations)),
-        tuple(_judged(model, found, i, c, c.name in unsure) for i, c in enumerate(components)),
-        found.criterion,
-        alike,
+        replace(best.solution, status=status),
+        tuple(components),
+        best.model,
+        best.found,
         best.settled,
     )
 
@@ -118,6 +153,11 @@ class _Round:
     found: Estimate
     settled: bool
     iterations: int
+
+    @property
+    def fitted(self) -> bool:
+        """Whether the fit at these sds converged."""
+        return self.solution.status.converged
 
 
 @dataclass(frozen=True)
@@ -139,13 +179,18 @@ class _Search:
                 other[i] = 1.0
                 yield other
 
-    def run(self, ratios: Array) -> _Round:
-        """Fit and ratios in turn, from these ratios."""
-        start, before, vanish, iterations = self.stated.start, math.inf, False, 0
+    def run(self, ratios: Array, *, near: bool = False) -> _Round:
+        """Fit and ratios in turn, from these ratios, until neither moves.
+
+        near: they are roughly right. Fits that do not converge end the search: sds learnt where
+        the loops were left mean nothing, and a second fit from there is the last attempt.
+        """
+        start, before, vanish, iterations, failed = self.stated.start, math.inf, near, 0, 0
         for number in range(_MOST):
             present = replace(scaled(self.stated, self.positions, ratios), start=start)
             solution = self.fit(present)
             start, iterations = solution.parameters, iterations + solution.status.iterations
+            failed = 0 if solution.status.converged else failed + 1
             model = linear_model(
                 replace(self.stated, start=start),
                 start,
@@ -153,16 +198,17 @@ class _Search:
                 self.positions,
                 at_readings=self.at_readings,
             )
-            found = estimate_ratios(model, ratios, vanish=vanish)
+            lowest = np.zeros(len(ratios)) if vanish else ratios / _SLOWLY
+            found = estimate_ratios(model, ratios, lowest=lowest)
             change = _change(ratios, found.ratios)
             ended = change <= _SETTLED or abs(before - found.criterion) <= _BETTER
-            if ended and vanish:
+            if ended and vanish and not failed:
                 return _Round(present, solution, model, found, found.converged, iterations)
+            if failed > _FAILURES:
+                break
             # No component may vanish before the others are roughly right.
             vanish = vanish or ended or change <= _ROUGHLY or number >= _MOST // 2
-            lowest = 0.0 if vanish else ratios / _SLOWLY
-            ratios = np.maximum(found.ratios, lowest)
-            before = found.criterion
+            ratios, before = found.ratios, found.criterion
         return _Round(present, solution, model, found, False, iterations)
 
 
@@ -200,14 +246,3 @@ def _judged(
     # at the boundary the rise is zero in half of all cases (Self and Liang 1987)
     p_value = None if rise is None else 0.5 * float(chdtrc(1, rise)) if rise > 0.0 else 1.0
     return EstimatedSd(component.name, component.quantities, ratio, sd, upper, rise, p_value)
-
-
-def _alike(found: Estimate, components: Sequence[Component]) -> tuple[tuple[str, str], ...]:
-    spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
-    pairs = []
-    for i in range(len(components)):
-        for j in range(i):
-            scale = spread[i] * spread[j]
-            if scale > 0.0 and abs(found.covariance[i, j]) > ALIKE * scale:
-                pairs.append((components[j].name, components[i].name))
-    return tuple(pairs)

@@ -1,18 +1,24 @@
-"""The calibration linearised at its solution: a mixed linear model in the parameters' steps.
+"""The calibration linearised at a fit: a mixed linear model in the parameters' steps.
 
 For each pose, after elimination of what is unmeasured,
 
-    e = J_p dp + v,   v ~ N(0, V),   V = V_0 + sum_j s_j V_j,
+    e = J dp + sum_j G_j u_j + v,   u_j ~ N(0, s_j I),   v ~ N(0, V_0),
 
-e = J_x correction - f, V_j = J_j Sigma_j J_j^T the part of component j at its present sds, s_j its
-variance ratio (1 at present), V_0 the sensors whose sds are taken as given. Searle, Casella and
-McCulloch, Variance Components (1992), chapter 6.
+e = J_x correction - f, J = J_p. G_j holds the loadings of component j: its columns of J_x times
+their stated sds. s_j is its variance ratio (1 at the stated sds), V_0 the covariance of the sensors
+whose sds are given. The misclosure then has the covariance V = V_0 + sum_j s_j G_j G_j^T. Searle,
+Casella and McCulloch, Variance Components (1992), chapter 6.
+
+All columns are joined, [J e G], and whitened together. One QR decomposition of [J e] per evaluation
+reduces the poses to a triangle; prior terms are further rows of it. Sums over poses go by loadings:
+a component with one column costs one column, not a matrix V_j for every pose.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +32,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ModelBlock:
-    """b poses: e (b, r), J (b, r, n), fixed (b, r, r) = V_0, parts (c, b, r, r) = V_j."""
+    """b poses: e (b, r), J (b, r, n), fixed (b, r, r) = V_0 and the loadings G (b, r, K).
+
+    owner: (K,) the component of each column of G, in ascending order.
+    """
 
     e: Array
     J: Array
     fixed: Array
-    parts: Array
+    G: Array
+    owner: NDArray[np.intp]
+
+    @cached_property
+    def columns(self) -> Array:
+        """[J e G], (b, r, n + 1 + K)."""
+        return np.concatenate([self.J, self.e[:, :, None], self.G], axis=2)
 
 
 @dataclass(frozen=True)
@@ -41,11 +56,7 @@ class LinearModel:
     blocks: tuple[ModelBlock, ...]
     precision: Array
     offset: Array
-
-    @property
-    def components(self) -> int:
-        """Number of variance components."""
-        return len(self.blocks[0].parts)
+    components: int
 
 
 @dataclass(frozen=True)
@@ -53,14 +64,12 @@ class MixedFit:
     """The linear model at some variance ratios.
 
     criterion: -2 log of the restricted likelihood, up to a constant; score: (c,) derivatives of
-    the log likelihood by the ratios; information: (c, c) its expected negative second
-    derivatives; contribution: (c,) trace of P V_j, what each component takes of the freedom.
+    the log likelihood by the ratios; information: (c, c) its expected negative second derivatives.
     """
 
     criterion: float
     score: Array
     information: Array
-    contribution: Array
 
 
 def linear_model(
@@ -79,86 +88,111 @@ def linear_model(
     sweeper = Sweeper(problem)
     sweeper.at(parameters)
     blocks = []
-    for pattern, poses in problem.blocks():
-        noise, engine = sweeper.noise(pattern, poses), sweeper.engine(pattern)
-        unmeasured = list(pattern.unmeasured)
-        start = corrections[:, poses]
-        values = engine.evaluate(problem.readings[:, poses] + start, problem.known[:, poses])
-        measured = list(noise.measured)
+    for pattern, block in sweeper.blocks(corrections):
+        noise, engine = block.noise, sweeper.engine(pattern)
+        values = engine.evaluate(block.corrected, block.known)
+        unmeasured, measured = list(noise.unmeasured), list(noise.measured)
         f, J, D = values.f.copy(), values.by_quantity[measured], values.by_parameter.copy()
         columns = values.by_quantity[unmeasured]
         if at_readings:
-            read = problem.readings[:, poses].copy()
-            read[unmeasured] += start[unmeasured]
-            D = engine.evaluate(read, problem.known[:, poses]).by_parameter.copy()
+            D = engine.evaluate(block.read, block.known).by_parameter.copy()
         skip = len(unmeasured)
         if skip:
             reflections = eliminate(columns)
             f, J, D = (reflections.apply(part) for part in (f, J, D))
-        e = np.einsum("kmb,kb->mb", J[:, skip:], start[measured]) - f[skip:]
-        G = loadings(J[:, skip:], noise)
+        e = np.einsum("kmb,kb->mb", J[:, skip:], block.corrections[measured]) - f[skip:]
+        G = loadings(J[:, skip:], noise).transpose(2, 0, 1)
         rows = [[measured.index(i) for i in c if i in noise.measured] for c in components]
-        assigned = {i for own in rows for i in own}
-        rest = [i for i in range(len(measured)) if i not in assigned]
-        parts = [np.einsum("rkb,skb->brs", G[:, own], G[:, own]) for own in [*rows, rest]]
+        own = [i for c in rows for i in c]
+        rest = G[:, :, [i for i in range(len(measured)) if i not in own]]
         blocks.append(
             ModelBlock(
                 np.ascontiguousarray(e.T),
                 np.ascontiguousarray(D[:, skip:].transpose(2, 1, 0)),
-                parts[-1],
-                np.array(parts[:-1]).reshape(len(components), *parts[-1].shape),
+                rest @ rest.transpose(0, 2, 1),
+                np.ascontiguousarray(G[:, :, own]),
+                np.array([j for j, c in enumerate(rows) for _ in c], dtype=np.intp),
             )
         )
     present = parameters[problem.free]
     precision = 1.0 / np.square(problem.prior_sd)
-    return LinearModel(tuple(blocks), precision, problem.nominal - present)
+    offset = problem.nominal - present
+    return LinearModel(tuple(blocks), precision, offset, len(components))
+
+
+@dataclass(frozen=True)
+class _Joined:
+    """The whitened columns of all blocks at some ratios, and [J e] with the prior as a triangle.
+
+    rows: (b, r, n + 1) each, W = L^-1 G: (b, r, K) each; R: (n + 1, n + 1); volume: sum log|V|.
+    """
+
+    rows: list[Array]
+    W: list[Array]
+    R: Array
+    volume: float
 
 
 def fit(model: LinearModel, ratios: Array) -> MixedFit | None:
     """The restricted likelihood at these variance ratios; None where some V is singular.
 
     -2 log L = sum log|V| + log|H| + residual, H = sum J^T V^-1 J + prior (Patterson and
-    Thompson 1971); score_j = (r^T P V_j P r - tr P V_j) / 2, information_jk = tr(P V_j P V_k)/2.
+    Thompson 1971). With P the projector V^-1 - V^-1 J H^-1 J^T V^-1 and r = e - J dp,
+    score_j = (|G_j^T V^-1 r|^2 - tr G_j^T P G_j) / 2, information_jk = |G_j^T P G_k|^2 / 2.
     """
-    n, count = len(model.precision), model.components
-    prior = np.sqrt(model.precision)
-    R = np.column_stack([np.diag(prior), prior * model.offset])
-    log_V, whitened = 0.0, []
-    for block in model.blocks:
-        V = block.fixed + np.tensordot(ratios, block.parts, axes=1)
-        try:
-            L = np.linalg.cholesky(V)
-        except np.linalg.LinAlgError:
-            return None
-        log_V += 2.0 * float(np.log(np.einsum("brr->br", L)).sum())
-        rows = np.linalg.solve(L, np.concatenate([block.J, block.e[:, :, None]], axis=2))
-        parts = np.linalg.solve(L, block.parts)  # L^-1 V_j L^-T, from both sides
-        parts = np.linalg.solve(L, np.swapaxes(parts, -1, -2))
-        whitened.append((rows[:, :, :n], rows[:, :, n], parts))
-        stacked = np.concatenate([R, rows.reshape(-1, n + 1)])
-        R = np.asarray(np.linalg.qr(stacked, mode="r"))
+    joined = _joined(model, ratios)
+    if joined is None:
+        return None
+    n, R = len(model.precision), joined.R
     # R, not R^T R = H: squaring the condition would leave the criterion some seven digits
     scale = 1.0 / np.maximum(np.linalg.norm(R[:, :n], axis=0), 1e-150)
     U, values, Vt = np.linalg.svd(R[:, :n] * scale, full_matrices=False)
     kept = values > 1e-7 * values[0]
     root = scale[:, None] * Vt[kept].T / values[kept]  # H^-1 = root root^T
     along = U[:, kept].T @ R[:, n]
-    dp = root @ along
     log_H = 2.0 * float(np.log(values[kept]).sum() - np.log(scale).sum())
-    residual = np.linalg.norm(R[:, n] - U[:, kept] @ along)
-    criterion = log_V + log_H + float(residual) ** 2
-    quadratic, trace = np.zeros(count), np.zeros(count)
-    inner = np.zeros((count, root.shape[1], root.shape[1]))
-    pairs = np.zeros((count, count))
-    for D3, E2, parts in whitened:
-        B = D3 @ root
-        r = E2 - D3 @ dp
-        quadratic += np.einsum("br,cbrs,bs->c", r, parts, r)
-        KB = parts @ B
-        inner += np.einsum("bri,cbrj->cij", B, KB)
-        trace += np.einsum("cbrr->c", parts)
-        pairs += np.einsum("cbrs,dbrs->cd", parts, parts)
-        pairs -= 2.0 * np.einsum("cbri,dbri->cd", KB, KB)
-    trace -= np.einsum("cii->c", inner)
-    pairs += np.einsum("cij,dij->cd", inner, inner)
-    return MixedFit(criterion, 0.5 * (quadratic - trace), 0.5 * pairs, trace)
+    residual = float(np.linalg.norm(R[:, n] - U[:, kept] @ along))
+    score, information = _slopes(model, joined, root, root @ along)
+    return MixedFit(joined.volume + log_H + residual**2, score, information)
+
+
+def _joined(model: LinearModel, ratios: Array) -> _Joined | None:
+    n = len(model.precision)
+    prior = np.sqrt(model.precision)
+    R = np.column_stack([np.diag(prior), prior * model.offset])
+    rows, W, log_V = [], [], 0.0
+    for block in model.blocks:
+        V = block.fixed + (block.G * ratios[block.owner]) @ block.G.transpose(0, 2, 1)
+        try:
+            L = np.linalg.cholesky(V)
+        except np.linalg.LinAlgError:
+            return None
+        log_V += 2.0 * float(np.log(np.einsum("brr->br", L)).sum())
+        whitened = np.linalg.solve(L, block.columns)
+        rows.append(np.ascontiguousarray(whitened[:, :, : n + 1]))
+        W.append(whitened[:, :, n + 1 :])
+        R = np.asarray(np.linalg.qr(np.concatenate([R, rows[-1].reshape(-1, n + 1)]), mode="r"))
+    return _Joined(rows, W, R, log_V)
+
+
+def _slopes(model: LinearModel, joined: _Joined, root: Array, dp: Array) -> tuple[Array, Array]:
+    """Score and information from W (b, r, K), C = W^T W and Y = W^T D root, all by pose."""
+    n, rank, count = len(dp), root.shape[1], model.components
+    score, pairs = np.zeros(count), np.zeros((count, count))
+    inner = np.zeros((count, rank, rank))
+    for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
+        poses, _, K = W.shape
+        turned = W.transpose(0, 2, 1)
+        Y = ((turned @ rows[:, :, :n]).reshape(-1, n) @ root).reshape(poses, K, rank)
+        C, Q = turned @ W, Y @ Y.transpose(0, 2, 1)
+        r = rows[:, :, n] - rows[:, :, :n] @ dp
+        misfit = np.square(turned @ r[:, :, None])[:, :, 0].sum(axis=0)
+        freedom = np.einsum("bkk->k", C) - np.einsum("bkk->k", Q)
+        members = np.equal.outer(np.arange(count), block.owner).astype(float)  # (c, K)
+        score += 0.5 * members @ (misfit - freedom)
+        pairs += members @ np.einsum("bkl,bkl->kl", C, C - 2.0 * Q) @ members.T
+        for j in range(count):
+            own = Y[:, block.owner == j].reshape(-1, rank)
+            inner[j] += own.T @ own
+    flat = inner.reshape(count, -1)
+    return score, 0.5 * (pairs + flat @ flat.T)

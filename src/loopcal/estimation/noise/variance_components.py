@@ -1,14 +1,16 @@
 """Variance components: the sds of sensors, learnt from the calibration itself.
 
-Restricted maximum likelihood (Patterson and Thompson 1971) by Fisher scoring on the logarithms
-of the variances, at the linearisation of the present fit; the calibration refits in between
-until both settle. A component that the data want to be nothing ends at exactly zero.
+Restricted maximum likelihood (Patterson and Thompson 1971) by Fisher scoring on the variance
+ratios, at one linearisation of the loops; the calibration refits in between until both settle.
+No ratio is negative: each step is the best one that keeps them so, hence a ratio reaches zero, or
+leaves it, when the likelihood says so (Karush, Kuhn and Tucker), whatever the sds stated.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +19,19 @@ from loopcal.errors import NoTrustworthyResult
 from loopcal.estimation.noise.linear_model import LinearModel, MixedFit, fit
 
 Array = NDArray[np.float64]
-_MOST = 200
-_SEED = 1e-4
-"""Where a component that the data want back begins again."""
-_NOTHING = 0.5
-"""A component that takes less than this of one degree of freedom is tried at zero."""
+_MOST, _HALVINGS = 200, 30
+_SETTLED = 1e-10
+"""A step is the last one if it promises the criterion less than this, or than its rounding."""
+_ROUNDING = 1e-14
+"""Of the criterion's size, so much is rounding."""
+_AT_BOUND = 1e-9
+"""A step that leaves no more than this of a ratio above its bound leads to the bound."""
+_RIDGE = 1e-12
+"""Of a component's own information, so that what only shows in a sum has a step of its own."""
 _OPEN = 1e-4
 """Information on the logarithm of a ratio, below which the data leave it open."""
+_NO_PULL = 0.1
+"""Chi-squared with which the data hold a ratio at zero, below which it is there by chance."""
 _FEW, _MANY = 0.05, 1e6
 """Degrees of freedom outside which the rise to a bound is at its limit."""
 _FARTHEST = 20.0
@@ -42,15 +50,57 @@ class Component:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Variance ratios (c,) to the present sds, with their covariance (c, c) and criterion.
-
-    A ratio at zero has no variance here; see `upper_bound`.
-    """
+    """Variance ratios (c,) to the stated sds, and the likelihood there."""
 
     ratios: Array
-    covariance: Array
-    criterion: float
+    at: MixedFit
     converged: bool
+
+    @property
+    def criterion(self) -> float:
+        """-2 log of the restricted likelihood, up to a constant."""
+        return self.at.criterion
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance (c, c) of the ratios.
+
+        A ratio at zero has none (see `upper_bound`), unless it is there by chance: part of a sum
+        that could as well be all its own.
+        """
+        return self._inverse((self.ratios > 0.0) | self._by_chance)
+
+    @property
+    def alike(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of components so correlated that these data cannot separate them."""
+        pairs = np.argwhere(np.tril(_correlated(self.covariance), -1))
+        return tuple((int(j), int(i)) for i, j in pairs)
+
+    @cached_property
+    def _by_chance(self) -> NDArray[np.bool_]:
+        """Ratios at zero that the likelihood lets rise at the cost of another's."""
+        everything = self._inverse(np.diag(self.at.information) > 0.0)
+        pull = np.square(self.at.score) * np.diag(everything)
+        flat: NDArray[np.bool_] = (self.ratios == 0.0) & (pull < _NO_PULL)
+        return flat & _correlated(everything).any(axis=1)
+
+    def _inverse(self, which: NDArray[np.bool_]) -> Array:
+        """The inverse information on some of the ratios, scaled to logarithms; else zero."""
+        covariance = np.zeros_like(self.at.information)
+        index = np.flatnonzero(which)
+        if not index.size:
+            return covariance
+        information = self.at.information[np.ix_(index, index)]
+        present, root = self.ratios[index], np.sqrt(np.diag(information))
+        # a ratio at zero counts as what would make up for the largest other
+        most = float((present * root).max()) or 1.0
+        scale = np.where(present > 0.0, present, most / np.maximum(root, 1e-150))
+        values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+        # what only shows in a sum is left open by the data: almost no information on it
+        values = np.maximum(values, _OPEN / 10.0)
+        root = scale[:, None] * vectors / np.sqrt(values)
+        covariance[np.ix_(index, index)] = root @ root.T
+        return covariance
 
     def sd_of_root(self, which: int) -> float | None:
         """Sd of the root of a ratio, to first order; None at zero, or if data leave it open."""
@@ -61,111 +111,85 @@ class Estimate:
 
 
 def estimate_ratios(
-    model: LinearModel, start: Array | None = None, *, vanish: bool = True
+    model: LinearModel,
+    start: Array | None = None,
+    *,
+    lowest: Array | None = None,
+    held: int | None = None,
 ) -> Estimate:
-    """The variance ratios of greatest restricted likelihood, none negative.
+    """The variance ratios of greatest restricted likelihood.
 
-    vanish: whether components may end at zero.
+    start: where the search begins, by default at the stated sds; lowest: (c,) what no ratio falls
+    below, by default zero; held: a component that stays at its start.
+
+    Raises NoTrustworthyResult where the loops have no noise at the start nor at the stated sds.
     """
-    count = model.components
-    ratios = np.ones(count) if start is None else np.array(start)
-    free = ratios > 0.0
+    ratios = np.ones(model.components) if start is None else np.array(start)
+    lowest = np.zeros(model.components) if lowest is None else lowest
+    free = np.arange(model.components) != held
     current = fit(model, ratios)
     if current is None:
-        ratios, free = np.ones(count), np.ones(count, dtype=bool)
+        ratios = np.where(free, 1.0, ratios)
         current = fit(model, ratios)
     if current is None:
         raise NoTrustworthyResult(
             "the sds cannot be learnt: where the fit ended, the loops have no usable noise model",
             remedy="calibrate with stated sds first, and see whether that converges",
         )
-    gain = math.inf
     for _ in range(_MOST):
-        vanished = _vanished(model, ratios, free, current) if vanish else None
-        if vanished is not None:
-            ratios[vanished], free[vanished] = 0.0, False
-            current = _at(model, ratios)
-        step = _scoring_step(current, ratios, free)
-        if gain < 1e-9 or np.abs(step[free]).max(initial=0.0) < 1e-6:
-            returning = ~free & (current.score > 1e-6 * current.contribution)
-            if not returning.any() or gain == 0.0:
-                return Estimate(ratios, _covariance(current, ratios, free), current.criterion, True)
-            free |= returning
-            ratios[returning] = _SEED
-            current = _at(model, ratios)
-            gain = math.inf
-            continue
-        moved = _improve(model, ratios, free, step, current)
+        step = _scoring_step(current, ratios, lowest, free)
+        promised = float(step @ (2.0 * current.score - current.information @ step))
+        if promised <= _SETTLED + _ROUNDING * abs(current.criterion):
+            break
+        moved = _improved(model, ratios, step, current)
         if moved is None:
-            gain = 0.0
-            continue
-        ratios, following = moved
-        gain = current.criterion - following.criterion
-        current = following
-    return Estimate(ratios, _covariance(current, ratios, free), current.criterion, False)
+            break
+        ratios, current = moved
+    else:
+        return Estimate(ratios, current, False)
+    # what goes to its bound is there, however little is left to gain by it
+    ended = np.where(ratios + step <= lowest + _AT_BOUND * ratios, lowest, ratios)
+    last = current if np.array_equal(ended, ratios) else fit(model, ended)
+    return Estimate(ratios, current, True) if last is None else Estimate(ended, last, True)
 
 
-def _at(model: LinearModel, ratios: Array) -> MixedFit:
-    found = fit(model, ratios)
-    assert found is not None  # a component is only taken away where the loops close without it
-    return found
+def _scoring_step(
+    current: MixedFit, ratios: Array, lowest: Array, free: NDArray[np.bool_]
+) -> Array:
+    """Fisher's step d, the greatest of score d - d I d / 2 where no ratio falls below the lowest.
 
+    With I = A^T A and u = ratios + d - lowest it is the least |A u - b| over u >= 0.
+    """
+    from scipy.optimize import nnls
 
-def _scoring_step(current: MixedFit, ratios: Array, free: NDArray[np.bool_]) -> Array:
-    """Fisher's step in the logarithms of the free ratios."""
-    score = current.score * ratios
-    information = current.information * np.outer(ratios, ratios)
     step = np.zeros_like(ratios)
-    own = information[np.ix_(free, free)]
-    if free.any():
-        own = own + 1e-12 * np.trace(own) * np.eye(len(own))
-        step[free] = np.linalg.solve(own, score[free])
-    return np.clip(step, -2.0, 2.0)
+    diagonal = np.diag(current.information)
+    index = np.flatnonzero(free & (diagonal > 0.0))
+    if not index.size:
+        return step
+    scale = 1.0 / np.sqrt(diagonal[index])
+    own = current.information[np.ix_(index, index)] * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(own)
+    root = np.sqrt(np.maximum(values, _RIDGE))
+    A = root[:, None] * vectors.T
+    above = (ratios - lowest)[index] / scale
+    b = A @ above + (vectors.T @ (current.score[index] * scale)) / root
+    step[index] = np.maximum(nnls(A, b)[0] - above, -above) * scale
+    return step
 
 
-def _improve(
-    model: LinearModel, ratios: Array, free: NDArray[np.bool_], step: Array, current: MixedFit
+def _improved(
+    model: LinearModel, ratios: Array, step: Array, current: MixedFit
 ) -> tuple[Array, MixedFit] | None:
-    """The longest of the halved steps that does not raise the criterion."""
+    """The longest of the halved steps that lowers the criterion; None if only rounding is left."""
     length = 1.0
-    for _ in range(12):
-        trial = np.where(free, ratios * np.exp(length * step), 0.0)
+    for _ in range(_HALVINGS):
+        trial = np.maximum(ratios + length * step, 0.0)
         found = fit(model, trial)
-        if found is not None and found.criterion <= current.criterion + 1e-10:
+        if found is not None and found.criterion < current.criterion:
             return trial, found
         length /= 2
     return None
-
-
-def _vanished(
-    model: LinearModel, ratios: Array, free: NDArray[np.bool_], current: MixedFit
-) -> int | None:
-    """A component that is next to nothing and does no harm at zero."""
-    if not free.any():
-        return None
-    share = np.where(free, ratios * current.contribution, np.inf)
-    smallest = int(np.argmin(share))
-    if share[smallest] > _NOTHING:
-        return None
-    without = ratios.copy()
-    without[smallest] = 0.0
-    zero = fit(model, without)
-    gone = zero is not None and zero.criterion <= current.criterion + 1e-6
-    return smallest if gone else None
-
-
-def _covariance(current: MixedFit, ratios: Array, free: NDArray[np.bool_]) -> Array:
-    covariance = np.zeros_like(current.information)
-    index = np.flatnonzero(free)
-    if index.size:
-        scale = ratios[index]
-        own = current.information[np.ix_(index, index)] * np.outer(scale, scale)
-        values, vectors = np.linalg.eigh(own)
-        # what only shows in a sum is left open by the data: almost no information on it
-        values = np.maximum(values, _OPEN / 10.0)
-        root = scale[:, None] * vectors / np.sqrt(values)
-        covariance[np.ix_(index, index)] = root @ root.T
-    return covariance
 
 
 def without_component(model: LinearModel, estimate: Estimate, which: int) -> float | None:
@@ -173,19 +197,11 @@ def without_component(model: LinearModel, estimate: Estimate, which: int) -> flo
 
     None where the loops could not close without it.
     """
-    smaller, start = _held(model, which, 0.0), np.delete(estimate.ratios, which)
-    if fit(smaller, start) is None:
+    start = estimate.ratios.copy()
+    start[which] = 0.0
+    if fit(model, start) is None:
         return None
-    return estimate_ratios(smaller, start).criterion
-
-
-def _held(model: LinearModel, which: int, ratio: float) -> LinearModel:
-    """The model with one component no longer estimated but taken as given at this ratio."""
-    blocks = tuple(
-        replace(b, fixed=b.fixed + ratio * b.parts[which], parts=np.delete(b.parts, which, axis=0))
-        for b in model.blocks
-    )
-    return replace(model, blocks=blocks)
+    return estimate_ratios(model, start, held=which).criterion
 
 
 def upper_bound(
@@ -200,17 +216,21 @@ def upper_bound(
     """
     from scipy.optimize import brentq
 
-    present, others = float(estimate.ratios[which]), np.delete(estimate.ratios, which)
+    present = float(estimate.ratios[which])
     beyond = 0.5 * (1.0 - level)
+    others = estimate.ratios
 
     def excess(logarithm: float) -> float:
+        nonlocal others
         ratio = math.exp(logarithm)
-        found = estimate_ratios(_held(model, which, ratio), others)
-        information = _left(_at(model, np.insert(found.ratios, which, ratio)), found.ratios, which)
-        needed = _rise(2.0 * ratio * ratio * information, beyond)
+        start = others.copy()
+        start[which] = ratio
+        found = estimate_ratios(model, start, held=which)
+        others = found.ratios
+        needed = _rise(2.0 * ratio * ratio * _left(found, which), beyond)
         return found.criterion - estimate.criterion - needed
 
-    information = float(_at(model, estimate.ratios).information[which, which])
+    information = float(estimate.at.information[which, which])
     if information <= 0.0:
         return None
     low = math.log(max(present, 1e-12))
@@ -223,11 +243,21 @@ def upper_bound(
     return math.exp(float(brentq(excess, low, high, xtol=1e-4)))
 
 
-def _left(at: MixedFit, others: Array, which: int) -> float:
-    """The information on one ratio that estimating the others leaves."""
-    free = np.insert(others > 0.0, which, False)
-    own, cross = float(at.information[which, which]), at.information[which, free]
-    shared = np.linalg.lstsq(at.information[np.ix_(free, free)], cross, rcond=1e-12)[0]
+def _correlated(covariance: Array) -> NDArray[np.bool_]:
+    """Which pairs of a covariance (c, c) are correlated too much to be separated."""
+    sd = np.sqrt(np.diag(covariance))
+    limit = ALIKE * np.outer(sd, sd)
+    alike: NDArray[np.bool_] = (limit > 0.0) & (np.abs(covariance) > limit)
+    return alike & ~np.eye(len(sd), dtype=bool)
+
+
+def _left(found: Estimate, which: int) -> float:
+    """The information on the held ratio that estimating the others leaves."""
+    free = found.ratios > 0.0
+    free[which] = False
+    information = found.at.information
+    own, cross = float(information[which, which]), information[which, free]
+    shared = np.linalg.lstsq(information[np.ix_(free, free)], cross, rcond=1e-12)[0]
     return max(own - float(cross @ shared), 1e-9 * own)
 
 

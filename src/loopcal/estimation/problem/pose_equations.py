@@ -48,23 +48,16 @@ def pose_equations(
     sweeper.at(parameters)
     everything = np.arange(len(problem.poses))
     found = []
-    for pattern, poses in problem.blocks():
-        noise, engine = sweeper.noise(pattern, poses), sweeper.engine(pattern)
-        unmeasured = list(pattern.unmeasured)
-        start, known = corrections[:, poses], problem.known[:, poses]
-        x = problem.readings[:, poses] + start
-        J_p = None
-        if at_readings:
-            read = problem.readings[:, poses].copy()
-            read[unmeasured] = x[unmeasured]
-            J_p = engine.evaluate(read, known).by_parameter.copy()
-        values = engine.evaluate(x, known)
-        identity = np.repeat(np.eye(len(pattern.loops))[:, :, None], x.shape[1], axis=2)
-        whitened = sweeper.reduce(replace(values, by_parameter=identity), start, noise)
+    for pattern, block in sweeper.blocks(corrections):
+        engine, known = sweeper.engine(pattern), block.known
+        J_p = engine.evaluate(block.read, known).by_parameter.copy() if at_readings else None
+        values = engine.evaluate(block.corrected, known)
+        identity = np.repeat(np.eye(len(pattern.loops))[:, :, None], block.count, axis=2)
+        whitened = sweeper.reduce(replace(values, by_parameter=identity), block)
         T = whitened.D
         found.append(
             PoseEquations(
-                everything[poses],
+                everything[block.poses],
                 whitened.E.T.copy(),
                 np.einsum("crb,ncb->brn", T, values.by_parameter if J_p is None else J_p),
                 np.einsum("crb,kcb->brk", T, values.by_quantity),

@@ -175,19 +175,14 @@ def build_problem(
 
 def taken(problem: Problem, index: NDArray[np.intp]) -> Problem:
     """The same problem on the poses at these positions, in this order; a pose may come twice."""
-    given = problem.uncertainty
-    sd = given.sd if given.sd.shape[1] == 1 else given.sd[:, index]
-    blocks = tuple(
-        block if block.factor.ndim == 2 else replace(block, factor=block.factor[index])
-        for block in given.blocks
-    )
+    uncertainty = problem.uncertainty.of(index)
     return replace(
         problem,
         readings=problem.readings[:, index],
         known=problem.known[:, index],
-        uncertainty=replace(given, sd=sd, blocks=blocks),
+        uncertainty=uncertainty,
         poses=tuple(problem.poses[i] for i in index),
-        patterns=_patterns(problem.mechanism, np.isinf(sd)),
+        patterns=_patterns(problem.mechanism, np.isinf(uncertainty.sd)),
     )
 
 

@@ -84,8 +84,9 @@ class _Found:
         misfit = np.empty(len(poses))
         for part in _parts(np.arange(len(poses)), sweeper.problem.block):
             begun = corrections[:, part] if start is None else start[:, part]
-            corrections[:, part] = found_in_loops(sweeper, begun, pattern, poses[part])
-            misfit[part] = sweeper.misfit(corrections[:, part], pattern, poses[part])
+            block = found_in_loops(sweeper, pattern, sweeper.block(pattern, poses[part], begun))
+            corrections[:, part] = block.corrections
+            misfit[part] = sweeper.misfit(pattern, block)
         return cls(pattern, poses, corrections, misfit)
 
     def taken(self, index: NDArray[np.intp]) -> _Found:

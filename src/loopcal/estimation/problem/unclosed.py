@@ -39,9 +39,9 @@ def open_loops(problem: Problem) -> InputError | None:
         for begin in range(0, len(index), problem.block):
             some = index[begin : begin + problem.block]
             start = np.zeros((len(problem.readings), len(some)))
-            found = found_in_loops(sweeper, start, alone, some)
-            x = problem.readings[:, some] + found
-            f = np.abs(sweeper.engine(alone).evaluate(x, problem.known[:, some], Stage.VALUES).f)
+            block = found_in_loops(sweeper, alone, sweeper.block(alone, some, start))
+            found = sweeper.engine(alone).evaluate(block.corrected, block.known, Stage.VALUES)
+            f = np.abs(found.f)
             gap = f.max(axis=0)
             poses += int((gap > _OPEN).sum())
             most = int(gap.argmax())

@@ -13,15 +13,16 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.estimation.solve.closing import UNMEASURED_SCALE
-from loopcal.estimation.solve.kernel import BlockNoise, Whitened
+from loopcal.estimation.solve.kernel import Whitened
 from loopcal.estimation.solve.scratch import scratch
 from loopcal.estimation.solve.searching import search
 from loopcal.expressions.compiled_engine import CompiledEngine, native_noise, side_by_side
 from loopcal.expressions.engine import Engine, LoopValues, Stage
 
 Array = NDArray[np.float64]
-Reduce = Callable[[LoopValues, Array, BlockNoise], Whitened]
+Reduce = Callable[[LoopValues, Block], Whitened]
 
 
 @dataclass(frozen=True)
@@ -55,32 +56,19 @@ class BlockKernel(Protocol):
     def block(self) -> int:
         """Poses in a block that it is fastest with, at most."""
 
-    def corrected(
-        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
-    ) -> Reduced:
+    def corrected(self, block: Block) -> Reduced:
         """Without derivatives by parameters, at a third of the cost: of the rows E alone."""
 
-    def equations(
-        self,
-        readings: Array,
-        corrections: Array,
-        known: Array,
-        noise: BlockNoise,
-        *,
-        summed: bool,
-        into: Array | None = None,
-    ) -> Reduced:
+    def equations(self, block: Block, *, summed: bool, into: Array | None = None) -> Reduced:
         """The equations in the parameters too: their total where summed, else their rows.
 
         into: (k, b) where the new corrections are to stand, if not in an array of their own.
         """
 
-    def rounding(
-        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
-    ) -> Array:
+    def rounding(self, block: Block) -> Array:
         """L^-1 eps a, (r, b), a the size of a loop's terms: sum |J_x| (1 + |reading|)."""
 
-    def search(self, readings: Array, corrections: Array, known: Array, noise: BlockNoise) -> Array:
+    def search(self, block: Block) -> Array:
         """What unmeasured quantities (u, b) change by until loops close best (`searching.py`)."""
 
 
@@ -92,22 +80,11 @@ class NumpyKernel:
     reduce: Reduce
     block: int = 4096  # enough for NumPy's overhead to vanish, small enough for the cache
 
-    def corrected(
-        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
-    ) -> Reduced:
-        return self._reduced(readings, corrections, known, noise, Stage.BY_QUANTITY)
+    def corrected(self, block: Block) -> Reduced:
+        return self._reduced(block, Stage.BY_QUANTITY)
 
-    def equations(
-        self,
-        readings: Array,
-        corrections: Array,
-        known: Array,
-        noise: BlockNoise,
-        *,
-        summed: bool,
-        into: Array | None = None,
-    ) -> Reduced:
-        found = self._reduced(readings, corrections, known, noise, Stage.BY_PARAMETER)
+    def equations(self, block: Block, *, summed: bool, into: Array | None = None) -> Reduced:
+        found = self._reduced(block, Stage.BY_PARAMETER)
         if into is not None:
             into[:] = found.correction
         if not summed:
@@ -116,24 +93,20 @@ class NumpyKernel:
         rows = found.rows.reshape(len(found.rows), -1)
         return Reduced(found.correction, found.step, found.singular, total=rows @ rows.T)
 
-    def rounding(
-        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
-    ) -> Array:
-        x = readings + corrections
-        slopes = self.engine.evaluate(x, known, Stage.BY_QUANTITY).by_quantity
-        sizes = np.einsum("kmb,kb->mb", np.abs(slopes), 1.0 + np.abs(readings))
+    def rounding(self, block: Block) -> Array:
+        x = block.corrected
+        slopes = self.engine.evaluate(x, block.known, Stage.BY_QUANTITY).by_quantity
+        sizes = np.einsum("kmb,kb->mb", np.abs(slopes), 1.0 + np.abs(block.readings))
         part = LoopValues(np.finfo(float).eps * sizes, slopes, np.empty((0, *slopes.shape[1:])))
-        return self.reduce(part, np.zeros_like(x), noise).E
+        return self.reduce(part, block.at(np.zeros_like(x))).E
 
-    def search(self, readings: Array, corrections: Array, known: Array, noise: BlockNoise) -> Array:
-        return search(self.engine, readings + corrections, known, noise)
+    def search(self, block: Block) -> Array:
+        return search(self.engine, block)
 
-    def _reduced(
-        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise, stage: Stage
-    ) -> Reduced:
-        x = np.add(readings, corrections, out=scratch("x", *readings.shape))
-        whitened = self.reduce(self.engine.evaluate(x, known, stage), corrections, noise)
-        step = step_in_sds(whitened.correction - corrections, noise)
+    def _reduced(self, block: Block, stage: Stage) -> Reduced:
+        x = np.add(block.readings, block.corrections, out=scratch("x", *block.readings.shape))
+        whitened = self.reduce(self.engine.evaluate(x, block.known, stage), block)
+        step = step_in_sds(whitened.correction - block.corrections, block.noise)
         return Reduced(whitened.correction, step, whitened.singular, whitened.rows)
 
 
@@ -145,55 +118,33 @@ class CompiledKernel:
     exact: bool
     block: int = 32768  # enough for threads to share
 
-    def corrected(
-        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
-    ) -> Reduced:
-        r = self.engine.loops - len(noise.unmeasured)
-        rows = np.empty((1, r, readings.shape[1]))
-        return self._reduced(readings, corrections, known, noise, by_parameter=False, rows=rows)
+    def corrected(self, block: Block) -> Reduced:
+        return self._reduced(block, by_parameter=False, rows=self._misclosure(block))
 
-    def equations(
-        self,
-        readings: Array,
-        corrections: Array,
-        known: Array,
-        noise: BlockNoise,
-        *,
-        summed: bool,
-        into: Array | None = None,
-    ) -> Reduced:
+    def equations(self, block: Block, *, summed: bool, into: Array | None = None) -> Reduced:
         n = self.engine.parameters + 1
         if summed:
             total = np.empty((n, n))
-            return self._reduced(readings, corrections, known, noise, total=total, into=into)
-        r = self.engine.loops - len(noise.unmeasured)
-        rows = scratch("rows", n, r, readings.shape[1])
-        return self._reduced(readings, corrections, known, noise, rows=rows, into=into)
+            return self._reduced(block, total=total, into=into)
+        r = self.engine.loops - len(block.noise.unmeasured)
+        return self._reduced(block, rows=scratch("rows", n, r, block.count), into=into)
 
-    def rounding(
-        self, readings: Array, corrections: Array, known: Array, noise: BlockNoise
-    ) -> Array:
-        rows = np.empty((1, self.engine.loops - len(noise.unmeasured), readings.shape[1]))
-        given = readings, corrections, known, noise
-        return self._reduced(*given, by_parameter=False, rounding=True, rows=rows).E
+    def rounding(self, block: Block) -> Array:
+        rows = self._misclosure(block)
+        return self._reduced(block, by_parameter=False, rounding=True, rows=rows).E
 
-    def search(self, readings: Array, corrections: Array, known: Array, noise: BlockNoise) -> Array:
-        change = np.empty((len(noise.unmeasured), readings.shape[1]))
-        self.engine.native.search(
-            side_by_side(readings),
-            side_by_side(corrections),
-            side_by_side(known),
-            _native(noise),
-            change,
-        )
+    def search(self, block: Block) -> Array:
+        change = np.empty((len(block.noise.unmeasured), block.count))
+        self.engine.native.search(*_native(block), change)
         return change
+
+    def _misclosure(self, block: Block) -> Array:
+        """Where E is to stand, (1, r, b)."""
+        return np.empty((1, self.engine.loops - len(block.noise.unmeasured), block.count))
 
     def _reduced(
         self,
-        readings: Array,
-        corrections: Array,
-        known: Array,
-        noise: BlockNoise,
+        block: Block,
         *,
         by_parameter: bool = True,
         rounding: bool = False,
@@ -201,15 +152,11 @@ class CompiledKernel:
         total: Array | None = None,
         into: Array | None = None,
     ) -> Reduced:
-        b = readings.shape[1]
-        correction = np.empty(readings.shape) if into is None else into
-        step = np.empty(b)
-        singular = np.empty(b, dtype=np.uint8)
+        correction = np.empty(block.readings.shape) if into is None else into
+        step = np.empty(block.count)
+        singular = np.empty(block.count, dtype=np.uint8)
         self.engine.native.reduce(
-            side_by_side(readings),
-            side_by_side(corrections),
-            side_by_side(known),
-            _native(noise),
+            *_native(block),
             self.exact,
             by_parameter,
             rounding,
@@ -222,9 +169,16 @@ class CompiledKernel:
         return Reduced(correction, step, singular.view(np.bool_), rows, total)
 
 
-def _native(noise: BlockNoise) -> Any:
+def _native(block: Block) -> tuple[Array, Array, Array, Any]:
+    """Readings, corrections, known values and noise as the compiled engine takes them."""
+    noise = block.noise
     blocks = [([noise.measured.index(i) for i in b.indices], b.factor) for b in noise.blocks]
-    return native_noise(noise.sd, noise.unmeasured, noise.measured, blocks)
+    return (
+        side_by_side(block.readings),
+        side_by_side(block.corrections),
+        side_by_side(block.known),
+        native_noise(noise.sd, noise.unmeasured, noise.measured, blocks),
+    )
 
 
 def kernel_for(engine: Engine, reduce: Reduce, *, exact: bool) -> BlockKernel:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.solve.kernel import BlockNoise
+from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.expressions.derivative import lagrangian_gradient
 from loopcal.expressions.engine import Engine, engine_for
 from loopcal.expressions.tape import Tape
@@ -44,41 +44,30 @@ class Closed:
     contraction: float = 0.0
 
 
-def close_by_newton(
-    tape: Tape,
-    parameters: Array,
-    readings: Array,
-    known: Array,
-    corrections: Array,
-    noise: BlockNoise,
-    tolerance: float,
-) -> Closed:
-    """The nearest closed points of some poses, until steps are at most so many sds."""
+def close_by_newton(tape: Tape, parameters: Array, block: Block, tolerance: float) -> Closed:
+    """The nearest closed points of a block's poses, until steps are at most so many sds."""
     first = engine_for(tape, (), 256)
     second = engine_for(lagrangian_gradient(tape), (), 256)
     first.at(parameters)
     second.at(parameters)
-    costs = np.ones(len(readings))
-    costs[list(noise.unmeasured)] = 0.0
-    done, late = corrections.copy(), np.zeros(readings.shape[1], dtype=bool)
-    for begin in range(0, readings.shape[1], 256):
-        part = slice(begin, begin + 256)
-        problem = _Poses(
-            first, second, readings[:, part], known[:, part], _scaling(noise, part), costs
-        )
-        done[:, part], late[part] = problem.run(corrections[:, part], tolerance)
+    costs = np.ones(len(block.readings))
+    costs[list(block.noise.unmeasured)] = 0.0
+    done, late = block.corrections.copy(), np.zeros(block.count, dtype=bool)
+    for begin in range(0, block.count, 256):
+        some = slice(begin, begin + 256)
+        part = block.of(some)
+        problem = _Poses(first, second, part, _scaling(part.noise), costs)
+        done[:, some], late[some] = problem.run(part.corrections, tolerance)
     return Closed(done, late)
 
 
-def _scaling(noise: BlockNoise, part: slice) -> Array:
-    """T for some poses, (b, k, k): columns of unmeasured quantities are scaled units."""
+def _scaling(noise: BlockNoise) -> Array:
+    """T, (1, k, k) or (b, k, k): columns of unmeasured quantities are scaled units."""
     sd = np.where(np.isinf(noise.sd), UNMEASURED_SCALE, noise.sd)
     sd[list(noise.unmeasured)] = UNMEASURED_SCALE
-    sd = (sd if sd.shape[1] == 1 else sd[:, part]).T
-    T = sd[:, :, None] * np.eye(sd.shape[1])
-    for block in noise.blocks:
-        rows = np.array(block.indices)
-        factor = block.factor if block.factor.ndim == 2 else block.factor[part]
+    T = sd.T[:, :, None] * np.eye(len(sd))
+    for covariance in noise.blocks:
+        rows, factor = np.array(covariance.indices), covariance.factor
         if factor.ndim == 3 and len(T) == 1:
             T = np.repeat(T, len(factor), axis=0)
         T[:, rows[:, None], rows] = factor
@@ -107,14 +96,13 @@ class _Poses:
         self,
         first: Engine,
         second: Engine,
-        readings: Array,
-        known: Array,
+        block: Block,
         T: Array,
         costs: Array,
     ) -> None:
         self.first, self.second = first, second
-        self.readings, self.known = readings, known
-        self.T = np.broadcast_to(T, (readings.shape[1], *T.shape[1:]))
+        self.readings, self.known = block.readings, block.known
+        self.T = np.broadcast_to(T, (block.count, *T.shape[1:]))
         self.costs = costs  # (k,) 1 for measured quantities, 0 for those that cost nothing
 
     def run(self, corrections: Array, tolerance: float) -> tuple[Array, NDArray[np.bool_]]:

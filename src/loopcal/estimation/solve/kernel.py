@@ -23,9 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.estimation.solve.scratch import scratch
 from loopcal.expressions.engine import LoopValues
-from loopcal.measurements.noise import CovarianceBlock
 
 Array = NDArray[np.float64]
 SINGULAR = 1e-13
@@ -36,25 +36,6 @@ REORTHOGONAL = 0.03
 
 ROUNDED_AWAY = 1e-13
 """Eliminating may leave this much of a derivative's length as rounding."""
-
-
-@dataclass(frozen=True)
-class BlockNoise:
-    """Uncertainty of a block: sd (k, 1) or (k, b), full-covariance blocks, unmeasured rows."""
-
-    sd: Array
-    blocks: tuple[CovarianceBlock, ...]
-    unmeasured: tuple[int, ...]
-    measured: tuple[int, ...]
-
-    def of(self, chosen: NDArray[np.intp] | slice) -> BlockNoise:
-        """The noise of some poses of the block."""
-        sd = self.sd if self.sd.shape[1] == 1 else self.sd[:, chosen]
-        blocks = tuple(
-            b if b.factor.ndim == 2 else CovarianceBlock(b.indices, b.factor[chosen])
-            for b in self.blocks
-        )
-        return BlockNoise(sd, blocks, self.unmeasured, self.measured)
 
 
 @dataclass(frozen=True)
@@ -85,13 +66,14 @@ class Whitened:
         return part
 
 
-def whiten(values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened:
+def whiten(values: LoopValues, block: Block) -> Whitened:
     """Whitened equations of a block, and the corrections that close its linearised loops.
 
     Without derivatives by parameters D is empty, and the rest is the same at a third of the cost.
 
-    values at readings + correction, correction: (k, b) [SI].
+    values: at the corrected readings of the block.
     """
+    correction, noise = block.corrections, block.noise
     f, D = values.f, values.by_parameter
     J, now = _measured(values.by_quantity, noise), _measured(correction, noise)
     reflections = Elimination()
@@ -154,11 +136,12 @@ def _measured(rows: Array, noise: BlockNoise) -> Array:
     return rows[list(noise.measured)] if noise.unmeasured else rows
 
 
-def unweighted(values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened:
+def unweighted(values: LoopValues, block: Block) -> Whitened:
     """The same reduction for exact sensors: D = J_p, E = -f, no corrections (seed 3.1 to 3.6).
 
     Unmeasured quantities are still eliminated, and found in the least squares of their loops.
     """
+    correction, noise = block.corrections, block.noise
     f, D = values.f, values.by_parameter
     new = correction
     if noise.unmeasured:

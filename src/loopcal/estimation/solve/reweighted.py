@@ -21,11 +21,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.problem.problem import Pattern, Poses, Problem
+from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
+from loopcal.estimation.solve.block import Block
 from loopcal.estimation.solve.block_kernel import BlockKernel, NumpyKernel
 from loopcal.estimation.solve.in_memory import InMemory
-from loopcal.estimation.solve.kernel import BlockNoise, Whitened
+from loopcal.estimation.solve.kernel import Whitened
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.scratch import one_blas_thread, scratch
 from loopcal.estimation.solve.solution import Solution
@@ -110,21 +111,16 @@ def _weights(sweeper: Sweeper, parameters: Array, corrections: Array) -> Weights
     m, N = len(problem.mechanism.tape.loops), len(problem.poses)
     T, c = np.zeros((m, m, N)), np.zeros((m, N))
     sweeper.at(parameters)
-    for pattern, poses in problem.blocks():
-        noise, engine = sweeper.noise(pattern, poses), sweeper.engine(pattern)
-        unmeasured, held = list(pattern.unmeasured), len(pattern.loops)
-        start, known = corrections[:, poses], problem.known[:, poses]
-        b = start.shape[1]
-        read = problem.readings[:, poses].copy()
-        read[unmeasured] += start[unmeasured]
-        at_readings = engine.evaluate(read, known, Stage.VALUES).f.copy()
-        x = problem.readings[:, poses] + start
-        values = engine.evaluate(x, known, Stage.BY_QUANTITY)
-        identity = np.repeat(np.eye(held)[:, :, None], b, axis=2)
-        measured = list(noise.measured)
-        lever = np.einsum("kmb,kb->mb", values.by_quantity[measured], start[measured])
+    for pattern, block in sweeper.blocks(corrections):
+        engine, held, poses = sweeper.engine(pattern), len(pattern.loops), block.poses
+        at_readings = engine.evaluate(block.read, block.known, Stage.VALUES).f.copy()
+        values = engine.evaluate(block.corrected, block.known, Stage.BY_QUANTITY)
+        identity = np.repeat(np.eye(held)[:, :, None], block.count, axis=2)
+        measured = list(block.noise.measured)
+        start = block.corrections[measured]
+        lever = np.einsum("kmb,kb->mb", values.by_quantity[measured], start)
         c[:held, poses] = lever - values.f + at_readings
-        whitened = sweeper.reduce(replace(values, by_parameter=identity), start, noise)
+        whitened = sweeper.reduce(replace(values, by_parameter=identity), block)
         r = whitened.rows.shape[1]
         for i in range(r):
             T[i][:held, poses] = whitened.D[:, i]
@@ -141,20 +137,15 @@ class _Reweighted(Sweeper):
         self.rounding = rounding  # whitened as here, so that c, which is no rounding, stays out
         self.weights = weights
         self.corrects = False
-        self.poses: Poses = slice(0, 0)
 
     def _made(self, engine: Engine) -> BlockKernel:
         return NumpyKernel(engine, self._weighted)
 
-    def noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:
-        self.poses = poses
-        return super().noise(pattern, poses)
-
-    def _weighted(self, values: LoopValues, correction: Array, noise: BlockNoise) -> Whitened:
-        T, c = self.weights.T[:, :, self.poses], self.weights.c[:, self.poses]
+    def _weighted(self, values: LoopValues, block: Block) -> Whitened:
+        T, c = self.weights.T[:, :, block.poses], self.weights.c[:, block.poses]
         D, (m, b) = values.by_parameter, values.f.shape
-        T, c = T[:, :m, :b], c[:m, :b]
+        T, c = T[:, :m], c[:m]
         rows = scratch("rows", len(D) + 1, len(T), b)
         np.einsum("rmb,nmb->nrb", T, D, out=rows[:-1])
         np.einsum("rmb,mb->rb", T, c - values.f, out=rows[-1])
-        return Whitened(rows, np.zeros((len(T), 0, b)), correction, np.zeros(b, dtype=bool))
+        return Whitened(rows, np.zeros((len(T), 0, b)), block.corrections, np.zeros(b, dtype=bool))

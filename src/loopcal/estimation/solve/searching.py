@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.solve.kernel import BlockNoise, eliminate
+from loopcal.estimation.solve.block import Block, BlockNoise
+from loopcal.estimation.solve.kernel import eliminate
 from loopcal.expressions.engine import Engine, Stage
 
 Array = NDArray[np.float64]
@@ -22,12 +23,13 @@ _FIRST, _SOFTER, _HARDER, _STUCK = 1e-3, 0.1, 10.0, 1e8
 """Damping beside the squared length of a column: at first, after good and bad steps, given up."""
 
 
-def search(engine: Engine, x: Array, known: Array, noise: BlockNoise) -> Array:
-    """What the unmeasured quantities (u, b) of x (k, b) change by until they close the loops best.
+def search(engine: Engine, block: Block) -> Array:
+    """What the unmeasured quantities (u, b) change by until they close the loops best.
 
     The parameters are those of the engine, which gives derivatives by all quantities.
     """
-    rows, weight = list(noise.unmeasured), _weights(engine, x, known, noise)
+    rows, x, known = list(block.noise.unmeasured), block.corrected, block.known
+    weight = _weights(engine, x, known, block.noise)
     first = x[rows]
     done, active = first.copy(), np.arange(x.shape[1])
     damping = np.full(x.shape[1], _FIRST)

@@ -87,14 +87,12 @@ def _linearised(
     data = Accumulator(len(problem.free), True, problem.units)
     steps = np.zeros((len(problem.free), *corrections.shape))
     proposals = np.zeros_like(corrections)
-    for pattern, poses in problem.blocks():
-        noise, engine = sweeper.noise(pattern, poses), sweeper.engine(pattern)
-        start = corrections[:, poses]
-        values = engine.evaluate(problem.readings[:, poses] + start, problem.known[:, poses])
-        sweeper.evaluations += start.shape[1]
-        whitened = sweeper.reduce(values, start, noise)
+    for pattern, block in sweeper.blocks(corrections):
+        values = sweeper.engine(pattern).evaluate(block.corrected, block.known)
+        sweeper.evaluations += block.count
+        whitened = sweeper.reduce(values, block)
         data.add(whitened.rows)
-        proposals[:, poses] = whitened.correction
+        proposals[:, block.poses] = whitened.correction
         for j, column in enumerate(whitened.D):
-            steps[j][:, poses] = unload(whitened.G, column, noise)
+            steps[j][:, block.poses] = unload(whitened.G, column, block.noise)
     return data, steps, proposals

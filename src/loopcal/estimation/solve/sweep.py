@@ -9,20 +9,21 @@ linearisation did not hold), so that chi-squared is the true profile
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import BLOCK, Pattern, Poses, Problem
+from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.estimation.solve.block_kernel import BlockKernel, Reduce, Reduced, kernel_for
 from loopcal.estimation.solve.closing import Closed, close_by_newton
-from loopcal.estimation.solve.kernel import BlockNoise, unweighted, whiten
+from loopcal.estimation.solve.kernel import unweighted, whiten
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import NAMED, Evaluation, Failed
 from loopcal.estimation.solve.reduction import Accumulator
 from loopcal.expressions.engine import Engine, engine_for
-from loopcal.measurements.noise import CovarianceBlock
+from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
 Array = NDArray[np.float64]
 MOST_CLOSINGS = 8
@@ -50,8 +51,7 @@ class Sweeper:
             for pattern in problem.patterns
         }
         self._exact = exact
-        stated = problem.uncertainty
-        self._by_pose = stated.sd.shape[1] > 1 or any(b.factor.ndim > 2 for b in stated.blocks)
+        self._by_pose = problem.uncertainty.by_pose
         self._noises: dict[tuple[tuple[int, ...], tuple[int, ...]], BlockNoise] = {}
         self._units = problem.units
         self._kernels = {loops: self._made(engine) for loops, engine in self._engines.items()}
@@ -91,24 +91,17 @@ class Sweeper:
         singular, late = [nowhere], [nowhere]
         surplus = 0.0
         summed = not triangular and self.loss is None
-        for pattern, poses in problem.blocks(self._block):
-            noise = self.noise(pattern, poses)
-            readings, known = problem.readings[:, poses], problem.known[:, poses]
+        for pattern, block in self.blocks(corrections, self._block):
             if self.rounding is None:
-                self.rounding = self._rounding(
-                    pattern, readings, corrections[:, poses], known, noise
-                )
-            start = Closed(corrections[:, poses], np.zeros(readings.shape[1], dtype=bool))
+                self.rounding = self._rounding(pattern, block)
+            start = Closed(block.corrections, np.zeros(block.count, dtype=bool))
             if closing is not None:
-                start = self._close(
-                    pattern, readings, known, start.corrections, noise, closing, contraction
-                )
-                used = _with_part(used, start.corrections, poses)
-            self.evaluations += readings.shape[1]
-            into = None if kept or not isinstance(poses, slice) else proposal[:, poses]
-            found = self.kernel(pattern).equations(
-                readings, start.corrections, known, noise, summed=summed, into=into
-            )
+                start = self._close(pattern, block, closing, contraction)
+                block = block.at(start.corrections)
+                used = _with_part(used, start.corrections, block.poses)
+            self.evaluations += block.count
+            into = None if kept or not isinstance(block.poses, slice) else proposal[:, block.poses]
+            found = self.kernel(pattern).equations(block, summed=summed, into=into)
             if self.loss is not None:
                 held = len(pattern.loops) - len(pattern.unmeasured)
                 surplus += _weigh(found, self.loss, held)
@@ -117,12 +110,12 @@ class Sweeper:
             elif found.rows is not None:
                 data.add(found.rows)
             if found.singular.any():
-                singular.append(_numbers(poses, found.singular))
+                singular.append(block.positions(np.flatnonzero(found.singular)))
             if start.open.any():
-                late.append(_numbers(poses, start.open))
+                late.append(block.positions(np.flatnonzero(start.open)))
             if self.corrects:
                 if into is None:
-                    proposal = _with_part(proposal, found.correction, poses)
+                    proposal = _with_part(proposal, found.correction, block.poses)
                 steps.append(float(found.step.max()))
                 last = steps[-1] / start.step if start.step > 0.0 else 0.0
                 ratios.append(min(max(last, start.contraction), 1.0))
@@ -150,28 +143,22 @@ class Sweeper:
         """
         if not self.corrects:
             return Closed(corrections, np.zeros(corrections.shape[1], dtype=bool))
-        problem = self.problem
         self.at(parameters)
         whole = self._one_block(corrections)
         done = corrections if whole else np.zeros(corrections.shape)
         late = np.zeros(corrections.shape[1], dtype=bool)
-        for pattern, poses in problem.blocks(self._block):
-            noise = self.noise(pattern, poses)
-            readings, known = problem.readings[:, poses], problem.known[:, poses]
-            start = corrections[:, poses]
-            closed = self._close(pattern, readings, known, start, noise, tolerance, contraction)
-            done, late[poses] = _with_part(done, closed.corrections, poses), closed.open
+        for pattern, block in self.blocks(corrections, self._block):
+            closed = self._close(pattern, block, tolerance, contraction)
+            late[block.poses] = closed.open
+            done = _with_part(done, closed.corrections, block.poses)
         return Closed(done, late)
 
-    def misfit(self, corrections: Array, pattern: Pattern, poses: Poses) -> Array:
-        """What loops linearised at these corrections (k, b) cost to close, |E|^2, (b,).
+    def misfit(self, pattern: Pattern, block: Block) -> Array:
+        """What loops linearised at the corrections of a block cost to close, |E|^2, (b,).
 
         At the parameters as they were set; infinite where it is no number.
         """
-        readings, known = self.problem.readings[:, poses], self.problem.known[:, poses]
-        noise = self.noise(pattern, poses)
-        E = self._corrected(pattern, readings, corrections, known, noise).E
-        cost = np.square(E).sum(axis=0)
+        cost = np.square(self._corrected(pattern, block).E).sum(axis=0)
         return np.where(np.isfinite(cost), cost, np.inf)
 
     def at(self, parameters: Array) -> None:
@@ -201,60 +188,31 @@ class Sweeper:
     def _made(self, engine: Engine) -> BlockKernel:
         return kernel_for(engine, self.reduce, exact=self._exact)
 
-    def _corrected(
-        self,
-        pattern: Pattern,
-        readings: Array,
-        corrections: Array,
-        known: Array,
-        noise: BlockNoise,
-    ) -> Reduced:
-        self.evaluations += readings.shape[1]
-        return self.kernel(pattern).corrected(readings, corrections, known, noise)
+    def _corrected(self, pattern: Pattern, block: Block) -> Reduced:
+        self.evaluations += block.count
+        return self.kernel(pattern).corrected(block)
 
-    def _rounding(
-        self,
-        pattern: Pattern,
-        readings: Array,
-        corrections: Array,
-        known: Array,
-        noise: BlockNoise,
-    ) -> float:
+    def _rounding(self, pattern: Pattern, block: Block) -> float:
         """Root mean square of |L^-1 eps a|, a the size of the terms in a loop value."""
-        some = slice(0, _SAMPLE)
-        given = readings[:, some], corrections[:, some], known[:, some], noise.of(some)
-        E = self.kernel(pattern).rounding(*given)
+        E = self.kernel(pattern).rounding(block.of(slice(0, _SAMPLE)))
         return float(np.sqrt(np.square(E).sum() / E.shape[1]))
 
     def _close(
-        self,
-        pattern: Pattern,
-        readings: Array,
-        known: Array,
-        start: Array,
-        noise: BlockNoise,
-        tolerance: float,
-        contraction: float,
+        self, pattern: Pattern, block: Block, tolerance: float, contraction: float
     ) -> Closed:
         """Corrections that close the loops of a block, and the poses where that failed."""
-        count = readings.shape[1]
+        start, count = block.corrections, block.count
         tolerance = max(tolerance, 8.0 * (self.rounding or 0.0))
         done, late = start, np.zeros(count, dtype=bool)
         active: NDArray[np.intp] | None = None  # None: all poses, without copying them
+        part = block
         # the start is a step from the readings, halved where it leaves the domain of a loop
         at, base = start, np.zeros((1, 1))
         step, length = start, np.ones(count)
         expected = np.full(count, np.inf)
         last = ratio = 0.0
         for _ in range(MOST_CLOSINGS):
-            part = noise if active is None else noise.of(active)
-            found = self._corrected(
-                pattern,
-                readings if active is None else readings[:, active],
-                at,
-                known if active is None else known[:, active],
-                part,
-            )
+            found = self._corrected(pattern, part.at(at))
             correction, size = found.correction, found.step
             if active is None and (longest := float(size.max())) * contraction <= tolerance:
                 return Closed(correction, late, longest)
@@ -279,47 +237,48 @@ class Sweeper:
             step = np.where(overshot, step, correction - at)[:, rest]
             length = np.where(overshot, 0.5 * length, 1.0)[rest]
             expected = np.where(overshot, expected, size)[rest]
-            active = active[rest]
+            active, part = active[rest], part.of(np.flatnonzero(rest))
             at = base + length * step
         assert active is not None
-        closed = close_by_newton(
-            self.problem.tape(pattern),
-            self.parameters,
-            readings[:, active],
-            known[:, active],
-            np.where(np.isfinite(base), base, start[:, active]),
-            noise.of(active),
-            min(tolerance, 1e-3),
-        )
+        near = part.at(np.where(np.isfinite(base), base, start[:, active]))
+        tape = self.problem.tape(pattern)
+        closed = close_by_newton(tape, self.parameters, near, min(tolerance, 1e-3))
         done[:, active], late[active] = closed.corrections, closed.open
         return Closed(done, late, last, contraction=1.0)
 
-    def noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:
-        """The uncertainty of one block of poses; what is in none of its loops counts as exact."""
-        if self._by_pose:
-            return self._noise(pattern, poses)
-        key = pattern.loops, pattern.unmeasured
-        if key not in self._noises:
-            self._noises[key] = self._noise(pattern, poses)
-        return self._noises[key]
+    def blocks(self, corrections: Array, most: int = BLOCK) -> Iterator[tuple[Pattern, Block]]:
+        """All poses in blocks with corrections (k, N); a pose without any loop is in none."""
+        for pattern, poses in self.problem.blocks(most):
+            yield pattern, self.block(pattern, poses, corrections[:, poses])
+
+    def block(self, pattern: Pattern, poses: Poses, corrections: Array) -> Block:
+        """Some poses of a pattern with corrections (k, b) of theirs."""
+        problem = self.problem
+        noise = self._noise(pattern, poses)
+        return Block(poses, problem.readings[:, poses], corrections, problem.known[:, poses], noise)
 
     def _noise(self, pattern: Pattern, poses: Poses) -> BlockNoise:
-        uncertainty, unmeasured = self.problem.uncertainty, pattern.unmeasured
-        everything = range(len(self.problem.readings))
-        measured = tuple(i for i in everything if i not in unmeasured)
-        sd = uncertainty.sd if uncertainty.sd.shape[1] == 1 else uncertainty.sd[:, poses]
-        if pattern.absent:
-            sd = sd.copy()
-            sd[list(pattern.absent)] = 0.0
-        gone = {*unmeasured, *pattern.absent}
-        blocks = tuple(
-            CovarianceBlock(b.indices, b.factor if b.factor.ndim == 2 else b.factor[poses])
-            for b in uncertainty.blocks
-            if not gone.intersection(b.indices)
-        )
-        split = [b for b in uncertainty.blocks if gone.intersection(b.indices)]
-        blocks += tuple(p for b in split if (p := _without(b, gone, poses)) is not None)
-        return BlockNoise(sd, blocks, unmeasured, measured)
+        """The uncertainty of some poses; what is in none of their loops counts as exact."""
+        if self._by_pose:
+            return _noise(self.problem.uncertainty.of(poses), pattern)
+        key = pattern.loops, pattern.unmeasured
+        if key not in self._noises:
+            self._noises[key] = _noise(self.problem.uncertainty, pattern)
+        return self._noises[key]
+
+
+def _noise(uncertainty: ReadingUncertainty, pattern: Pattern) -> BlockNoise:
+    """The uncertainty of poses of a pattern."""
+    measured = tuple(i for i in range(len(uncertainty.sd)) if i not in pattern.unmeasured)
+    sd = uncertainty.sd
+    if pattern.absent:
+        sd = sd.copy()
+        sd[list(pattern.absent)] = 0.0
+    gone = {*pattern.unmeasured, *pattern.absent}
+    whole = tuple(b for b in uncertainty.blocks if not gone.intersection(b.indices))
+    split = [b for b in uncertainty.blocks if gone.intersection(b.indices)]
+    parts = tuple(part for b in split if (part := _without(b, gone)) is not None)
+    return BlockNoise(ReadingUncertainty(sd, whole + parts), pattern.unmeasured, measured)
 
 
 def _weigh(block: Reduced, loss: Loss, equations: int) -> float:
@@ -333,13 +292,12 @@ def _weigh(block: Reduced, loss: Loss, equations: int) -> float:
     return surplus
 
 
-def _without(block: CovarianceBlock, gone: Collection[int], poses: Poses) -> CovarianceBlock | None:
+def _without(block: CovarianceBlock, gone: Collection[int]) -> CovarianceBlock | None:
     """The covariance of the part of a block that was measured: rows of its square root."""
     keep = [i for i, index in enumerate(block.indices) if index not in gone]
     if not keep:
         return None
-    factor = block.factor if block.factor.ndim == 2 else block.factor[poses]
-    covariance = factor @ np.swapaxes(factor, -1, -2)
+    covariance = block.factor @ np.swapaxes(block.factor, -1, -2)
     values, vectors = np.linalg.eigh(covariance[..., keep, :][..., keep])
     root = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
     return CovarianceBlock(tuple(block.indices[i] for i in keep), root)
@@ -351,9 +309,3 @@ def _with_part(array: Array, part: Array, poses: Poses) -> Array:
         return part
     array[:, poses] = part
     return array
-
-
-def _numbers(poses: Poses, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """The positions of chosen poses of a block among all."""
-    within = np.flatnonzero(chosen)
-    return poses[within] if not isinstance(poses, slice) else within + poses.start

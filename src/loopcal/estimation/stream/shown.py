@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -69,10 +70,11 @@ def misfits(
     sweeper.at(parameters)
     count = len(problem.poses)
     whole, ratio, middle = np.zeros(count), np.zeros(count), np.full(count, np.nan)
-    for pattern, some in problem.blocks():
+    for pattern, block in sweeper.blocks(corrections):
+        some = block.poses
         freedom = len(pattern.loops) - len(pattern.unmeasured)
         if freedom > 0:
-            whole[some] = sweeper.misfit(corrections[:, some], pattern, some)
+            whole[some] = sweeper.misfit(pattern, block)
             ratio[some] = whole[some] / quantile(1.0 / poses, freedom)
             middle[some] = whole[some] / quantile(0.5, freedom)
     known = np.isfinite(middle)
@@ -88,13 +90,14 @@ def _some(noise: Noise, index: NDArray[np.intp]) -> Noise:
 
 def _by_pose(noise: Noise, stated: Callable[[Any], Array]) -> Noise:
     """The noise with something else for what is stated pose by pose."""
-    entries = {
+    part = copy(noise)  # with its sources
+    part.entries = {
         key: stated(key)
         if isinstance(value, np.ndarray) and value.ndim == (3 if isinstance(key, tuple) else 1)
         else value
         for key, value in noise.entries.items()
     }
-    return Noise(entries, estimate=noise.estimate)
+    return part
 
 
 def _together(parts: list[Chunk]) -> Chunk:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import Any
 
-from loopcal.files.machines.parallel_entries import MAKERS as PARALLEL
 from loopcal.files.toml.reader import SCHEMA
+from loopcal.mechanisms.keys import plain
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
-from loopcal.mechanisms.serial import Joint
 
 
 def mechanism_to_toml(mechanism: Mechanism) -> str:
@@ -50,30 +48,25 @@ _REMARKS = {
 }
 
 
+_APART = ("type", "joints", "instrument", "effect", "held")
+"""What of a description is written at a place of its own."""
+
+
 def _structure(mechanism: Mechanism, described: Mapping[str, Any]) -> list[str]:
-    match described["type"]:
-        case "serial":
-            lines = [_line(key, described[key]) for key in ("base", "point") if key in described]
-            lines += _remarks(mechanism)
-            for joint in described["joints"]:
-                lines += ["", *_joint(joint)]
-            return lines
-        case "urdf" | "exponentials":
-            return [*_chain(described), *_remarks(mechanism), *_chain_joints(described)]
-        case kind if kind in PARALLEL:
-            given = {key: described.get(key) for key in ("passive", "home")}
-            return [_line(key, value) for key, value in given.items() if value]
-        case "motoman-ma1400":
-            return [_line("before", described["before"])] if described["before"] else []
-        case "function":
-            return [
-                _line("quantities", mechanism.quantities),
-                *([_line("known", mechanism.known)] if mechanism.known else []),
-                _line("outputs", mechanism.outputs),
-                _line("loops", mechanism.tape.loops),
-            ]
-        case _:
-            return []
+    """What stands above the tables, and the joints."""
+    stated = {key: value for key, value in described.items() if key not in _APART}
+    if described["type"] == "function":
+        stated = {
+            "quantities": mechanism.quantities,
+            "known": mechanism.known,
+            "outputs": mechanism.outputs,
+            "loops": mechanism.tape.loops,
+        }
+    return [
+        *(_line(key, value) for key, value in stated.items() if value not in ((), [], {})),
+        *_remarks(mechanism),
+        *_tables("joint", [plain(joint) for joint in described.get("joints", [])]),
+    ]
 
 
 def _tables(key: str, listed: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -84,37 +77,10 @@ def _tables(key: str, listed: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def _joint(joint: Joint) -> list[str]:
-    lines = ["[[joint]]", _line("name", joint.name), _line("form", joint.form)]
-    lines += [_line("kind", joint.kind), _line("direction", joint.direction)]
-    for key in ("before", "after"):
-        motions: Mapping[str, float] = getattr(joint, key)
-        lines += [_line(key, motions)] if motions else []
-    return lines
-
-
-def _chain(described: Mapping[str, Any]) -> list[str]:
-    """What stands above the joints; the parameters say which of them are fixed."""
-    lines = [_line("fix_redundant", False)]
-    if described["type"] == "urdf":
-        return [*lines, _line("axes", described["axes"])]
-    xyz, rpy = described["home"]
-    return [*lines, _line("home", {"xyz": xyz, "rpy": rpy})]
-
-
 def _remarks(mechanism: Mechanism) -> list[str]:
     if not mechanism.remarks:
         return []
     return ["remarks = [", *(f"    {_line('x', words)[4:]}," for words in mechanism.remarks), "]"]
-
-
-def _chain_joints(described: Mapping[str, Any]) -> list[str]:
-    """Joints with all that is said of them."""
-    lines = []
-    for joint in described["joints"]:
-        entry = {k: v for k, v in asdict(joint).items() if v is not None}
-        lines += ["", "[[joint]]", *(_line(key, value) for key, value in entry.items())]
-    return lines
 
 
 def _parameter(parameter: Parameter, held: Sequence[str]) -> str:

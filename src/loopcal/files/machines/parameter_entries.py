@@ -18,12 +18,19 @@ NO_UNITS: Mapping[str, str] = {}
 
 
 def in_si(
-    number: float, stated: str | None, si: str, place: Place, units: Mapping[str, str] = NO_UNITS
+    number: float,
+    stated: str | None,
+    si: str,
+    place: Place,
+    units: Mapping[str, str] = NO_UNITS,
+    *,
+    difference: bool = False,
 ) -> float:
     """A number in its stated unit, in the file's unit of that dimension, or in SI, as SI value.
 
-    si: the unit that is expected; units: dimension -> the file's unit. A number that is SI
-    already comes back as it is, bit for bit. Raises InputError for a unit of another dimension.
+    si: the unit that is expected; units: dimension -> the file's unit; difference: the number is
+    an sd, a step or a span, which has no zero. A number that is SI already comes back as it is,
+    bit for bit. Raises InputError for a unit of another dimension.
     """
     expected = unit(si)
     given = unit(stated or units.get(expected.dimension, si))
@@ -34,7 +41,8 @@ def in_si(
             place=str(place),
             remedy=f"give a unit of {expected.dimension}, or none for {expected.si}",
         )
-    return number if given.factor == 1.0 else number * given.factor
+    value = number if given.factor == 1.0 else number * given.factor
+    return value if difference or not given.zero else value + given.zero
 
 
 def changed(
@@ -55,7 +63,9 @@ def changed(
             if entry.value is not None:
                 changes[name]["nominal"] = in_si(entry.value, entry.unit, si, at, units)
             if entry.sd is not None:
-                changes[name]["prior_sd"] = in_si(entry.sd, entry.unit, si, at, units)
+                changes[name]["prior_sd"] = in_si(
+                    entry.sd, entry.unit, si, at, units, difference=True
+                )
             if entry.fixed is not None:
                 changes[name]["fixed"] = entry.fixed
             if changes[name].get("prior_sd") == 0.0 and changes[name].get("fixed") is False:

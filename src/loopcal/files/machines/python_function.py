@@ -15,6 +15,7 @@ from loopcal.files.tables.raw import existing_file
 from loopcal.mechanisms.mechanism import Mechanism
 
 Loops = Callable[..., Iterable[Any]]
+"""A function f(x, p) of loop equations."""
 
 
 def load_function(named: str) -> Loops | Mechanism:

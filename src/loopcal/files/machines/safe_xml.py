@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from loopcal.errors import InputError
-from loopcal.files.tables.raw import existing_file, unreadable
+from loopcal.files.tables.raw import bytes_of
 from loopcal.files.toml.reader import shown
 
 MOST_BYTES = 50_000_000
@@ -66,12 +66,7 @@ def _document_type(name: str) -> InputError:
 
 
 def _content(path: str | Path) -> bytes:
-    found = existing_file(path)
-    try:
-        with found.open("rb") as stream:
-            content = stream.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise unreadable(found, error) from None
+    content = bytes_of(path, MOST_BYTES)
     if len(content) > MOST_BYTES:
         raise InputError(
             f"this file is larger than {MOST_BYTES // 1_000_000} MB, too large for a robot",

@@ -74,6 +74,23 @@ class _Robot:
             above[child] = (*above.get(child, ()), element)
         return cls(file, links, joints, above)
 
+    def _refuse_circle(self, base: str) -> None:
+        """Raise InputError where the links above the base lead back to it: a URDF is a tree."""
+        met, waiting = set(), [base]
+        while waiting:
+            for element in self.above.get(waiting.pop(), ()):
+                link = self._link(element, "parent")
+                if link == base:
+                    _refuse(
+                        element,
+                        self.file,
+                        f"the joints above {base!r} lead back to it",
+                        "correct the parent of one of them; a URDF is a tree",
+                    )
+                if link not in met:
+                    met.add(link)
+                    waiting.append(link)
+
     def chain(self, base: str, tip: str) -> list[Any]:
         """The joints from one link to another below it."""
         for link in (base, tip):
@@ -112,6 +129,7 @@ class _Robot:
                     "correct the parent of one of them",
                 )
             passed.append(link)
+        self._refuse_circle(base)
         if not found:
             raise InputError(
                 f"base and tip are the same link {base!r}",

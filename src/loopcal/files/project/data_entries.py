@@ -148,7 +148,9 @@ def _file(
         )
         if given.sd_at_least is not None:
             sd_unit = given.sd_unit or stated
-            least[quantity] = in_si(given.sd_at_least, sd_unit, units[quantity], at)
+            least[quantity] = in_si(
+                given.sd_at_least, sd_unit, units[quantity], at, difference=True
+            )
     return DataSpec(
         entry.file,
         columns,

@@ -46,7 +46,7 @@ def tracker_of(
             remedy="give one of them",
         )
     at = place.at("unit")
-    factor = in_si(1.0, entry.unit, "m", at)
+    factor = in_si(1.0, entry.unit, "m", at, difference=True)
     station = None if entry.station is None else [factor * v for v in entry.station]
     step = factor * (entry.rounded_to or 0.0)
     if station is not None and len(station) != len(names):
@@ -69,11 +69,11 @@ def sd_of(entry: NoiseEntry, si: str, place: Place) -> float:
     Raises InputError for figures and units that do not fit the quantity.
     """
     at = place.at("unit")
-    stated = 0.0 if entry.sd is None else in_si(entry.sd, entry.unit, si, at)
+    stated = 0.0 if entry.sd is None else in_si(entry.sd, entry.unit, si, at, difference=True)
     if entry.encoder is None and entry.rounded_to is None:
         return stated
     try:
-        rounding = rounding_sd(in_si(entry.rounded_to or 0.0, entry.unit, si, at))
+        rounding = rounding_sd(in_si(entry.rounded_to or 0.0, entry.unit, si, at, difference=True))
     except InputError as error:
         raise error if error.place else error.at(str(place.at("rounded_to"))) from None
     own = 0.0 if entry.encoder is None else _encoder(entry.encoder, si, place.at("encoder"))

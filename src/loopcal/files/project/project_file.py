@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError
 from loopcal.files.machines.identifiable import Told
-from loopcal.files.machines.mechanism_file import Loops, mechanism_from_data, read_mechanism
+from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
 from loopcal.files.machines.parameter_entries import changed
+from loopcal.files.machines.python_function import Loops
 from loopcal.files.paths import expanded
 from loopcal.files.project.compare_entries import compare_spec
 from loopcal.files.project.data_entries import DataSpec, data_files

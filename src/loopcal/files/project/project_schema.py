@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from loopcal.files.machines.effect_schema import Effects
-from loopcal.files.machines.instrument_schema import Instruments
+from loopcal.files.machines.effects import Effects
+from loopcal.files.machines.instruments import Instruments
 from loopcal.files.machines.mechanism_parts import ParameterEntries, Units, Value
-from loopcal.files.machines.mechanism_schema import TaggedMechanism
+from loopcal.files.machines.registry import MODELS
 from loopcal.files.project.fit_schema import FitEntry
 from loopcal.files.toml.model import (
     Finite,
@@ -49,9 +49,16 @@ def _mechanism_form(value: Any) -> str:
     return "file"
 
 
-MechanismEntry = Annotated[
-    Annotated[MechanismFile, Tag("file")] | TaggedMechanism, Discriminator(_mechanism_form)
-]
+if TYPE_CHECKING:
+    MechanismEntry = Model
+else:
+    MechanismEntry = Annotated[
+        Union[
+            Annotated[MechanismFile, Tag("file")],
+            *(Annotated[model, Tag(kind)] for kind, model in MODELS.items()),
+        ],
+        Discriminator(_mechanism_form),
+    ]
 
 
 class ColumnEntry(Model):

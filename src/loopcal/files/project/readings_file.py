@@ -12,7 +12,7 @@ from loopcal.errors import InputError
 from loopcal.files.project.data_entries import DataSpec
 from loopcal.files.tables.writer import Column, table_bytes
 from loopcal.measurements.dataset import Dataset
-from loopcal.units import from_si, unit
+from loopcal.units import difference_from_si, from_si, unit
 
 Array = NDArray[np.float64]
 
@@ -65,5 +65,5 @@ def _table(
         columns[name] = from_si(readings, its_unit)
         if its and isinstance(its.sd_column, str):
             sd = np.where(np.isfinite(sds[quantity]), sds[quantity], np.nan)
-            columns[its.sd_column] = from_si(sd, its.sd_unit or its_unit)
+            columns[its.sd_column] = difference_from_si(sd, its.sd_unit or its_unit)
     return table_bytes(columns, ending)

@@ -167,12 +167,12 @@ def _ranges(
                 place=str(here),
                 remedy="give the smaller number first",
             )
-        factor = in_si(1.0, given.unit, units[name], at)
-        start, stop, step, count = given.from_ * factor, given.to * factor, None, 1
+        si, step, count = units[name], None, 1
+        start, stop = (in_si(v, given.unit, si, at) for v in (given.from_, given.to))
         if given.step is not None:
             # the last step counts although 0.1 * 10 may round to more than 1
             count = math.floor(min((given.to - given.from_) / given.step, 1e15) + 1e-9) + 1
-            step = given.step * factor
+            step = in_si(given.step, given.unit, si, at, difference=True)
         found[name] = Range(start, stop, step, count)
     elsewhere = {*mechanism.outputs, *mechanism.implied, *mechanism.home}
     elsewhere |= {column for o in mechanism.orientations for column in o.columns}
@@ -203,7 +203,9 @@ def _machine(
     for key, spread in entry.perturb.items():
         here = place.at("perturb", key)
         for name in names(key, here):
-            sd = in_si(spread.sd, spread.unit, parameters[name].unit, here.at("unit"))
+            sd = in_si(
+                spread.sd, spread.unit, parameters[name].unit, here.at("unit"), difference=True
+            )
             if not math.isfinite(sd):
                 raise InputError(
                     "an infinite deviation is no machine",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -34,6 +34,7 @@ from loopcal.files.tables.parquet import (
     begins_of,
     mark_of,
     parquet_files,
+    prove,
     sha256_of_all,
 )
 from loopcal.files.tables.raw import sha256_of
@@ -225,6 +226,9 @@ def project_stream(project: Project) -> ParquetStream | None:
             place=str(place.at("join")),
             remedy="join the files beforehand, or say stream = false",
         )
+    columns = specified({**spec.columns, **columns_aside(project)}, {})
+    asked = wanted(columns, spec.options["pose"])
+    prove(files, _named(files[0], asked))
     return ParquetStream(project, files, path.name)
 
 
@@ -271,24 +275,30 @@ def _rows(part: _Part, columns: dict[str, Column], pose: str | int | None) -> Ta
 
     file = part.file
     asked = wanted(columns, pose)
-    place = file.path.name
-    positions = sorted({find_column(c, file.names, len(file.names), place) for c in asked})
+    names = _named(file, asked)
     try:
         same = mark_of(file.path) == file.mark
         frame = (
             pl.scan_parquet(file.path, glob=False)
-            .select([file.names[i] for i in positions] if same else [])
+            .select(names if same else [])
             .slice(part.offset, part.rows)
             .collect()
         )
-    except (pl.exceptions.PolarsError, OSError) as error:
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise _elsewhere(file, f"cannot be read ({reason})") from None
     if not same:
         raise _elsewhere(file, "is not the one there was at the beginning")
     rows: NDArray[np.int64] = part.offset + 1 + np.arange(frame.height, dtype=np.int64)
-    cells = dict(zip(positions, frame.get_columns(), strict=True))
-    return Table(place, None, "", file.names, cells, rows)
+    cells = {file.names.index(name): frame[name] for name in names}
+    return Table(file.path.name, None, "", file.names, cells, rows)
+
+
+def _named(file: ParquetFile, asked: Iterable[str | int]) -> list[str]:
+    """Names of the columns asked for; InputError for one that is not there."""
+    width, place = len(file.names), file.path.name
+    positions = {find_column(column, file.names, width, place) for column in asked}
+    return [file.names[i] for i in sorted(positions)]
 
 
 def _elsewhere(file: ParquetFile, what: str) -> InputError:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from loopcal.document.result_document import ResultDocument
-from loopcal.files.machines.mechanism_file import Loops, read_mechanism
+from loopcal.files.machines.mechanism_file import read_mechanism
+from loopcal.files.machines.python_function import Loops
 from loopcal.files.result.result_file import read_result
 from loopcal.mechanisms.mechanism import Mechanism
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError, nearest
-from loopcal.files.machines.mechanism_file import Loops
 from loopcal.files.machines.parameter_entries import changed, in_si
+from loopcal.files.machines.python_function import Loops
 from loopcal.files.project.noise_entries import NoiseSpec, noise_spec
 from loopcal.files.project.project_file import plain, priors, stated_mechanism
 from loopcal.files.project.simulation_entries import SimulationSpec, simulation_spec

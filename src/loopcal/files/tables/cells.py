@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,17 +71,17 @@ def is_number(cell: object, decimal: str = ".") -> bool:
         return False
 
 
-def numbers(cells: Cells, keep: NDArray[np.int64], decimal: str = ".") -> NDArray[np.float64]:
+def numbers(
+    cells: list[Any] | NDArray[np.float64], keep: NDArray[np.int64], decimal: str = "."
+) -> NDArray[np.float64]:
     """The column (N,) as numbers, at the positions to keep; the others are not looked at.
+
+    Columns of polars: see `series.numbers`.
 
     Raises NotANumber for the first cell that is neither number nor missing.
     """
     if isinstance(cells, np.ndarray):
         return cells[keep]
-    if not isinstance(cells, list):
-        from loopcal.files.tables import series
-
-        return series.numbers(cells, keep, decimal)
     result = np.empty(len(keep))
     for i, index in enumerate(keep):
         try:

@@ -8,7 +8,9 @@ time to load it: for text of 1 MB or more that needs no care (no quotes, all row
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterator, Mapping
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +18,11 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.files.tables.cells import Cells
 from loopcal.files.tables.dialect import (
+    SAMPLE_ROWS,
     WHITESPACE,
     Dialect,
     Row,
     cut,
-    is_data,
     quote_error,
     recognise,
     spoken,
@@ -29,7 +31,8 @@ from loopcal.files.tables.raw import Text, empty
 from loopcal.files.tables.table import Table
 
 LARGE = 1_000_000  # bytes from which on loading polars pays
-_SAMPLE = 1 << 16
+_LINES = re.compile(rb"[ \t,;\n]*+(?:(?:%|#(?!n/a))[^\n]*|([^ \t,;\n][^\n]*)|\Z)", re.IGNORECASE)
+"""Lines up to the next that holds cells: blank ones, delimiters alone, at most one comment."""
 
 
 def read_delimited(
@@ -45,31 +48,23 @@ def read_delimited(
     `large` is the size [bytes] from which on the fast way is tried. Raises InputError, with the
     row, for a text without rows of data, rows of unequal length and quotes that do not end.
     """
-    sample = _sample(text)
+    sample = [*islice(_rows(text.data), SAMPLE_ROWS)]
+    if not sample:
+        raise empty(text.name)
     dialect = recognise(sample, text.name, delimiter=delimiter, decimal=decimal, header=header)
     table = _fast(text, dialect) if len(text.data) >= large else None
     return table or _careful(text, dialect)
 
 
-def _sample(text: Text) -> list[Row]:
-    """The first rows of data; of a large file, those within its first lines only."""
-    end = len(text.data)
-    for size in (_SAMPLE, 1 << 22):
-        if len(text.data) > size and text.data.count(b"\n", 0, size) > 5:
-            end = text.data.rfind(b"\n", 0, size)
-            break
-    rows = list(_rows(text.data[:end]))
-    if not rows and end < len(text.data):
-        rows = list(_rows(text.data))
-    if not rows:
-        raise empty(text.name)
-    return rows
-
-
 def _rows(data: bytes) -> Iterator[Row]:
-    for number, line in enumerate(data.decode("utf-8").split("\n"), 1):
-        if is_data(line):
-            yield Row(number, line)
+    """The lines that hold cells; blank ones between them cost next to nothing."""
+    number, counted = 1, 0
+    for found in _LINES.finditer(data):
+        if found[1] is not None:
+            start = data.rfind(b"\n", 0, found.start(1)) + 1
+            number += data.count(b"\n", counted, start)
+            counted = start
+            yield Row(number, data[start : found.end()].decode("utf-8"))
 
 
 def _careful(text: Text, dialect: Dialect) -> Table:
@@ -132,9 +127,7 @@ def _fast(text: Text, dialect: Dialect) -> Table | None:
             separator=dialect.delimiter,
             quote_char=None,
             infer_schema=False,
-            empty_string_is_null=False,
-            extra_columns="raise",
-        )
+        ).fill_null("")
     except pl.exceptions.PolarsError:
         return None
     # No row is longer than the first, and the delimiters add up: then no row is shorter either.
@@ -153,12 +146,11 @@ def _plain(body: bytes, dialect: Dialect) -> tuple[bytes, NDArray[np.int64]]:
     if dialect.delimiter != WHITESPACE and not suspect:
         number = body.count(b"\n") + (not body.endswith(b"\n"))
         return body, np.arange(first, first + number, dtype=np.int64)
-    lines = body.decode("utf-8").split("\n")
-    kept = [i for i, line in enumerate(lines) if is_data(line)]
-    chosen = [lines[i] for i in kept]
-    if dialect.delimiter == WHITESPACE:
-        chosen = [" ".join(line.split()) for line in chosen]
-    return "\n".join(chosen).encode("utf-8"), np.array(kept, dtype=np.int64) + first
+    numbers, lines = [], []
+    for row in _rows(body):
+        numbers.append(row.number)
+        lines.append(" ".join(row.line.split()) if dialect.delimiter == WHITESPACE else row.line)
+    return "\n".join(lines).encode("utf-8"), np.array(numbers, dtype=np.int64) + first - 1
 
 
 def _table(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from loopcal.errors import InputError
 from loopcal.files.tables.cells import is_missing, is_number
@@ -22,11 +23,10 @@ _SPOKEN = {
     **dict.fromkeys(("space", "whitespace", r"\s+"), WHITESPACE),
     **{"comma": ",", "semicolon": ";"},
 }
-_SAMPLE_ROWS = 100
+SAMPLE_ROWS = 100
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """One row of a text: its number, counted from 1, and its line."""
 
     number: int
@@ -64,14 +64,6 @@ class _Trial:
         return self.even * self.numeric, self.fitting_header, self.several
 
 
-def is_data(line: str) -> bool:
-    """Whether a line holds cells: no comment, not blank, not delimiters alone."""
-    text = line.strip(" \t,;")
-    if text.startswith("#"):
-        return text[:4].lower() == "#n/a"
-    return bool(text) and not text.startswith("%")
-
-
 def cut(line: str, delimiter: str) -> list[str]:
     """The cells of one line, without quotes and surrounding blanks; csv.Error for bad quotes."""
     if '"' in line:
@@ -97,7 +89,6 @@ def recognise(
     Raises InputError when what is stated cannot be so, or when a first row of both text and
     numbers leaves open whether it is a header.
     """
-    rows = rows[:_SAMPLE_ROWS]
     stated = _SPOKEN.get(delimiter, delimiter) if delimiter else None
     _check_stated(stated, decimal, name)
     marks = decimal or ".,"

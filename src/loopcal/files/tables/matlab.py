@@ -16,6 +16,7 @@ from loopcal.errors import InputError, nearest
 from loopcal.files.tables.cells import Cells
 from loopcal.files.tables.raw import existing_file, sha256_of
 from loopcal.files.tables.table import Table, find_column
+from loopcal.files.tables.unfolded import refuse_large_matlab
 from loopcal.measurements.source import file_name
 
 
@@ -73,16 +74,8 @@ def _load(path: Path) -> dict[str, Any]:
         )
     from scipy.io import loadmat
 
-    try:
-        found = loadmat(path, chars_as_strings=True)
-    except (
-        Exception
-    ) as error:  # a broken file ends in any error there is, from zlib's to IndexError
-        raise InputError(
-            f"this is no MATLAB file that can be read ({error})",
-            place=path.name,
-            remedy="save it in MATLAB with save(name, '-v7'), or as CSV",
-        ) from None
+    refuse_large_matlab(path)
+    found = loadmat(path, chars_as_strings=True)
     variables = {
         n: v for n, v in found.items() if not n.startswith("__") and isinstance(v, np.ndarray)
     }

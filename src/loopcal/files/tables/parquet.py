@@ -1,9 +1,15 @@
-"""A Parquet file, or a folder of them, as a table; only columns and rows asked for are kept."""
+"""A Parquet file, or a folder of them, as a table; only columns and rows asked for are kept.
+
+Before a file is read here, the guarded child has read what its end says of it, and then each
+column asked for, to the last row. What it gets through, this process can read, again and again.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import json
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +19,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.files.tables.cells import ids
+from loopcal.files.tables.isolated import from_child
 from loopcal.files.tables.raw import empty, existing_file, sha256_of, unreadable
 from loopcal.files.tables.table import Table, find_column
 
@@ -22,6 +29,8 @@ if TYPE_CHECKING:
 ENDINGS = (".parquet", ".pq")
 BLOCK = 1 << 20
 """Rows read at once where few of them are kept."""
+_ROWS, _ROWS_PER_BYTE = 1_000_000, 10_000
+"""Rows that any file may state, and those for each of its bytes: equal readings take hardly any."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +98,7 @@ def read_parquet(
     asked = range(1, len(names) + 1) if wanted is None else wanted
     positions = sorted({find_column(c, names, len(names), path.name) for c in asked})
     column = None if pose is None else names[find_column(pose, names, len(names), path.name)]
+    prove(files, {names[i] for i in positions} | ({column} if also and column else set()))
     frames: list[pl.DataFrame] = []
     kept: list[NDArray[np.int64]] = []
     for file in files:
@@ -134,16 +144,41 @@ def mark_of(path: Path) -> str:
         return sha256(file.read()).hexdigest()
 
 
+def prove(files: Iterable[ParquetFile], names: Iterable[str]) -> None:
+    """Raise InputError where a column of a file cannot be read to its last row."""
+    for file in files:
+        _prove(file, tuple(sorted(names)))
+
+
+@lru_cache(maxsize=4096)
+def _prove(file: ParquetFile, names: tuple[str, ...]) -> None:
+    arguments = {"path": str(file.path), "names": names, "rows": file.rows}
+    from_child(f"{__name__}:read_through", arguments, file.path, "Parquet")
+
+
 def _file(path: Path) -> ParquetFile:
+    path = existing_file(path).absolute()
+    told = json.loads(from_child(f"{__name__}:described", {"path": str(path)}, path, "Parquet"))
+    return ParquetFile(path, told["rows"], tuple(told["names"]), mark_of(path))
+
+
+def described(path: str) -> bytes:
+    """Rows and columns of a file, as JSON; runs in the child."""
     import polars as pl
 
-    path = existing_file(path)
-    try:
-        rows = pl.scan_parquet(path, glob=False).select(pl.len()).collect().item()
-        names = tuple(pl.read_parquet_schema(path))
-        return ParquetFile(path.absolute(), int(rows), names, mark_of(path))
-    except (pl.exceptions.PolarsError, OSError) as error:
-        raise _unusable(path, error) from None
+    rows = pl.scan_parquet(path, glob=False).select(pl.len()).collect().item()
+    if rows > _ROWS + _ROWS_PER_BYTE * Path(path).stat().st_size:
+        raise ValueError(f"it states {rows} rows, far more than it can hold")
+    return json.dumps({"rows": rows, "names": [*pl.read_parquet_schema(path)]}).encode()
+
+
+def read_through(path: str, names: Sequence[str], rows: int) -> bytes:
+    """Read columns of a file block by block and forget them; runs in the child."""
+    import polars as pl
+
+    for offset in range(0, rows, BLOCK):
+        pl.scan_parquet(path, glob=False).select(names).slice(offset, BLOCK).collect()
+    return b""
 
 
 def _read(file: ParquetFile, names: Sequence[str], offset: int, rows: int) -> pl.DataFrame:
@@ -152,16 +187,12 @@ def _read(file: ParquetFile, names: Sequence[str], offset: int, rows: int) -> pl
     try:
         frame = pl.scan_parquet(file.path, glob=False).select(names).slice(offset, rows)
         return frame.collect()
-    except (pl.exceptions.PolarsError, OSError) as error:
-        raise _unusable(file.path, error) from None
-
-
-def _unusable(path: Path, error: Exception) -> InputError:
-    return InputError(
-        f"this is no Parquet file that can be read ({str(error).splitlines()[0]})",
-        place=path.name,
-        remedy="write it again, or save it as CSV",
-    )
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
+        raise InputError(
+            f"this Parquet file changed while it was read ({str(error).splitlines()[0]})",
+            place=file.path.name,
+            remedy="wait until it is written, then run the command again",
+        ) from None
 
 
 def _together(frames: Sequence[pl.DataFrame], place: str) -> pl.DataFrame:

@@ -1,14 +1,17 @@
 """Bytes of an input file: opened, hashed, and bounded before anything is made of them.
 
 A text file is read in blocks of 1 MiB. A line that does not end within one block, or a NUL
-byte, stops the reading at once, so that a wrong file costs neither minutes nor memory.
+byte, stops the reading at once, so that a wrong file costs neither minutes nor memory. Devices,
+pipes that no program writes into and texts of more than 1 GB are refused.
 """
 
 from __future__ import annotations
 
 import codecs
 import hashlib
+import os
 import re
+import select
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +21,10 @@ from loopcal.errors import InputError, nearest
 from loopcal.measurements.source import file_name
 
 BLOCK = 1 << 20
+MOST_TEXT = 1_000_000_000
+"""Bytes; ten million poses of ten readings."""
+PATIENCE = 10.0
+"""Seconds that a pipe may stay without a byte before another program writes into it."""
 _KINDS = {
     b"PK\x03\x04": "a ZIP archive (an XLSX workbook is one)",
     b"PAR1\x15": "a Parquet file",
@@ -53,23 +60,62 @@ class Text:
         return file_name(self.file)
 
 
-def existing_file(path: str | Path) -> Path:
-    """The path of a file that is there and not empty.
+def existing_file(path: str | Path, *, empty_too: bool = False) -> Path:
+    """The path of a file that is there and, unless `empty_too`, not empty.
 
-    Raises InputError for a missing file (naming the nearest beside it), a folder, no permission.
+    Raises InputError for a missing file (naming the nearest beside it), a folder, a device, no
+    permission.
     """
     path = Path(path)
     try:
         if path.is_dir():
             raise InputError("this is a folder", place=str(path), remedy="name a file inside it")
         size = path.stat().st_size
+        if not (path.is_file() or path.is_fifo()):
+            raise InputError(
+                "this is a device, not a file",
+                place=str(path),
+                remedy="name a file, or - for standard input where the command takes it",
+            )
         if path.is_file():  # a pipe can be opened only once
             path.open("rb").close()
-            if not size:
+            if not (size or empty_too):
                 raise empty(str(path))
     except (OSError, ValueError) as error:
         raise unreadable(path, error) from None
     return path
+
+
+def bytes_of(path: str | Path, most: int, *, empty_too: bool = False) -> bytes:
+    """The bytes of a file or pipe, the first `most` and one more; InputError as `opened`."""
+    with opened(path, empty_too=empty_too) as stream:
+        try:
+            return stream.read(most + 1)
+        except OSError as error:
+            raise unreadable(Path(path), error) from None
+
+
+def opened(path: str | Path, *, empty_too: bool = False) -> BinaryIO:
+    """An existing file, or a pipe that a program writes into, open for reading.
+
+    Raises InputError as `existing_file` does, and for a pipe that stays silent.
+    """
+    path = existing_file(path, empty_too=empty_too)
+    try:
+        if not path.is_fifo():
+            return path.open("rb")
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except OSError as error:
+        raise unreadable(path, error) from None
+    if not select.select([handle], [], [], PATIENCE)[0]:
+        os.close(handle)
+        raise InputError(
+            f"this is a pipe, and no program writes into it for {PATIENCE:g} s",
+            place=str(path),
+            remedy="start the program that writes first, or name a file",
+        )
+    os.set_blocking(handle, True)
+    return open(handle, "rb")
 
 
 def unreadable(path: Path, error: OSError | ValueError) -> InputError:
@@ -108,15 +154,18 @@ def read_text(source: str | Path | BinaryIO, encoding: str | None = None) -> Tex
     """The text of a file, of standard input ("-") or of an open binary stream.
 
     Without an `encoding` a byte order mark decides, then UTF-16 without one, UTF-8, cp1252.
-    Raises InputError for whatever is not text, or has a line longer than 1 MB.
+    Raises InputError for whatever is not text, is larger than 1 GB, or has a line longer than
+    1 MB.
     """
     if isinstance(source, str | Path) and str(source) != "-":
-        path = existing_file(source)
-        try:
-            with path.open("rb") as stream:
+        path = Path(source)
+        with opened(path) as stream:
+            if path.stat().st_size > MOST_TEXT:
+                raise _too_large(path.name)
+            try:
                 return _read(stream, path.name, encoding)
-        except OSError as error:
-            raise unreadable(path, error) from None
+            except OSError as error:
+                raise unreadable(path, error) from None
     return _read(sys.stdin.buffer if isinstance(source, str | Path) else source, "-", encoding)
 
 
@@ -143,11 +192,21 @@ def _read(stream: BinaryIO, file: str, stated: str | None) -> Text:
         row += block.count(b"\n")
         digest.update(block)
         blocks.append(block)
+        if len(blocks) * BLOCK > MOST_TEXT + BLOCK:
+            raise _too_large(name)
     data = _as_utf8(b"".join(blocks), encoding, name)
     del blocks
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     return Text(file, data, digest.hexdigest())
+
+
+def _too_large(name: str) -> InputError:
+    return InputError(
+        f"the text is larger than {MOST_TEXT / 1e9:g} GB",
+        place=name,
+        remedy="save the table as Parquet, which is read in chunks",
+    )
 
 
 def _refuse_other_kinds(head: bytes, name: str) -> None:

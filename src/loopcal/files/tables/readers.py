@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -20,15 +20,14 @@ from loopcal.files.tables.columns import (
     wanted,
 )
 from loopcal.files.tables.delimited import read_delimited
-from loopcal.files.tables.matlab import read_matlab
+from loopcal.files.tables.isolated import read_isolated
 from loopcal.files.tables.parquet import parquet_files, read_parquet
 from loopcal.files.tables.raw import read_text
-from loopcal.files.tables.spreadsheet import read_spreadsheet
 from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Array, Dataset, checked_every
 from loopcal.measurements.poses import asked_ids, positions_of
 from loopcal.measurements.source import Source, row_name
-from loopcal.units import to_si, unit
+from loopcal.units import difference_to_si, to_si, unit
 
 
 @dataclass(frozen=True)
@@ -131,8 +130,8 @@ def dataset_of(
     source: what is known of the file; its rows and columns are filled in here.
     """
 
-    def values(column: str | int, given: str | None) -> Array:
-        numbers = to_si(table.numbers(table.position(column), keep), given or "1")
+    def values(column: str | int, given: str | None, si: Callable[..., Array] = to_si) -> Array:
+        numbers = si(table.numbers(table.position(column), keep), given or "1")
         numbers.flags.writeable = False  # is kept then, without another copy
         return numbers
 
@@ -143,7 +142,7 @@ def dataset_of(
         {q: values(c.column, c.unit) for q, c in asked.items()},
         {q: unit(u).si for q, u in stated.items()},
         tuple(ids) if len(keep) == len(ids) else tuple(ids[i] for i in keep.tolist()),
-        {q: values(column, given) for q, (column, given) in with_sd.items()},
+        {q: values(c, given, difference_to_si) for q, (c, given) in with_sd.items()},
         replace(
             source,
             rows=table.rows[keep],
@@ -205,11 +204,13 @@ def _table(
     kind = _kind(path, how)
     if isinstance(path, str | Path):
         if kind == "XLSX":
-            return read_spreadsheet(path, sheet=how.sheet, header=how.header, decimal=how.decimal)
+            stated = {"sheet": how.sheet, "header": how.header, "decimal": how.decimal}
+            return read_isolated(kind, path, **stated)
         if kind == "Parquet":
             return read_parquet(path, wanted=asked, **rows)
         if kind == "MATLAB":
-            return read_matlab(path, variable=how.variable, wanted=asked)
+            names = None if asked is None else [*asked]
+            return read_isolated(kind, path, variable=how.variable, wanted=names)
     return read_delimited(
         read_text(path, how.encoding),
         delimiter=how.delimiter,

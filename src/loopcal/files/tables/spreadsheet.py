@@ -11,6 +11,7 @@ from loopcal.files.tables.cells import is_missing
 from loopcal.files.tables.dialect import is_header
 from loopcal.files.tables.raw import empty, existing_file, sha256_of
 from loopcal.files.tables.table import Table
+from loopcal.files.tables.unfolded import refuse_large_workbook
 from loopcal.measurements.source import file_name
 
 
@@ -30,6 +31,7 @@ def read_spreadsheet(
     import python_calamine
 
     path = existing_file(path)
+    refuse_large_workbook(path)
     try:
         workbook = python_calamine.CalamineWorkbook.from_path(path)
         title = _title(workbook.sheet_names, sheet, path.name)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed, nearest, short
 from loopcal.files.tables import cells as cell_rules
+from loopcal.files.tables import series
 from loopcal.files.tables.cells import Cells, NotANumber
 from loopcal.measurements.source import file_name, row_name
 
@@ -52,7 +53,10 @@ class Table:
     def numbers(self, position: int, keep: NDArray[np.int64]) -> NDArray[np.float64]:
         """One column at the rows to keep; InputError for a cell that is not a number."""
         try:
-            return cell_rules.numbers(self.columns[position], keep, self.decimal)
+            column = self.columns[position]
+            if isinstance(column, list | np.ndarray):
+                return cell_rules.numbers(column, keep, self.decimal)
+            return series.numbers(column, keep, self.decimal)
         except NotANumber as wrong:
             text = str(wrong.cell)
             row = row_name(int(self.rows[wrong.index]), self.begins)

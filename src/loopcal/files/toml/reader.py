@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from loopcal.errors import InputError
-from loopcal.files.tables.raw import unreadable
+from loopcal.files.tables.raw import bytes_of
 from loopcal.files.toml.place import Place
 
 MOST_BYTES = 4_000_000
@@ -34,14 +34,7 @@ def read_text(path: str | Path) -> bytes:
     """
     if str(path) == "-":
         return sys.stdin.buffer.read(MOST_BYTES + 1)
-    path = Path(path)
-    try:
-        if path.is_dir():
-            raise InputError("this is a folder", place=shown(path), remedy="name a file inside it")
-        with path.open("rb") as stream:
-            return stream.read(MOST_BYTES + 1)
-    except (OSError, ValueError) as error:
-        raise unreadable(path, error) from None
+    return bytes_of(path, MOST_BYTES, empty_too=True)
 
 
 def shown(path: str | Path) -> str:

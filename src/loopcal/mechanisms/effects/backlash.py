@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 from loopcal.errors import InputError
-from loopcal.mechanisms.effects.effect import joints
+from loopcal.mechanisms.effects.effect import Joints, Name, joints
 from loopcal.mechanisms.frame import Values
+from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 
 SD = {"rad": 1e-3, "m": 1e-3}
 """Prior sd of half a play, [rad] or [m]."""
 JOINT = "{joint}"
+Direction = Annotated[
+    str,
+    Key("Name of the known constant of each pose, +1, 0 or -1; {joint} is the name of the joint."),
+]
 
 
 @dataclass(frozen=True)
 class Backlash:
-    """q' = q - JOINT_backlash * d, d the direction in which the joint was approached.
+    """Play of a joint: q' = q - JOINT_backlash * d, d the direction in which it was approached.
 
     d is a known constant of every pose: +1 where the reading grew until it stopped, -1 where it
     fell, 0 where the play was taken out. JOINT_backlash is half the play [rad or m]: what is
@@ -28,9 +33,9 @@ class Backlash:
     Raises InputError for a name that is the same for several joints.
     """
 
-    joints: tuple[str, ...] = ("*",)
-    direction: str = "{joint}_direction"
-    name: str = "backlash"
+    joints: Joints = ("*",)
+    direction: Direction = "{joint}_direction"
+    name: Name = "backlash"
 
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """JOINT_backlash of each joint."""
@@ -59,13 +64,3 @@ class Backlash:
 
     def _direction(self, joint: str) -> str:
         return self.direction.replace(JOINT, joint)
-
-    @property
-    def description(self) -> dict[str, Any]:
-        """As in a mechanism file."""
-        return {
-            "type": "backlash",
-            "name": self.name,
-            "joints": list(self.joints),
-            "direction": self.direction,
-        }

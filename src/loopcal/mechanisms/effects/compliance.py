@@ -9,12 +9,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 from loopcal.errors import InputError
-from loopcal.mechanisms.effects.effect import joints
-from loopcal.mechanisms.effects.gravity import ACCELERATION, Load, acting, carries, unit_forces
+from loopcal.mechanisms.effects.effect import Name, joints
+from loopcal.mechanisms.effects.gravity import (
+    ACCELERATION,
+    Load,
+    acting,
+    carries,
+    refuse_beyond,
+    unit_forces,
+)
 from loopcal.mechanisms.frame import Values
+from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, matching
 
@@ -22,11 +30,25 @@ SAG_SD = {"rad": ("rad/m", 1e-2), "m": ("m", 1e-3)}
 """Lumped: unit and prior sd, of 100 kg on a joint of 1e5 N m/rad, on a slide of 1e6 N/m."""
 YIELD_SD = {"rad": ("rad/(N m)", 1e-5), "m": ("m/N", 1e-6)}
 
+Loads = Annotated[tuple[Load, ...], Key("Points of the arm that weigh something.", least=1)]
+Yielding = Annotated[
+    tuple[str, ...],
+    Key('Joints and parameters by names or globs; alone, "*" stands for all turning joints.'),
+]
+Gravity = Annotated[
+    tuple[float, float, float],
+    Key(
+        "Direction of gravity in the base of the arm; of an arm of transitions in the frame of the "
+        "instrument."
+    ),
+]
+
 
 @dataclass(frozen=True)
 class Compliance:
-    """q' = q + c Q(theta), Q the moment (or force) of gravity about the axis that q moves.
+    """An arm that yields under its weight: q' = q + c Q(theta), Q the moment or force of gravity.
 
+    Q acts about (or along) the axis that q moves.
     Masses known: Q = sum_k m_k g l_k, one parameter c = NAME_yield [rad/(N m) or m/N] for each
     joint or parameter that yields. Masses unknown: c m_k g is estimated as one, NAME_sag_LOAD
     [rad per metre of lever, or m], for each load that weighs on it: c and m cannot be told apart.
@@ -39,10 +61,10 @@ class Compliance:
     Raises InputError without loads, for masses that are known in part, and for a direction zero.
     """
 
-    loads: tuple[Load, ...]
-    yielding: tuple[str, ...] = ("*",)
-    gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
-    name: str = "compliance"
+    loads: Loads
+    yielding: Yielding = ("*",)
+    gravity: Gravity = (0.0, 0.0, -1.0)
+    name: Name = "compliance"
 
     def __post_init__(self) -> None:
         names = [load.name for load in self.loads]
@@ -71,6 +93,8 @@ class Compliance:
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """One for each joint or parameter that yields, lumped: for each load on it as well."""
         made: dict[str, Parameter] = {}
+        for load in self.loads:
+            refuse_beyond(mechanism, load)
         for name in self._yielding(mechanism):
             si = self._unit(mechanism, name)
             loads = [load for load in self.loads if carries(mechanism.chain, name, load)]
@@ -122,19 +146,3 @@ class Compliance:
         for pattern in self.yielding:
             found |= dict.fromkeys(matching(pattern, movers, "joint or parameter of the chain"))
         return list(found)
-
-    @property
-    def description(self) -> dict[str, Any]:
-        """As in a mechanism file."""
-        loads = [
-            {"name": load.name, "joint": load.joint, "point": list(load.point)}
-            | ({} if load.mass is None else {"mass": load.mass})
-            for load in self.loads
-        ]
-        return {
-            "type": "compliance",
-            "name": self.name,
-            "yielding": list(self.yielding),
-            "gravity": list(self.gravity),
-            "loads": loads,
-        }

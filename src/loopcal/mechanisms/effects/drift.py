@@ -5,36 +5,43 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from loopcal.errors import InputError
+from loopcal.mechanisms.effects.effect import Changing, Name, meant
 from loopcal.mechanisms.frame import Values
+from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
+from loopcal.units import difference_to_si, to_si, unit
 
 DRIFT_SD, SHIFT_SD = 1e-3, 1e-2
 """Prior sds [m or rad]: 1 mm or 1 mrad over a drift's span, 10 mm or 10 mrad at a shift."""
 
+Column = Annotated[str, Key("Name of the known constant, such as a time or a temperature.")]
+Since = Annotated[float, Key("Value of the known constant at which the drift is zero.")]
+Over = Annotated[float, Key("Span in which the drift grows to P_drift.", positive=True)]
+
 
 @dataclass(frozen=True)
 class Drift:
-    """p' = p + P_drift (t - since) / over: linear in a known constant t, time or temperature.
+    """Parameters linear in a known constant t: p' = p + P_drift (t - since) / over.
 
-    changing: parameters by names or globs, as base_* for where an instrument stands; column: the
-    known constant t; unit: its SI unit, "s", "K" or "1"; since, over [its unit]: where the drift
-    is zero, and the span in which it grows to P_drift [m or rad].
+    changing: parameters by names or globs, such as base_* for the place of an instrument; column:
+    the known constant t; unit: of since and over, such as "s", "K" or "1"; since, over: where the
+    drift is zero, and the span in which it grows to P_drift [m or rad].
 
     Raises InputError for a span that is not a positive number.
     """
 
-    changing: tuple[str, ...] = ("base_*",)
-    column: str = "t"
-    unit: str = "1"
-    since: float = 0.0
-    over: float = 1.0
-    name: str = "drift"
+    changing: Changing = ("base_*",)
+    column: Column = "t"
+    unit: Annotated[str, Key("Unit of since and over.", is_unit=True)] = "1"
+    since: Since = 0.0
+    over: Over = 1.0
+    name: Name = "drift"
 
     def __post_init__(self) -> None:
         if not 0.0 < self.over < math.inf or not math.isfinite(self.since):
@@ -47,51 +54,40 @@ class Drift:
         """P_drift of each parameter, in its unit."""
         return {
             f"{p.name}_drift": Parameter(f"{p.name}_drift", 0.0, p.unit, DRIFT_SD)
-            for p in _meant(mechanism, self.changing)
+            for p in meant(mechanism, self.changing)
         }
 
     def known(self, mechanism: Mechanism) -> dict[str, str]:
         """The column."""
-        return {self.column: self.unit}
+        return {self.column: unit(self.unit).si}
 
     def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
         """The parameters as they are at t."""
-        share = (x[self.column] - self.since) * (1.0 / self.over)
-        names = [parameter.name for parameter in _meant(mechanism, self.changing)]
+        since, over = to_si(self.since, self.unit), difference_to_si(self.over, self.unit)
+        share = (x[self.column] - since) * (1.0 / over)
+        names = [parameter.name for parameter in meant(mechanism, self.changing)]
         return {name: p[name] + p[f"{name}_drift"] * share for name in names}
-
-    @property
-    def description(self) -> dict[str, Any]:
-        """As in a mechanism file."""
-        return {
-            "type": "drift",
-            "name": self.name,
-            "changing": list(self.changing),
-            "column": self.column,
-            "unit": self.unit,
-            "since": self.since,
-            "over": self.over,
-        }
 
 
 @dataclass(frozen=True)
 class Shift:
-    """p' = p + P_fromA for A <= t: parameters that change at once, and stay until they do again.
+    """Parameters that change at once, until they do again: p' = p + P_fromA for A <= t.
 
     For a reflector knocked in its seat, a tracker that was moved, a machine set up anew between
     the poses. changing: parameters by names or globs; column: a known constant t that grows, such
-    as the number of the pose; unit: its SI unit; at: values of t [its unit] from which a new
-    segment counts, rising. Before the first, P itself holds; in each segment its own P_fromA [m
-    or rad] is added.
+    as the number of the pose; unit: of at; at: values of t at which a new segment begins, rising.
+    Before the first, P itself holds; each segment adds its own P_fromA [m or rad], A in SI.
 
     Raises InputError where no change is stated, or they do not rise.
     """
 
-    changing: tuple[str, ...]
-    at: tuple[float, ...]
-    column: str = "pose"
-    unit: str = "1"
-    name: str = "shift"
+    changing: Changing
+    at: Annotated[tuple[float, ...], Key("Where each new segment begins, rising.", least=1)]
+    column: Annotated[str, Key("Name of the known constant, such as the number of the pose.")] = (
+        "pose"
+    )
+    unit: Annotated[str, Key("Unit of at.", is_unit=True)] = "1"
+    name: Name = "shift"
 
     def __post_init__(self) -> None:
         if not self.at or any(a >= b for a, b in pairwise(self.at)):
@@ -104,35 +100,28 @@ class Shift:
         """P_fromA of each parameter and segment, in the parameter's unit."""
         return {
             (own := _from_name(p.name, a)): Parameter(own, 0.0, p.unit, SHIFT_SD)
-            for p in _meant(mechanism, self.changing)
-            for a in self.at
+            for p in meant(mechanism, self.changing)
+            for a in self._at
         }
 
     def known(self, mechanism: Mechanism) -> dict[str, str]:
         """The column."""
-        return {self.column: self.unit}
+        return {self.column: unit(self.unit).si}
 
     def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
         """The parameters of the segment that t lies in."""
-        reached = [_from(a, x[self.column]) for a in self.at]
+        reached = [_from(a, x[self.column]) for a in self._at]
         within = [here - after for here, after in pairwise([*reached, 0.0])]
         return {
             name: p[name]
-            + sum(p[_from_name(name, a)] * share for a, share in zip(self.at, within, strict=True))
-            for name in (parameter.name for parameter in _meant(mechanism, self.changing))
+            + sum(p[_from_name(name, a)] * share for a, share in zip(self._at, within, strict=True))
+            for name in (parameter.name for parameter in meant(mechanism, self.changing))
         }
 
     @property
-    def description(self) -> dict[str, Any]:
-        """As in a mechanism file."""
-        return {
-            "type": "shift",
-            "name": self.name,
-            "changing": list(self.changing),
-            "column": self.column,
-            "unit": self.unit,
-            "at": list(self.at),
-        }
+    def _at(self) -> list[float]:
+        """Beginnings of the segments [SI]."""
+        return [to_si(a, self.unit) for a in self.at]
 
 
 def _from_name(parameter: str, begin: float) -> str:
@@ -143,9 +132,3 @@ def _from(begin: float, t: Any) -> Any:
     """1 where t >= begin, else 0; t is a known constant, so no derivative is ever taken."""
     past = t - float(np.nextafter(begin, -math.inf))
     return 0.5 * (1.0 + past / abs(past))
-
-
-def _meant(mechanism: Mechanism, patterns: tuple[str, ...]) -> list[Parameter]:
-    """The parameters that names or globs stand for."""
-    names = dict.fromkeys(n for pattern in patterns for n in mechanism.parameters.matching(pattern))
-    return [mechanism.parameters[name] for name in names]

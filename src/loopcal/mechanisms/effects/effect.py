@@ -11,18 +11,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 from loopcal.errors import InputError
 from loopcal.expressions.substitution import substituted
 from loopcal.mechanisms.frame import Values
+from loopcal.mechanisms.keys import Key, description
 from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, matching
 
+Joints = Annotated[tuple[str, ...], Key("Joints by names or globs.", least=1)]
+Changing = Annotated[tuple[str, ...], Key("Parameters by names or globs.", least=1)]
+Name = Annotated[str, Key("Name of the effect in comparisons of models.")]
+
 
 class Effect(Protocol):
-    """What changes, by how much, and which parameters say so."""
+    """What changes, by how much, and which parameters say so: a frozen dataclass.
+
+    Its fields that are annotated with a `Key` are what a mechanism file says of it.
+    """
 
     @property
     def name(self) -> str:
@@ -39,10 +47,6 @@ class Effect(Protocol):
 
     def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
         """New values of readings or parameters by name, of traced values."""
-
-    @property
-    def description(self) -> dict[str, Any]:
-        """What a mechanism file says of it."""
 
 
 def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
@@ -75,7 +79,7 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
         parameters=[p.name for p in added],
     )
     described = dict(mechanism.description or {"type": "function"})
-    told = [*described.get("effect", []), *(effect.description for effect in effects)]
+    told = [*described.get("effect", []), *(description(effect) for effect in effects)]
     return replace(
         mechanism,
         tape=tape,
@@ -116,6 +120,15 @@ def joints(mechanism: Mechanism, patterns: Sequence[str], unit: str | None = Non
             remedy="name joints that are read, or leave this effect out",
         )
     return list(found)
+
+
+def meant(mechanism: Mechanism, patterns: Sequence[str]) -> list[Parameter]:
+    """The parameters that names or globs stand for.
+
+    Raises InputError for one that stands for none.
+    """
+    names = dict.fromkeys(n for pattern in patterns for n in mechanism.parameters.matching(pattern))
+    return [mechanism.parameters[name] for name in names]
 
 
 def _meaning(

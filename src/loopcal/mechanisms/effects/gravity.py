@@ -12,15 +12,26 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import cross, rotate, vector
 from loopcal.mechanisms.chain import Step, apply
 from loopcal.mechanisms.frame import Values, Vector
+from loopcal.mechanisms.keys import Key
+from loopcal.mechanisms.mechanism import Mechanism
 
 ACCELERATION = 9.80665
 """Standard gravity [m/s^2], 3rd CGPM (1901); the Earth's own differs by up to 0.3 %."""
+
+Point = Annotated[
+    tuple[float, float, float],
+    Key("Place of the load in the frame directly behind the motion of that joint.", unit="m"),
+]
+Mass = Annotated[
+    float | None,
+    Key("Mass, for all loads or for none; without it, masses and compliance are one.", unit="kg"),
+]
 
 
 @dataclass(frozen=True)
@@ -33,10 +44,10 @@ class Load:
     Raises InputError for a mass that is not positive.
     """
 
-    name: str
-    joint: str
-    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    mass: float | None = None
+    name: Annotated[str, Key("Name of the load; ends the names of its parameters.")]
+    joint: Annotated[str, Key("The joint that the load moves with.")]
+    point: Point = (0.0, 0.0, 0.0)
+    mass: Mass = None
 
     def __post_init__(self) -> None:
         if self.mass is not None and not 0.0 < self.mass < math.inf:
@@ -63,6 +74,29 @@ def end_of(chain: Sequence[Step], load: Load) -> int:
             remedy="name the joint behind which it sits",
         )
     return found[-1] + 1
+
+
+def refuse_beyond(mechanism: Mechanism, load: Load) -> None:
+    """Raise InputError for a load farther from its joint than the whole chain is long.
+
+    The length is the sum of the chain's nominal lengths; a chain that slides has none.
+    """
+    lengths = [step for step in mechanism.chain if step.motion[0] == "t"]
+    if any(step.joint for step in lengths):
+        return
+    nominal = {p.name: p.nominal for p in mechanism.parameters}
+    size = sum(abs(step.amount({}, nominal)) for step in lengths)
+    away = math.hypot(*load.point)
+    if 0.0 < size < away:
+        meant = (
+            " and lies within the machine if millimetres are meant" if away <= 1e3 * size else ""
+        )
+        raise InputError(
+            f"the load {load.name!r} lies {away:.4g} m from its joint {load.joint!r}{meant}; the "
+            f"whole machine is {size:.3g} m long",
+            remedy='give the point in metres, or state its unit: { value = 150, unit = "mm" } or '
+            'units = { length = "mm" }',
+        )
 
 
 def carries(chain: Sequence[Step], name: str, load: Load) -> bool:

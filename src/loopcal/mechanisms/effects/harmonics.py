@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.mechanisms.effects.effect import joints
+from loopcal.mechanisms.effects.effect import Joints, Name, joints
 from loopcal.mechanisms.frame import Values
+from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 
 SD = 1e-3
 """Prior sd [rad] of an amplitude: a graduation 50 um off centre on a radius of 50 mm."""
+
+Orders = Annotated[
+    tuple[float, ...], Key("Orders k of the harmonics, per turn of the joint.", positive=True)
+]
 
 
 @dataclass(frozen=True)
@@ -32,9 +37,9 @@ class Harmonics:
     Raises InputError for an order that is not positive, or given twice, or none.
     """
 
-    joints: tuple[str, ...] = ("*",)
-    orders: tuple[float, ...] = (1.0, 2.0)
-    name: str = "harmonics"
+    joints: Joints = ("*",)
+    orders: Orders = (1.0, 2.0)
+    name: Name = "harmonics"
 
     def __post_init__(self) -> None:
         if not self.orders or any(not k > 0.0 or math.isinf(k) for k in self.orders):
@@ -42,7 +47,7 @@ class Harmonics:
                 f"the orders of {self.name!r} are {list(self.orders)}",
                 remedy="give positive numbers: 1 for once per turn of the joint",
             )
-        if len({*self.orders}) < len(self.orders):
+        if len({f"{k:.12g}" for k in self.orders}) < len(self.orders):
             raise InputError(
                 f"the orders of {self.name!r} are {list(self.orders)}, one of them twice",
                 remedy="give each order once",
@@ -71,13 +76,3 @@ class Harmonics:
             total = total + p[f"{joint}_cos{k:.12g}"] * np.cos(k * theta)
             total = total + p[f"{joint}_sin{k:.12g}"] * np.sin(k * theta)
         return total
-
-    @property
-    def description(self) -> dict[str, Any]:
-        """As in a mechanism file."""
-        return {
-            "type": "harmonics",
-            "name": self.name,
-            "joints": list(self.joints),
-            "orders": list(self.orders),
-        }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from loopcal.mechanisms.effects.effect import joints
+from loopcal.mechanisms.effects.effect import Joints, Name, joints
 from loopcal.mechanisms.frame import Values
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
@@ -16,10 +16,10 @@ SD = 1e-3
 
 @dataclass(frozen=True)
 class Scale:
-    """theta' = theta (1 + JOINT_scale); joints: names or globs, turning or sliding."""
+    """Readings with a scale error: theta' = theta (1 + JOINT_scale), turning or sliding."""
 
-    joints: tuple[str, ...] = ("*",)
-    name: str = "scale"
+    joints: Joints = ("*",)
+    name: Name = "scale"
 
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """JOINT_scale of each joint."""
@@ -34,8 +34,3 @@ class Scale:
         """The readings scaled."""
         found = joints(mechanism, self.joints)
         return {joint: x[joint] * (1.0 + p[f"{joint}_scale"]) for joint in found}
-
-    @property
-    def description(self) -> dict[str, Any]:
-        """As in a mechanism file."""
-        return {"type": "scale", "name": self.name, "joints": list(self.joints)}

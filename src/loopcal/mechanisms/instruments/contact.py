@@ -8,26 +8,40 @@ is such a gap or an angle no length is measured, and the size of the machine is 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
-
-import numpy as np
+from typing import Annotated, Any
 
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import dot, norm
+from loopcal.mechanisms.direction import Direction
 from loopcal.mechanisms.frame import Frame, Values
 from loopcal.mechanisms.instruments.length import apart
 from loopcal.mechanisms.instruments.point import AXES
-from loopcal.mechanisms.machine import Instrument
+from loopcal.mechanisms.keys import Key
+from loopcal.mechanisms.machine import Instrument, recorded
 from loopcal.mechanisms.parameters import Parameter
-from loopcal.mechanisms.station import Target
+from loopcal.mechanisms.station import Anchor, LookedAt, Name, Target
+
+Gap = Annotated[
+    str | None,
+    Key("Name of the gap, which is read as 0 unless the data have its column. Default: NAME_gap."),
+]
+Normal = Annotated[
+    Sequence[float],
+    Key("Nominal direction of the normal in the machine's base, of any length.", least=3, most=3),
+]
+Gaps = Annotated[
+    Sequence[str] | None,
+    Key("Names of the gaps, which are read as 0. Default: NAME_gap_x, NAME_gap_y, NAME_gap_z."),
+]
 
 
+@recorded
 def sphere(
-    name: str = "sphere",
+    name: Name = "sphere",
     *,
-    gap: str | None = None,
-    centre: str | None = None,
-    target: str | Target = "tool",
+    gap: Gap = None,
+    centre: Anchor = None,
+    target: LookedAt = "tool",
     dimension: int = 3,
 ) -> Instrument:
     """The target touches a sphere of unknown place: it is NAME_radius away from the centre C.
@@ -37,15 +51,17 @@ def sphere(
     that of the ball. gap: its name, by default NAME_gap; centre: name of C (default: that of the
     instrument), parameters CENTRE_x, _y, _z; target: as for `point`. In a plane a circle.
     """
-    return _around(name, "sphere", "radius", "gap", gap or f"{name}_gap", centre, target, dimension)
+    fixed = Target.named(centre or name, dimension)
+    return _around(name, "radius", "gap", gap, fixed, Target.of(target, dimension))
 
 
+@recorded
 def ball_bar(
-    name: str = "bar",
+    name: Name = "bar",
     *,
-    gap: str | None = None,
-    centre: str | None = None,
-    target: str | Target = "tool",
+    gap: Gap = None,
+    centre: Anchor = None,
+    target: LookedAt = "tool",
     dimension: int = 3,
 ) -> Instrument:
     """A double ball-bar from a ball fixed in the base to one on the body, NAME_length long.
@@ -55,56 +71,40 @@ def ball_bar(
     measures says in `gap` by how much it is longer than that; a rigid one has none, and without
     a column it is read as 0. Names as for `sphere`.
     """
-    return _around(
-        name, "ball-bar", "length", "length", gap or f"{name}_gap", centre, target, dimension
-    )
+    fixed = Target.named(centre or name, dimension)
+    return _around(name, "length", "length", gap, fixed, Target.of(target, dimension))
 
 
 def _around(
-    name: str,
-    kind: str,
-    size: str,
-    form: str,
-    gap: str,
-    centre: str | None,
-    target: str | Target,
-    dimension: int,
+    name: str, size: str, form: str, gap: str | None, fixed: Target, looked_at: Target
 ) -> Instrument:
     """A target that stays at one distance from a fixed point."""
-    fixed = Target.named(centre or name, dimension)
-    looked_at = Target.named(target, dimension) if isinstance(target, str) else target
-    length = f"{name}_{size}"
+    own, length = gap or f"{name}_gap", f"{name}_{size}"
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         reached = frames[0].point(looked_at.point(p))
-        return [norm(reached - fixed.point(p)) - p[length] - x[gap]]
+        return [norm(reached - fixed.point(p)) - p[length] - x[own]]
 
     return Instrument(
         name,
-        {gap: "m"},
+        {own: "m"},
         {length: Parameter(length, 0.0, "m")} | looked_at.declared,
         equations,
         form,
         placement=fixed.declared,
-        implied={gap: 0.0},
-        dimension=dimension,
+        implied={own: 0.0},
+        dimension=len(fixed.parameters),
         remedy=apart(fixed),
-        description={
-            "type": kind,
-            "name": name,
-            "gap": gap,
-            "centre": centre or name,
-            "target": target if isinstance(target, str) else list(target.parameters),
-        },
     )
 
 
+@recorded
 def plane(
-    name: str = "plane",
+    name: Name = "plane",
     *,
-    gap: str | None = None,
-    normal: Sequence[float] = (0.0, 0.0, 1.0),
-    target: str | Target = "tool",
+    gap: Gap = None,
+    normal: Normal = (0.0, 0.0, 1.0),
+    target: LookedAt = "tool",
     dimension: int = 3,
 ) -> Instrument:
     """The target touches a plane of unknown place in the machine's base; in 2D a line.
@@ -118,17 +118,13 @@ def plane(
     Raises InputError for a normal without direction.
     """
     own = gap or f"{name}_gap"
-    looked_at = Target.named(target, dimension) if isinstance(target, str) else target
-    n_0, e_1, e_2 = _directions(name, normal, dimension)
-    tilts = [f"{name}_tilt_{i}" for i in range(1, dimension)]
+    looked_at = Target.of(target, dimension)
+    across = Direction.near(normal, name=name, what="normal", dimension=dimension)
     away = f"{name}_distance"
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
-        angles = [p[tilt] for tilt in tilts]
-        n = np.cos(angles[0]) * n_0 + np.sin(angles[0]) * e_1
-        for b in angles[1:]:
-            n = np.cos(b) * n + np.sin(b) * e_2
-        return [dot(n, frames[0].point(looked_at.point(p))) - p[away] - x[own]]
+        reached = frames[0].point(looked_at.point(p))
+        return [dot(across.vector(p), reached) - p[away] - x[own]]
 
     return Instrument(
         name,
@@ -136,46 +132,18 @@ def plane(
         looked_at.declared,
         equations,
         "gap",
-        placement={tilt: Parameter(tilt, 0.0, "rad") for tilt in tilts}
-        | {away: Parameter(away, 0.0, "m")},
+        placement=across.declared | {away: Parameter(away, 0.0, "m")},
         implied={own: 0.0},
         dimension=dimension,
-        description={
-            "type": "plane",
-            "name": name,
-            "gap": own,
-            "normal": [float(v) for v in normal],
-            "target": target if isinstance(target, str) else list(target.parameters),
-        },
     )
 
 
-def _directions(name: str, normal: Sequence[float], dimension: int) -> tuple[Any, Any, Any]:
-    given = np.array(normal, dtype=float)
-    if given.shape != (3,) or not np.isfinite(given).all() or not given.any():
-        raise InputError(
-            f"the nominal normal of {name!r} is {list(normal)}",
-            remedy="give the three components of a direction, say [0, 0, 1]",
-        )
-    if dimension == 2 and (given[2] or not given.any()):
-        raise InputError(
-            f"the nominal normal of {name!r} is {list(normal)}, and the machine moves in a plane",
-            remedy="give a direction in the plane, say [0, 1, 0]",
-        )
-    n_0 = given / np.linalg.norm(given)
-    if dimension == 2:
-        return n_0, np.array([-n_0[1], n_0[0], 0.0]), np.zeros(3)
-    least = np.eye(3)[int(np.argmin(np.abs(n_0)))]
-    e_1 = least - (least @ n_0) * n_0
-    e_1 /= np.linalg.norm(e_1)
-    return n_0, e_1, np.cross(n_0, e_1)
-
-
+@recorded
 def socket(
-    name: str = "socket",
+    name: Name = "socket",
     *,
-    gaps: Sequence[str] | None = None,
-    target: str | Target = "tool",
+    gaps: Gaps = None,
+    target: LookedAt = "tool",
     dimension: int = 3,
 ) -> Instrument:
     """A ball on the body sits in a socket of unknown place: the same point in many poses.
@@ -193,7 +161,7 @@ def socket(
             remedy=f"name {dimension}",
         )
     fixed = Target.named(name, dimension)
-    looked_at = Target.named(target, dimension) if isinstance(target, str) else target
+    looked_at = Target.of(target, dimension)
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         off = frames[0].point(looked_at.point(p)) - fixed.point(p)
@@ -208,10 +176,4 @@ def socket(
         placement=fixed.declared,
         implied=dict.fromkeys(own, 0.0),
         dimension=dimension,
-        description={
-            "type": "socket",
-            "name": name,
-            "gaps": list(own),
-            "target": target if isinstance(target, str) else list(target.parameters),
-        },
     )

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 from loopcal.expressions.vectors import norm
 from loopcal.mechanisms.frame import Frame, Values
-from loopcal.mechanisms.machine import Instrument
+from loopcal.mechanisms.keys import Key
+from loopcal.mechanisms.machine import Instrument, recorded
 from loopcal.mechanisms.parameters import Parameter
-from loopcal.mechanisms.station import Target
+from loopcal.mechanisms.station import Anchor, LookedAt, Name, Reading, Target
 
 
+@recorded
 def distance(
-    name: str = "distance",
+    name: Name = "distance",
     *,
-    reading: str | None = None,
-    anchor: str | None = None,
-    target: str | Target = "tool",
-    offset: bool = False,
+    reading: Reading = None,
+    anchor: Anchor = None,
+    target: LookedAt = "tool",
+    offset: Annotated[bool, Key("Whether NAME_offset is estimated.")] = False,
     dimension: int = 3,
 ) -> Instrument:
     """The distance of a target from a point A fixed in the machine's base.
@@ -31,7 +32,7 @@ def distance(
     """
     own = reading or name
     fixed = Target.named(anchor or name, dimension)
-    looked_at = Target.named(target, dimension) if isinstance(target, str) else target
+    looked_at = Target.of(target, dimension)
     zero = {f"{name}_offset": Parameter(f"{name}_offset", 0.0, "m")} if offset else {}
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
@@ -49,41 +50,33 @@ def distance(
         placement=fixed.declared,
         dimension=dimension,
         remedy=apart(fixed),
-        description={
-            "type": "distance",
-            "name": name,
-            "reading": own,
-            "anchor": anchor or name,
-            "target": target if isinstance(target, str) else list(target.parameters),
-            "offset": offset,
-        },
     )
 
 
+@recorded
 def draw_wire(
-    name: str = "wire",
+    name: Name = "wire",
     *,
-    reading: str | None = None,
-    anchor: str | None = None,
-    target: str | Target = "tool",
+    reading: Reading = None,
+    anchor: Anchor = None,
+    target: LookedAt = "tool",
     dimension: int = 3,
 ) -> Instrument:
     """A wire drawn from a fixed point A to a target: a `distance` whose zero is unknown.
 
     Loop: |T_base_body p_target - A| + NAME_offset - reading = 0 [m]; arguments as for `distance`.
     """
-    made = distance(
+    return distance(
         name, reading=reading, anchor=anchor, target=target, offset=True, dimension=dimension
     )
-    described = {k: v for k, v in made.description.items() if k != "offset"}
-    return replace(made, description=described | {"type": "draw-wire"})
 
 
+@recorded
 def relative_distance(
-    name: str = "span",
+    name: Name = "span",
     *,
-    reading: str | None = None,
-    target: str | Target = "tool",
+    reading: Reading = None,
+    target: LookedAt = "tool",
     dimension: int = 3,
 ) -> Instrument:
     """The distance of a target in one pose from itself in another, wherever the machine stands.
@@ -92,7 +85,7 @@ def relative_distance(
     holds both poses: the machine's quantities, and once more with "_b" appended.
     """
     own = reading or name
-    looked_at = Target.named(target, dimension) if isinstance(target, str) else target
+    looked_at = Target.of(target, dimension)
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         a, b = (frame.point(looked_at.point(p)) for frame in frames)
@@ -107,12 +100,6 @@ def relative_distance(
         ends=2,
         dimension=dimension,
         remedy="give rows of two poses in which the target is at different places",
-        description={
-            "type": "relative-distance",
-            "name": name,
-            "reading": own,
-            "target": target if isinstance(target, str) else list(target.parameters),
-        },
     )
 
 

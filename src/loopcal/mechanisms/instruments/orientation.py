@@ -67,11 +67,6 @@ class Orientation:
         """SI units of the columns."""
         return dict.fromkeys(self.columns, "1" if self.form == "quaternion" else "rad")
 
-    @property
-    def description(self) -> dict[str, str | list[str]]:
-        """What a mechanism file says of it."""
-        return {"orientation": self.form, "columns": list(self.columns)}
-
     def axes(self, known: Values) -> list[Vector]:
         """The columns of R_station_target: the target's axes, (3,) each."""
         given = [known[name] for name in self.columns]

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 from loopcal.errors import InputError
 from loopcal.mechanisms.frame import Frame, Values
-from loopcal.mechanisms.machine import Instrument
-from loopcal.mechanisms.station import Station, Target
+from loopcal.mechanisms.keys import Key
+from loopcal.mechanisms.machine import Instrument, recorded
+from loopcal.mechanisms.station import LookedAt, Name, StandsAt, Station, Target
 
 AXES = ("x", "y", "z")
+Coordinates = Annotated[
+    Sequence[str] | None, Key("Names of the coordinates. Default: x, y, z; in a plane x, y.")
+]
 
 
+@recorded
 def point(
-    name: str = "point",
+    name: Name = "point",
     *,
-    readings: Sequence[str] | None = None,
-    station: str | None = "base",
-    target: str | Target = "tool",
+    readings: Coordinates = None,
+    station: StandsAt = "base",
+    target: LookedAt = "tool",
     dimension: int = 3,
 ) -> Instrument:
     """Cartesian coordinates of a target in the frame of a station.
@@ -39,7 +44,7 @@ def point(
             remedy=f"name {dimension} coordinates",
         )
     stands = Station(station, dimension)
-    looked_at = Target.named(target, dimension) if isinstance(target, str) else target
+    looked_at = Target.of(target, dimension)
 
     def equations(frames: Sequence[Frame], x: Values, p: Values) -> list[Any]:
         seen = stands.seen(frames[0].point(looked_at.point(p)), p)
@@ -54,11 +59,4 @@ def point(
         placement=stands.declared,
         place=None if station is None else stands,
         dimension=dimension,
-        description={
-            "type": "point",
-            "name": name,
-            "readings": list(own),
-            "station": station or False,
-            "target": target if isinstance(target, str) else list(target.parameters),
-        },
     )

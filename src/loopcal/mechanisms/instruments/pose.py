@@ -3,29 +3,61 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import cross, dot, vector
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.frame import ChainFrame, Frame, Values
 from loopcal.mechanisms.instruments.orientation import Orientation
-from loopcal.mechanisms.instruments.point import point
+from loopcal.mechanisms.instruments.point import Coordinates, point
 from loopcal.mechanisms.instruments.spherical import turn_between
-from loopcal.mechanisms.machine import Instrument
+from loopcal.mechanisms.keys import Key
+from loopcal.mechanisms.machine import Instrument, recorded
 from loopcal.mechanisms.parameters import Parameter
-from loopcal.mechanisms.station import Station, Target
+from loopcal.mechanisms.station import Name, StandsAt, Station, Target
+
+Turns = Annotated[
+    Sequence[str] | None,
+    Key(
+        "Names of the small turns between measured and predicted orientation, which are read as 0 "
+        "and have the angular noise as sd. Default: NAME_wx, NAME_wy, NAME_wz. In a plane the name "
+        "of the one angle that is read. Default: NAME_phi."
+    ),
+]
+Form = Annotated[
+    str,
+    Key(
+        'How the orientation is written: "quaternion" with w first, "rotation-vector", or three '
+        'turns about moving axes such as "rz ry rx" for Rz Ry Rx.'
+    ),
+]
+Columns = Annotated[
+    Sequence[str] | None,
+    Key(
+        "Names of the numbers of the orientation, which are known constants of each pose. Default: "
+        "qw, qx, qy, qz; or rvx, rvy, rvz; or the turns."
+    ),
+]
+Framed = Annotated[
+    str | Target,
+    Key(
+        "Name of the frame on the body: six parameters TARGET_x, _y, _z, _rz, _ry, _rx. An empty "
+        "list stands for the frame of the body itself."
+    ),
+]
 
 
+@recorded
 def pose(
-    name: str = "pose",
+    name: Name = "pose",
     *,
-    readings: Sequence[str] | None = None,
-    turns: Sequence[str] | None = None,
-    orientation: str = "quaternion",
-    columns: Sequence[str] | None = None,
-    station: str | None = "base",
-    target: str | Target = "tool",
+    readings: Coordinates = None,
+    turns: Turns = None,
+    orientation: Form = "quaternion",
+    columns: Columns = None,
+    station: StandsAt = "base",
+    target: Framed = "tool",
     dimension: int = 3,
 ) -> Instrument:
     """Position and orientation of a frame fixed to the body, seen from a station.
@@ -99,12 +131,6 @@ def pose(
         orientation=measured,
         implied={} if measured is None else dict.fromkeys(angles, 0.0),
         dimension=dimension,
-        description={
-            **position.description,
-            "type": "pose",
-            "turns": list(angles),
-            **({} if measured is None else measured.description),
-        },
     )
 
 

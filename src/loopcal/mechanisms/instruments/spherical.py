@@ -3,29 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.expressions.vectors import norm
 from loopcal.mechanisms.frame import Frame, Values
-from loopcal.mechanisms.machine import Instrument
+from loopcal.mechanisms.keys import Key
+from loopcal.mechanisms.machine import Instrument, recorded
 from loopcal.mechanisms.parameters import Parameter
-from loopcal.mechanisms.station import Station, Target
+from loopcal.mechanisms.station import LookedAt, Name, OwnStation, Station, Target
 
 NATIVE = ("range", "azimuth", "elevation")
 _ZEROS = (("range", "m"), ("elevation", "rad"))
 
 
+Natives = Annotated[
+    Sequence[str] | None,
+    Key("Names of the readings. Default: NAME_range, NAME_azimuth, NAME_elevation."),
+]
+Offsets = Annotated[
+    bool, Key("Whether STATION_range_offset and STATION_elevation_offset are estimated.")
+]
+
+
+@recorded
 def spherical(
-    name: str = "tracker",
+    name: Name = "tracker",
     *,
-    readings: Sequence[str] | None = None,
-    station: str | None = None,
-    target: str | Target = "tool",
+    readings: Natives = None,
+    station: OwnStation = None,
+    target: LookedAt = "tool",
     dimension: int = 3,
-    offsets: bool = False,
+    offsets: Offsets = False,
 ) -> Instrument:
     """Range [m], azimuth and elevation [rad] of a target, seen from a station.
 
@@ -57,7 +68,7 @@ def spherical(
             remedy=f"name {dimension} readings",
         )
     stands = Station(name if station is None else station, dimension)
-    looked_at = Target.named(target, dimension) if isinstance(target, str) else target
+    looked_at = Target.of(target, dimension)
     units = dict(zip(names, ("m", "rad", "rad"), strict=False))
     zeros = {f"{stands.name}_{what}_offset": u for what, u in _ZEROS[: dimension - 1] if offsets}
 
@@ -82,14 +93,6 @@ def spherical(
         dimension=dimension,
         remedy=f"the target is where the station {stands.name!r} stands, or straight above it: "
         "start by aligning points, or give the station its nominal place",
-        description={
-            "type": "spherical",
-            "name": name,
-            "readings": list(names),
-            "station": stands.name,
-            "target": target if isinstance(target, str) else list(target.parameters),
-            "offsets": offsets,
-        },
     )
 
 

@@ -2,50 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.expressions.engine import Stage, engine_for
-from loopcal.mechanisms.frame import Values
+from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.parallel import (
-    five_bar,
-    four_bar,
-    linear_delta,
-    rotary_delta,
-    stewart_gough,
-    three_rrr,
-)
-from loopcal.mechanisms.parallel.parts import Polylines
 
 Array = NDArray[np.float64]
-LINES: dict[str, Callable[[Values, Values], Polylines]] = {
-    "four-bar": four_bar.lines,
-    "five-bar": five_bar.lines,
-    "three-rrr": three_rrr.lines,
-    "linear-delta": linear_delta.lines,
-    "rotary-delta": rotary_delta.lines,
-    "stewart-gough": stewart_gough.lines,
-}
-"""By type, what draws a machine in its base frame."""
-PLANAR = ("four-bar", "five-bar", "three-rrr")
 _MOST, _SETTLED, _OPEN = 50, 1e-10, 0.05
 
 
 def parallel_lines(
-    mechanism: Mechanism, kind: str, readings: Mapping[str, float]
+    mechanism: Mechanism, machine: Machine, readings: Mapping[str, float]
 ) -> list[Array] | None:
-    """Lines (k, 3) [m] in the machine's base; None where its platform is not found.
+    """Lines (k, 3) [m] in the machine's base; None where the platform is not found.
 
     readings: [m, rad] of one pose, as far as there are any.
     """
     x = _located(mechanism, readings)
-    if x is None:
+    if machine.lines is None or x is None:
         return None
     values = {p.name: p.nominal for p in mechanism.parameters}
-    return [np.array(line, dtype=float) for line in LINES[kind](x, values)]
+    return [np.array(line, dtype=float) for line in machine.lines(x, values)]
 
 
 def _located(mechanism: Mechanism, readings: Mapping[str, float]) -> dict[str, float] | None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 from loopcal.expressions.vectors import vector
 from loopcal.mechanisms.frame import Frame, Values
 from loopcal.mechanisms.gauge import Gauge
+from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
+    Name,
     Polylines,
     chosen_passive,
     elbow,
@@ -24,15 +26,19 @@ from loopcal.mechanisms.parallel.parts import (
 )
 
 PASSIVE = ("phi_1", "phi_2")
+Passive = Annotated[
+    Sequence[str],
+    Key("Passive joints that are read: phi_1 and phi_2, the elbows."),
+]
 _HOME = {"theta_1": 2.2, "theta_2": 0.94, "phi_1": -1.53, "phi_2": 1.53}
 _HOME |= {"platform_x": 0.125, "platform_y": 0.42}
 
 
 def five_bar(
     *,
-    passive: Sequence[str] = (),
+    passive: Passive = (),
     home: Mapping[str, float] | None = None,
-    name: str = "five-bar",
+    name: Name = "five-bar",
 ) -> Machine:
     """A planar five-bar; the moving body is the distal link of leg 1, its origin where both meet.
 
@@ -77,6 +83,7 @@ def five_bar(
         home=starts(_HOME, home, quantities, name),
         dimension=2,
         gauge=Gauge(base=("a1_x", "a1_y", "a2_y"), scale=("a2_x",)),
+        lines=lines,
         description={"type": "five-bar", "passive": list(passive), "home": dict(home or {})},
     )
 

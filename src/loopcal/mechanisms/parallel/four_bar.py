@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from loopcal.expressions.vectors import norm
 from loopcal.mechanisms.frame import Frame, Values, Vector
 from loopcal.mechanisms.gauge import Gauge
+from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
+    Name,
     Polylines,
     along,
     chosen_passive,
@@ -25,14 +27,21 @@ from loopcal.mechanisms.parallel.parts import (
 )
 
 PASSIVE = ("theta_2", "phi_1")
+Passive = Annotated[
+    Sequence[str],
+    Key(
+        "Passive joints that are read: theta_2, the angle of the rocker, and phi_1, the angle "
+        "of the coupler against the crank."
+    ),
+]
 _HOME = {"theta_1": 1.57, "platform_rz": 0.34, "theta_2": 1.74, "phi_1": -1.23}
 
 
 def four_bar(
     *,
-    passive: Sequence[str] = (),
+    passive: Passive = (),
     home: Mapping[str, float] | None = None,
-    name: str = "four-bar",
+    name: Name = "four-bar",
 ) -> Machine:
     """A planar four-bar; the moving body is the coupler, its x axis from the crank to the rocker.
 
@@ -82,6 +91,7 @@ def four_bar(
         home=starts(_HOME, home, angles, name),
         dimension=2,
         gauge=Gauge(base=("a1_x", "a1_y", "a2_y"), scale=("a2_x",)),
+        lines=lines,
         description={"type": "four-bar", "passive": list(passive), "home": dict(home or {})},
     )
 

@@ -12,6 +12,7 @@ from loopcal.mechanisms.frame import BodyFrame, Values, Vector
 from loopcal.mechanisms.gauge import Gauge
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
+    Name,
     Polylines,
     in_unit,
     joint,
@@ -28,7 +29,9 @@ _CORNERS = (210.0, 330.0, 90.0)
 _HOME = dict.fromkeys(SLIDES, 0.4) | {"platform_x": 0.0, "platform_y": 0.0, "platform_z": 0.135}
 
 
-def linear_delta(*, home: Mapping[str, float] | None = None, name: str = "linear delta") -> Machine:
+def linear_delta(
+    *, home: Mapping[str, float] | None = None, name: Name = "linear delta"
+) -> Machine:
     """A delta whose platform hangs from three carriages on rails; it moves without turning.
 
     For the legs i = 1 ... 3, with P = (platform_x, platform_y, platform_z), which nobody reads,
@@ -68,6 +71,7 @@ def linear_delta(*, home: Mapping[str, float] | None = None, name: str = "linear
             base=("a1_x", "a1_y", "rail_1_rx", "rail_1_ry", "slide_1_offset", "a2_y"),
             translating=True,
         ),
+        lines=lines,
         description={"type": "linear-delta", "home": dict(home or {})},
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, nearest
 from loopcal.expressions.vectors import norm, rotate, vector
 from loopcal.mechanisms.frame import BodyFrame, Values, Vector
+from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.parameters import Parameter
 
+Name = Annotated[str, Key("Name of the machine.")]
 Polylines = list[list[Vector]]
 """Lines to draw a machine by, points (3,) [m] in its base frame."""
 

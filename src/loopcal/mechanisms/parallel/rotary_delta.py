@@ -13,6 +13,7 @@ from loopcal.mechanisms.frame import BodyFrame, Values, Vector
 from loopcal.mechanisms.gauge import Gauge
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
+    Name,
     Polylines,
     in_unit,
     joint,
@@ -29,7 +30,9 @@ _AZIMUTHS = (210.0, 330.0, 90.0)
 _HOME = dict.fromkeys(ARMS, 0.5) | {"platform_x": 0.0, "platform_y": 0.0, "platform_z": -0.41}
 
 
-def rotary_delta(*, home: Mapping[str, float] | None = None, name: str = "rotary delta") -> Machine:
+def rotary_delta(
+    *, home: Mapping[str, float] | None = None, name: Name = "rotary delta"
+) -> Machine:
     """A delta whose platform hangs from three arms that swing; it moves without turning.
 
     For the legs i = 1 ... 3, with P = (platform_x, platform_y, platform_z), which nobody reads,
@@ -70,6 +73,7 @@ def rotary_delta(*, home: Mapping[str, float] | None = None, name: str = "rotary
             base=("a1_x", "a1_y", "a1_z", "azimuth_1", "tilt_1", "theta_1_offset"),
             translating=True,
         ),
+        lines=lines,
         description={"type": "rotary-delta", "home": dict(home or {})},
     )
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from loopcal.expressions.vectors import norm, rot_x, rot_y, rot_z, rotate, vector
 from loopcal.mechanisms.frame import BodyFrame, Values, Vector
 from loopcal.mechanisms.gauge import Gauge
+from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
+    Name,
     Polylines,
     chosen_passive,
     in_unit,
@@ -30,15 +32,19 @@ _PLATFORM |= dict.fromkeys(("platform_rz", "platform_ry", "platform_rx"), "rad")
 _BASE_CORNERS = (225.0, 315.0, 345.0, 75.0, 105.0, 195.0)
 _PLATFORM_CORNERS = (250.0, 290.0, 10.0, 50.0, 130.0, 170.0)
 _OFFSET = 0.55
+Passive = Annotated[
+    Sequence[str],
+    Key("Passive joints that are read: alpha_1, beta_1 and so on, in the base."),
+]
 _HOME = dict.fromkeys((*_PLATFORM, *PASSIVE), 0.0) | {"platform_z": 0.7}
 _HOME |= {f"leg_{i}": 0.2 for i in LEGS}
 
 
 def stewart_gough(
     *,
-    passive: Sequence[str] = (),
+    passive: Passive = (),
     home: Mapping[str, float] | None = None,
-    name: str = "Stewart-Gough platform",
+    name: Name = "Stewart-Gough platform",
 ) -> Machine:
     """A platform on six legs whose lengths are read; nobody reads its pose.
 
@@ -92,6 +98,7 @@ def stewart_gough(
             base=("a1_x", "a1_y", "a1_z", "a2_y", "a2_z", "a4_z"),
             body=("b1_x", "b1_y", "b1_z", "b2_y", "b2_z", "b4_z"),
         ),
+        lines=lines,
         description={"type": "stewart-gough", "passive": list(passive), "home": dict(home or {})},
     )
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from loopcal.expressions.vectors import vector
 from loopcal.mechanisms.frame import BodyFrame, Values
 from loopcal.mechanisms.gauge import Gauge
+from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import (
+    Name,
     Polylines,
     chosen_passive,
     elbow,
@@ -29,6 +31,10 @@ from loopcal.mechanisms.parallel.parts import (
 LEGS = (1, 2, 3)
 PASSIVE = ("phi_1", "phi_2", "phi_3")
 _CORNERS = (210.0, 330.0, 90.0)
+Passive = Annotated[
+    Sequence[str],
+    Key("Passive joints that are read: phi_1, phi_2 and phi_3, the elbows."),
+]
 _HOME = {"theta_1": 1.42, "theta_2": 3.51, "theta_3": -0.68}
 _HOME |= {"platform_x": 0.0, "platform_y": 0.0, "platform_rz": 0.0}
 _HOME |= dict.fromkeys(PASSIVE, -1.79)
@@ -36,9 +42,9 @@ _HOME |= dict.fromkeys(PASSIVE, -1.79)
 
 def three_rrr(
     *,
-    passive: Sequence[str] = (),
+    passive: Passive = (),
     home: Mapping[str, float] | None = None,
-    name: str = "3-RRR",
+    name: Name = "3-RRR",
 ) -> Machine:
     """A planar platform on three legs of two links, whose first joints are driven.
 
@@ -80,6 +86,7 @@ def three_rrr(
         home=starts(_HOME, home, quantities, name),
         dimension=2,
         gauge=Gauge(base=("a1_x", "a1_y", "a2_y"), body=("b1_x", "b1_y", "b2_y"), scale=("a2_x",)),
+        lines=lines,
         description={"type": "three-rrr", "passive": list(passive), "home": dict(home or {})},
     )
 

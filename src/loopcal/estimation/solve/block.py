@@ -1,0 +1,88 @@
+"""A block of poses: readings, corrections, known values and noise, sliced by pose in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.problem.problem import Poses
+from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BlockNoise:
+    """The uncertainty of a block, and the positions of its unmeasured and measured quantities."""
+
+    uncertainty: ReadingUncertainty
+    unmeasured: tuple[int, ...]
+    measured: tuple[int, ...]
+
+    @property
+    def sd(self) -> Array:
+        """Sds (k, 1) or (k, b) [SI]."""
+        return self.uncertainty.sd
+
+    @property
+    def blocks(self) -> tuple[CovarianceBlock, ...]:
+        """Quantities with a full covariance."""
+        return self.uncertainty.blocks
+
+    def of(self, chosen: NDArray[np.intp] | slice) -> BlockNoise:
+        """The noise of some poses of the block."""
+        return BlockNoise(self.uncertainty.of(chosen), self.unmeasured, self.measured)
+
+
+@dataclass(frozen=True)
+class Block:
+    """b poses in which the same loops hold.
+
+    poses: their positions among all; readings, corrections: (k, b) [SI]; known: (c, b) [SI].
+    """
+
+    poses: Poses
+    readings: Array
+    corrections: Array
+    known: Array
+    noise: BlockNoise
+
+    @property
+    def count(self) -> int:
+        """How many poses these are."""
+        return len(self.readings[0])
+
+    @property
+    def corrected(self) -> Array:
+        """Corrected readings (k, b)."""
+        x: Array = self.readings + self.corrections
+        return x
+
+    @property
+    def read(self) -> Array:
+        """Readings (k, b) as they are, with corrections for unmeasured quantities only."""
+        x, rows = self.readings.copy(), list(self.noise.unmeasured)
+        x[rows] += self.corrections[rows]
+        return x
+
+    def at(self, corrections: Array) -> Block:
+        """The same poses with other corrections (k, b)."""
+        return Block(self.poses, self.readings, corrections, self.known, self.noise)
+
+    def of(self, chosen: NDArray[np.intp] | slice) -> Block:
+        """Some of the poses, by their positions in the block."""
+        return Block(
+            self.positions(chosen),
+            self.readings[:, chosen],
+            self.corrections[:, chosen],
+            self.known[:, chosen],
+            self.noise.of(chosen),
+        )
+
+    def positions(self, chosen: NDArray[np.intp] | slice) -> NDArray[np.intp]:
+        """Positions among all poses of some of the block's."""
+        if isinstance(self.poses, slice):
+            return np.arange(self.poses.start, self.poses.stop)[chosen]
+        return self.poses[chosen]

@@ -1,0 +1,38 @@
+"""The [[instrument]] tables of a mechanism file: what they may say, and what looks at a machine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import Field
+
+from loopcal.files.machines.entries import Units, any_of, built
+from loopcal.files.toml.place import Place
+from loopcal.mechanisms.instruments.registry import INSTRUMENTS
+from loopcal.mechanisms.machine import Instrument, Machine
+
+if TYPE_CHECKING:
+    Instruments = list[Any]
+else:
+    Instruments = Annotated[
+        list[any_of(INSTRUMENTS.values(), "Instrument")],
+        Field(
+            description="What is read of the machine's body. With an empty list the machine has "
+            "to calibrate itself by redundant sensors."
+        ),
+    ]
+
+
+def instruments(
+    entries: Sequence[Any], machine: Machine, units: Units, place: Place
+) -> list[Instrument]:
+    """The instruments of these tables, to look at a machine.
+
+    units: dimension -> unit of numbers that state none. Raises InputError at the table that does
+    not fit.
+    """
+    return [
+        built(INSTRUMENTS[entry.type], entry, units, place.at(i), dimension=machine.dimension)
+        for i, entry in enumerate(entries)
+    ]

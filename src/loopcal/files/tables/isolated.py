@@ -1,0 +1,97 @@
+"""Tables that others' code reads (XLSX, MATLAB), read in the guarded child and handed back."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loopcal.errors import InputError
+from loopcal.files.guarded import Stopped, guarded
+from loopcal.files.tables.raw import existing_file
+from loopcal.files.tables.table import Table
+
+READERS = {"XLSX": "spreadsheet:read_spreadsheet", "MATLAB": "matlab:read_matlab"}
+
+
+def read_isolated(kind: str, path: str | Path, **options: Any) -> Table:
+    """The table of an XLSX or MATLAB file, by its reader with these options.
+
+    Raises InputError as the reader does, and for a file that the reader cannot cope with.
+    """
+    path = existing_file(path)
+    arguments = {"reader": READERS[kind], "path": str(path.absolute()), "options": options}
+    return unpacked(from_child(f"{__name__}:packed_table", arguments, path, kind))
+
+
+def from_child(function: str, arguments: dict[str, Any], path: Path, kind: str) -> bytes:
+    """What the guarded child makes of a file; InputError, naming it, where it cannot be read."""
+    try:
+        return guarded(function, arguments, path.stat().st_size)
+    except Stopped as why:
+        raise InputError(
+            f"this is no {kind} file that can be read ({why})",
+            place=path.name,
+            remedy=f"save it again as {kind}, or as CSV",
+        ) from None
+
+
+def packed_table(reader: str, path: str, options: dict[str, Any]) -> bytes:
+    """The table that a reader makes of a file, as bytes for `unpacked`; runs in the child."""
+    from importlib import import_module
+
+    module, name = reader.split(":")
+    read = getattr(import_module(f"loopcal.files.tables.{module}"), name)
+    return packed(read(path, **options))
+
+
+def packed(table: Table) -> bytes:
+    """A table as bytes: a line of JSON, then its rows and columns of numbers, 8 bytes each."""
+    columns = {i: _compact(cells) for i, cells in table.columns.items()}
+    head = {
+        "file": table.file,
+        "part": table.part,
+        "sha256": table.sha256,
+        "names": table.names,
+        "decimal": table.decimal,
+        "columns": [
+            [i, None if isinstance(cells, np.ndarray) else cells] for i, cells in columns.items()
+        ],
+    }
+    numbers = [c for c in columns.values() if isinstance(c, np.ndarray)]
+    parts = [table.rows.astype("<i8"), *(c.astype("<f8") for c in numbers)]
+    return b"\n".join([json.dumps(head, default=_plain).encode(), b"".join(map(bytes, parts))])
+
+
+def unpacked(content: bytes) -> Table:
+    """The table out of its bytes."""
+    end = content.index(b"\n")
+    head = json.loads(content[:end])
+    kept = sum(cells is None for _, cells in head["columns"])
+    body = content[end + 1 :]
+    length = len(body) // 8 // (kept + 1)
+    blocks = iter(np.frombuffer(body, "<f8").reshape(kept + 1, length))
+    rows = next(blocks).view("<i8")
+    return Table(
+        head["file"],
+        head["part"],
+        head["sha256"],
+        tuple(head["names"]),
+        {i: next(blocks) if cells is None else cells for i, cells in head["columns"]},
+        rows,
+        head["decimal"],
+    )
+
+
+def _plain(cell: Any) -> Any:
+    """A cell of a type that JSON does not know: NumPy's numbers as such, dates as text."""
+    return cell.item() if isinstance(cell, np.generic) else str(cell)
+
+
+def _compact(cells: Any) -> Any:
+    """A column of numbers alone as an array."""
+    if isinstance(cells, list) and all(type(cell) is float for cell in cells):
+        return np.array(cells)
+    return cells

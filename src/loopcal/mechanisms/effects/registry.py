@@ -1,0 +1,16 @@
+"""The effects, one row each: files, JSON Schema, reference and `loopcal.effects` follow."""
+
+from __future__ import annotations
+
+from loopcal.mechanisms.effects.backlash import Backlash
+from loopcal.mechanisms.effects.compliance import Compliance
+from loopcal.mechanisms.effects.drift import Drift, Shift
+from loopcal.mechanisms.effects.harmonics import Harmonics
+from loopcal.mechanisms.effects.scale import Scale
+from loopcal.mechanisms.effects.thermal import Thermal
+from loopcal.mechanisms.keys import by_type
+
+__all__ = ["Backlash", "Compliance", "Drift", "Harmonics", "Scale", "Shift", "Thermal"]
+
+EFFECTS = by_type(globals()[name] for name in __all__)
+"""By the type that files name, the effect."""

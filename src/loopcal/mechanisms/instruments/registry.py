@@ -1,0 +1,28 @@
+"""The instruments, one row each: files, JSON Schema, reference and `loopcal.instruments` follow."""
+
+from __future__ import annotations
+
+from loopcal.mechanisms.instruments.contact import ball_bar, plane, socket, sphere
+from loopcal.mechanisms.instruments.inclinometer import inclinometer
+from loopcal.mechanisms.instruments.length import distance, draw_wire, relative_distance
+from loopcal.mechanisms.instruments.point import point
+from loopcal.mechanisms.instruments.pose import pose
+from loopcal.mechanisms.instruments.spherical import spherical
+from loopcal.mechanisms.keys import by_type
+
+__all__ = [
+    "ball_bar",
+    "distance",
+    "draw_wire",
+    "inclinometer",
+    "plane",
+    "point",
+    "pose",
+    "relative_distance",
+    "socket",
+    "sphere",
+    "spherical",
+]
+
+INSTRUMENTS = by_type(globals()[name] for name in __all__)
+"""By the type that files name, what makes the instrument."""

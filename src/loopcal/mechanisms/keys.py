@@ -1,0 +1,126 @@
+"""Keys of mechanism files: the annotated arguments of what makes an instrument, effect or machine.
+
+Each type is declared once, as a function or a frozen dataclass. Arguments annotated with a `Key`
+are the keys of its table, with their types and defaults; `type` is its name with hyphens. Reader,
+writer, JSON Schema and reference page follow from that declaration.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import cache
+from types import NoneType
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+REQUIRED = inspect.Parameter.empty
+
+
+@dataclass(frozen=True)
+class Key:
+    """What a key says, and what its type leaves open.
+
+    unit: SI unit of its numbers, for which a file may state another, or what gives it: for an
+    entry, in a mapping for a key; least, most: entries of a list; positive: numbers are larger
+    than 0; choices: all that a text or whole number (in a mapping a key) can be; is_unit: the
+    text is the name of a unit.
+    """
+
+    says: str
+    unit: str | Callable[[Any], str] | None = None
+    least: int = 0
+    most: int | None = None
+    positive: bool = False
+    choices: tuple[str | int, ...] = ()
+    is_unit: bool = False
+
+
+@dataclass(frozen=True)
+class Argument:
+    """An argument that is a key: its name, plain type, default (or `REQUIRED`), and its `Key`."""
+
+    name: str
+    kind: Any
+    default: Any
+    key: Key
+
+    @property
+    def off(self) -> bool:
+        """Whether files write `false` for None, because leaving the key out means the default."""
+        kinds = get_args(self.kind)
+        return NoneType in kinds and bool not in kinds and self.default is not None
+
+
+@cache
+def arguments(make: Callable[..., Any]) -> tuple[Argument, ...]:
+    """The keys of what a function or dataclass makes, in their order."""
+    hints = get_type_hints(make, include_extras=True)
+    defaults = {n: p.default for n, p in inspect.signature(make).parameters.items()}
+    for field in fields(make) if is_dataclass(make) else ():
+        if field.default_factory is not MISSING:
+            defaults[field.name] = field.default_factory()
+    return tuple(
+        Argument(name, kind, default, key)
+        for name, default in defaults.items()
+        if get_origin(hints[name]) is Annotated
+        for kind, *extras in [get_args(hints[name])]
+        for key in extras
+        if isinstance(key, Key)
+    )
+
+
+def type_name(make: Callable[..., Any]) -> str:
+    """What files call the type: `draw_wire` is "draw-wire".
+
+    >>> type_name(type_name)
+    'type-name'
+    """
+    return make.__name__.lower().replace("_", "-")
+
+
+def by_type(makers: Iterable[Callable[..., Any]]) -> dict[str, Callable[..., Any]]:
+    """The types of a registry by the names that files use."""
+    return {type_name(make): make for make in makers}
+
+
+def summary(make: Callable[..., Any]) -> str:
+    """The first paragraph of a docstring, in one line."""
+    paragraph = (inspect.getdoc(make) or "").split("\n\n")[0]
+    return re.sub(r"\s+", " ", paragraph)
+
+
+def described(make: Callable[..., Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """The table of a mechanism file that makes the same with these arguments."""
+    return {"type": type_name(make), **_table(make, given)}
+
+
+def description(value: Any) -> dict[str, Any]:
+    """The table of a mechanism file that makes this value, an instance of a dataclass."""
+    return {"type": type_name(type(value)), **plain(value)}
+
+
+def _table(make: Callable[..., Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys with their values as TOML has them; None is false or absent."""
+    found = {}
+    for argument in arguments(make):
+        value = given.get(argument.name, REQUIRED)
+        value = argument.default if value is REQUIRED else value
+        if value is not None or argument.off:
+            found[argument.name] = False if value is None else plain(value)
+    return found
+
+
+def plain(value: Any) -> Any:
+    """A value as TOML has it: a dataclass is the table of its keys, or its only field."""
+    if is_dataclass(value) and not isinstance(value, type):
+        own = {field.name: getattr(value, field.name) for field in fields(value)}
+        return _table(type(value), own) if arguments(type(value)) else plain(*own.values())
+    if isinstance(value, Mapping):
+        return {key: plain(inner) for key, inner in value.items()}
+    if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
+        return [plain(inner) for inner in value]
+    return float(value) if isinstance(value, float) else value

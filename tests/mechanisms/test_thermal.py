@@ -1,0 +1,119 @@
+"""A parameter changes by its coefficient for each kelvin from the reference temperature."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from loopcal.errors import InputError
+from loopcal.files.machines.mechanism_file import read_mechanism
+from loopcal.files.machines.mechanism_writer import mechanism_to_toml
+from tests.command_line import run
+
+NOISE = lc.Noise({"xP": 1e-5, "yP": 1e-5, "phi*": 1e-5})
+TRUTH = {"l2_thermal": 12e-6, "phi30_thermal": 20e-6}
+EXACT = lc.Noise({"*": 0.0})
+
+
+def warmed(**given: object) -> lc.Mechanism:
+    effect = lc.effects.Thermal(("l2", "phi30"), **given)  # type: ignore[arg-type]
+    return lc.with_effects(lc.planar_two_link(), [effect])
+
+
+def poses(number: int, seed: int = 2) -> dict[str, np.ndarray]:
+    ranges = {"phi2": (-1.5, 1.5), "phi3": (0.5, 2.5), "temperature": (288.15, 308.15)}
+    return dict(lc.random_poses(ranges, number, seed=seed))
+
+
+@pytest.mark.parametrize(("reference", "unit"), [(20.0, "degC"), (293.15, "K")])
+def test_a_length_grows_by_its_coefficient_for_each_kelvin(reference: float, unit: str) -> None:
+    arm = warmed(reference=reference, unit=unit).with_nominal(TRUTH)
+    at = poses(10)
+    warm = lc.simulate(arm, at, noise=EXACT, seed=1).dataset
+    for i in range(10):
+        rise = at["temperature"][i] - 293.15
+        longer = {"l2": 0.8 + 12e-6 * rise, "phi30": 20e-6 * rise}
+        cold = lc.planar_two_link().with_nominal(longer)
+        one = {q: at[q][i : i + 1] for q in ("phi2", "phi3")}
+        plain = lc.simulate(cold, one, noise=EXACT, seed=1).dataset
+        assert warm["xP"][i] == pytest.approx(plain["xP"][0], abs=1e-14)
+        assert warm["yP"][i] == pytest.approx(plain["yP"][0], abs=1e-14)
+
+
+def test_coefficients_are_per_kelvin_whatever_the_reference_is_in() -> None:
+    arm = warmed()
+    assert arm.known == {"temperature": "K"}
+    assert [arm.parameters[n].unit for n in TRUTH] == ["m/K", "rad/K"]
+
+
+def test_coefficients_are_recovered_in_python() -> None:
+    arm = warmed()
+    made = lc.simulate(arm, poses(100), noise=NOISE, seed=3, truth=TRUTH)
+    result = lc.calibrate(arm, made.dataset, noise=NOISE)
+    assert result.status.converged
+    for name, true in TRUTH.items():
+        sd = result.sd[name]
+        assert sd is not None
+        assert sd < 1e-6
+        assert abs(result.value[name] - true) < 4 * sd, name
+
+
+PROJECT = """
+schema = 1
+[mechanism]
+type = "planar-two-link"
+[[mechanism.effect]]
+type = "thermal"
+changing = ["l2", "phi30"]
+[data]
+file = "poses.csv"
+[data.columns]
+phi2 = "phi2"
+phi3 = "phi3"
+xP = { column = "xP", unit = "mm" }
+yP = { column = "yP", unit = "mm" }
+temperature = { column = "T", unit = "degC" }
+[noise]
+"phi*" = 1e-5
+xPyP = 1e-5
+[simulation]
+poses = 100
+[simulation.ranges]
+phi2 = { from = -90, to = 90, unit = "deg" }
+phi3 = { from = 30, to = 150, unit = "deg" }
+temperature = { from = 15, to = 35, unit = "degC" }
+[simulation.truth]
+l2_thermal = { value = 12, unit = "um/K" }
+phi30_thermal = { value = 20, unit = "urad/degC" }
+"""
+
+
+def test_coefficients_are_recovered_from_a_project_with_a_column_in_celsius(tmp_path: Path) -> None:
+    project, data = tmp_path / "project.toml", tmp_path / "poses.csv"
+    project.write_text(PROJECT)
+    run("simulate", str(project), "--out", str(data), "--seed", "4")
+    header, first, *_ = data.read_text().splitlines()
+    assert 15 <= float(first.split(",")[header.split(",").index("T")]) <= 35
+    read = lc.load_dataset(lc.read_project(project))
+    assert 288.15 <= read.dataset["temperature"].min() < read.dataset["temperature"].max() <= 308.15
+    result = lc.calibrate(lc.read_project(project).mechanism, read.dataset, noise=read.noise)
+    for name, true in TRUTH.items():
+        assert abs(result.value[name] - true) < 4 * (result.sd[name] or 0.0), name
+
+
+def test_it_is_written_again_bit_for_bit(tmp_path: Path) -> None:
+    arm = warmed(column="T", reference=295.15, unit="K", name="growth").with_nominal(TRUTH)
+    (tmp_path / "arm.toml").write_text(mechanism_to_toml(arm))
+    assert read_mechanism(tmp_path / "arm.toml") == arm
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [({"unit": "m"}, "20 m"), ({"reference": float("nan")}, "nan"), ({"unit": "degK"}, "degK")],
+)
+def test_what_is_no_temperature_is_refused(given: dict[str, object], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        warmed(**given)
