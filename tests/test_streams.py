@@ -117,7 +117,7 @@ def test_a_stream_reports_where_its_sds_come_from(folder: Path) -> None:
     encoders = PROJECT.replace('{ sd = 1e-4, unit = "rad" }', "{ encoder = { bits = 14 } }")
     read(folder, encoders)
     done = run_calibration(folder / "project.toml")
-    sources = {q: n["source"] for n in done.written.document["noise"] for q in n["quantities"]}
+    sources = {q: n.source for n in done.written.document.noise for q in n.quantities}
     assert sources == {"phi2": "datasheet", "phi3": "datasheet", "xP": "given", "yP": "given"}
 
 

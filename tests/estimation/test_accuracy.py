@@ -10,12 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import loopcal as lc
+from analyses.instruments import ARM_VALUES, six_axis
 from loopcal.estimation.accuracy import accuracy, deviations
 from loopcal.estimation.accuracy_tally import AccuracyTally
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
-from tests.estimation.test_contacts import ARM_VALUES, READINGS, six_axis
+from tests.estimation.test_contacts import READINGS
 from tests.reference.robots import urdf_of
 
 EXACT = lc.Noise({"*": 0.0})
@@ -75,7 +76,8 @@ def test_outputs_in_metres_and_radians_have_an_accuracy_each() -> None:
     result = lc.calibrate(flat, data, noise=lc.Noise({"q": 0.0, "u": 1e-4, "v": 1e-4, "phi": 1e-4}))
     found = result.accuracy_before
     assert found is not None
-    assert (found.unit, found.mean) == ("m", pytest.approx(0.003, rel=1e-9))
+    assert found.unit == "m"
+    assert found.mean == pytest.approx(0.003, rel=1e-9)
     assert found.orientation is not None
     assert found.orientation.mean == pytest.approx(0.01, rel=1e-9)
 

@@ -34,7 +34,7 @@ from loopcal.presentation.shown import SHOWN
 from loopcal.presentation.text_table import columns
 from loopcal.statistics.identifiability import SCHROER, WhatDataSay, what_data_say
 from loopcal.statistics.observability import observability
-from loopcal.statistics.predictor import predictor_at, usual_words
+from loopcal.statistics.predictor import largest_by_unit, predictor_at, usual_words
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]
@@ -110,7 +110,10 @@ class Check:
                 "calibration_index": plain(self.identifiability.index),
             },
             "observability": plain(self.observability),
-            "prediction": {"by": plain(self.expected_at_poses)},
+            "prediction": {
+                "sd_at_poses": largest_by_unit(self.expected_at_poses),
+                "by": plain(self.expected_at_poses),
+            },
             "remarks": list(self.mechanism.remarks),
         }
 

@@ -57,16 +57,21 @@ class Predictor:
     def entry(self) -> PredictionEntry:
         """As a document holds it; the covariance only where the result's is not the same."""
         loose = self.undetermined.shape[1] > 0
-        largest: dict[str, float] = {}
-        for one in self.usual:
-            largest[one.unit] = max(one.sd, largest.get(one.unit, 0.0))
         return PredictionEntry(
-            largest,
+            largest_by_unit(self.usual),
             dict(self.typical),
             tuple(map(tuple, self.covariance.tolist())) if loose else None,
             tuple(map(tuple, self.undetermined.T.tolist())),
             self.usual,
         )
+
+
+def largest_by_unit(usual: Sequence[UsualSd]) -> dict[str, float]:
+    """SI unit -> the largest sd of any instrument."""
+    largest: dict[str, float] = {}
+    for one in usual:
+        largest[one.unit] = max(one.sd, largest.get(one.unit, 0.0))
+    return largest
 
 
 def usual_words(usual: Sequence[UsualSd]) -> list[str]:
