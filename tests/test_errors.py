@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import ast
+import pickle
+import re
+from typing import get_args
+
 import pytest
 
 from loopcal.errors import (
+    Code,
     DomainError,
     InputError,
     LoopcalError,
@@ -13,6 +19,7 @@ from loopcal.errors import (
     listed,
     nearest,
 )
+from tests.conftest import ROOT
 
 KINDS = (LoopcalError, UsageError, InputError, DomainError, NoTrustworthyResult)
 
@@ -90,3 +97,37 @@ def test_a_long_list_says_how_many_more_there_are() -> None:
 
 def test_a_place_is_one_line() -> None:
     assert "\n" not in str(InputError("text", place="a\nloopcal: done"))
+
+
+def codes_used() -> set[str]:
+    """Texts in src that state a code: arguments named `code`, and annotated as such."""
+    found = set()
+    for path in (ROOT / "src").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            match node:
+                case ast.keyword(arg="code", value=value):
+                    pass
+                case ast.AnnAssign(annotation=kind, value=ast.expr() as value):
+                    if "Code" not in ast.unparse(kind):
+                        continue
+                case _:
+                    continue
+            texts = {str(t.value) for t in ast.walk(value) if isinstance(t, ast.Constant)}
+            found |= texts & {*get_args(Code)}
+    return found
+
+
+def test_every_code_is_used() -> None:
+    assert codes_used() == {*get_args(Code)}
+
+
+def test_every_code_is_documented_and_every_documented_code_exists() -> None:
+    page = (ROOT / "docs" / "reference" / "messages.md").read_text("utf-8")
+    assert re.findall(r"^\| `([a-z-]+)` \|", page, re.MULTILINE) == sorted(get_args(Code))
+
+
+def test_a_code_survives_a_later_place_and_a_way_between_processes() -> None:
+    error = InputError("no column 'x'", code="missing-column", place="row 3").at("poses.csv")
+    again = pickle.loads(pickle.dumps(error))
+    assert (again.code, again.place) == ("missing-column", "poses.csv: row 3")
+    assert InputError("sd is -1 mm").code == "invalid-value"

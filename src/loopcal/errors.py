@@ -1,6 +1,7 @@
-"""The errors a user can meet, each with the exit code it ends the command with.
+"""The errors a user can meet, each with a code, and with the exit code that ends the command.
 
-An error says what is wrong, why that stops us, and what to do about it:
+An error says what is wrong, why that stops us, and what to do about it. Its code names its kind
+and stays the same when the wording changes:
 
 >>> raise InputError("sd is -0.1 mrad; an sd cannot be negative",
 ...                  place="arm.toml: noise.theta_1", remedy="give 0 for an exact sensor")
@@ -15,20 +16,79 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Literal
 
 LONGEST_NAME, LONGEST_TEXT, MOST_NAMES = 80, 2_000, 10
 """Characters of a quoted name and of a whole text, and names of a list, that a message shows."""
 _QUOTED = re.compile(r"""(?<!\w)(['"])(?:\\.|(?!\1(?!\w)).)*\1(?!\w)""", re.DOTALL)
 
 
+Code = Literal[
+    "conflicting-keys",
+    "duplicate-column",
+    "duplicate-name",
+    "implausible-readings",
+    "implausible-unit",
+    "internal",
+    "invalid-covariance",
+    "invalid-number",
+    "invalid-syntax",
+    "invalid-usage",
+    "invalid-value",
+    "lost-reflector",
+    "mismatched-poses",
+    "missing-column",
+    "missing-dependency",
+    "missing-file",
+    "missing-key",
+    "missing-reading",
+    "missing-sd",
+    "no-data",
+    "no-free-parameter",
+    "no-outputs",
+    "no-scheduler",
+    "no-trustworthy-result",
+    "not-converged",
+    "open-loops",
+    "outside-domain",
+    "too-few-poses",
+    "too-large",
+    "undetermined-quantities",
+    "unknown-name",
+    "unknown-size",
+    "unknown-unit",
+    "unreadable-file",
+    "unsupported",
+    "unwritable-file",
+    "version-mismatch",
+    "worker-lost",
+    "wrong-file-type",
+    "wrong-schema",
+    "wrong-shape",
+    "wrong-unit",
+]
+"""The kinds of errors; `docs/reference/messages.md` describes each."""
+
+
 class LoopcalError(Exception):
-    """Root of all errors raised on purpose; by itself it means a fault of ours (exit code 1)."""
+    """Root of all errors raised on purpose; by itself it means a fault of ours (exit code 1).
+
+    code: its kind, where it is not the usual one of its class; place: file, row and key; remedy:
+    what to do.
+    """
 
     exit_code = 1
+    usual_code: Code = "internal"
 
     def __init__(
-        self, message: str, *, place: str | None = None, remedy: str | None = None
+        self,
+        message: str,
+        *,
+        code: Code | None = None,
+        place: str | None = None,
+        remedy: str | None = None,
     ) -> None:
+        self.code: Code = code or self.usual_code
         self.message = _bounded(message)
         self.place = place and _bounded(place).replace("\n", "\\n")
         self.remedy = remedy and _bounded(remedy)
@@ -41,29 +101,34 @@ class LoopcalError(Exception):
     def at(self, place: str) -> LoopcalError:
         """The same error with the place filled in, for callers that know the file."""
         joined = f"{place}: {self.place}" if self.place else place
-        return type(self)(self.message, place=joined, remedy=self.remedy)
+        return type(self)(self.message, code=self.code, place=joined, remedy=self.remedy)
 
 
 class UsageError(LoopcalError):
     """A command called with arguments that do not go together (exit code 2)."""
 
     exit_code = 2
+    usual_code: Code = "invalid-usage"
 
 
 class InputError(LoopcalError):
     """A file, column, unit, value or key that cannot be used as it stands (exit code 3)."""
 
     exit_code = 3
+    usual_code: Code = "invalid-value"
 
 
 class DomainError(InputError):
     """An operation of a loop equation met a value outside its domain (exit code 3)."""
+
+    usual_code: Code = "outside-domain"
 
 
 class NoTrustworthyResult(LoopcalError):
     """The fit ended, but its result does not meet what was asked of it (exit code 4)."""
 
     exit_code = 4
+    usual_code: Code = "no-trustworthy-result"
 
 
 def short(text: str, most: int = LONGEST_NAME) -> str:

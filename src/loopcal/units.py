@@ -97,7 +97,9 @@ def unit(name: str) -> Unit:
     """
     found = _known(name.strip())
     if found is None:
-        raise InputError(f"unit {name!r} is not known", remedy=nearest(name, _UNITS))
+        raise InputError(
+            f"unit {name!r} is not known", code="unknown-unit", remedy=nearest(name, _UNITS)
+        )
     return found
 
 

@@ -98,3 +98,13 @@ def test_a_validation_that_cannot_be_is_bad_input(folder: Path, fit: str, words:
     done = run("calibrate", str(folder / "c.toml"))
     assert done.returncode == 3
     assert words in done.stderr
+
+
+def test_a_result_beside_another_ones_mechanism_is_refused(folder: Path, tmp_path: Path) -> None:
+    document = json.loads((folder / "a-result" / "result.json").read_text("utf-8"))
+    document["parameters"][0]["name"] = "else"
+    (tmp_path / "result.json").write_text(json.dumps(document), "utf-8")
+    (tmp_path / "mechanism.toml").write_bytes((folder / "a-result" / "mechanism.toml").read_bytes())
+    done = run("compare", tmp_path, folder / "b-result")
+    assert done.returncode == 3
+    assert "differ in the parameters 'xA'" in done.stderr

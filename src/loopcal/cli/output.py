@@ -58,6 +58,7 @@ def _print(text: str) -> None:
         silence_stdout()
         raise InputError(
             f"cannot be written: {error.strerror or error}",
+            code="unwritable-file",
             place="standard output",
             remedy="send it somewhere else",
         ) from None

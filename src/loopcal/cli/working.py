@@ -41,6 +41,7 @@ def executor_of(
     if not cluster.strip():
         raise UsageError(
             "--cluster names no scheduler",
+            code="no-scheduler",
             remedy="give its address, such as tcp://host:8786, or the file it writes",
         )
     return Cluster(_stated(cluster) if cluster.endswith(".json") else cluster)
@@ -66,6 +67,7 @@ def _stated(path: str) -> str:
         reason = getattr(error, "strerror", None) or "it states no address"
         raise InputError(
             f"this is no file of a scheduler ({reason})",
+            code="wrong-file-type",
             place=path,
             remedy="give the one of dask scheduler --scheduler-file FILE, or tcp://HOST:PORT",
         ) from None

@@ -95,6 +95,7 @@ def refuse_noise(fit: Fit, noise: Noise | None) -> None:
     if noise is None and not fit.method.exact:
         raise InputError(
             f"the method {fit.method.name!r} needs to know how uncertain the readings are",
+            code="missing-sd",
             remedy="give noise=Noise({...}) with an sd for every quantity, or use "
             f"method={' or '.join(map(repr, names_where('exact')))}",
         )
@@ -102,6 +103,7 @@ def refuse_noise(fit: Fit, noise: Noise | None) -> None:
         raise InputError(
             f"sds cannot be estimated under the loss {fit.loss!r}: how bad readings scatter would "
             "become part of them",
+            code="unsupported",
             remedy="find the outliers with this loss first and exclude them, then estimate; or "
             'take the sds as given (leave out "estimate")',
         )

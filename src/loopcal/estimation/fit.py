@@ -70,7 +70,9 @@ class Fit:
                 remedy=f"use method = {known} with the sds of the readings",
             )
         if isinstance(start, str) and start not in STARTS:
-            raise InputError(f"there is no start {start!r}", remedy=nearest(start, STARTS))
+            raise InputError(
+                f"there is no start {start!r}", code="unknown-name", remedy=nearest(start, STARTS)
+            )
         if isinstance(max_iterations, bool) or not max_iterations >= 0:
             raise InputError(
                 f"max_iterations is {max_iterations!r}", remedy="give a whole number, 0 or more"

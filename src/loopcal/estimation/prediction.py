@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.problem.problem import BLOCK, Problem, held_loops
+from loopcal.estimation.problem.patterns import held_loops
+from loopcal.estimation.problem.problem import BLOCK, Problem
 from loopcal.estimation.solve.kernel import eliminate
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.expressions.tape import Tape

@@ -286,6 +286,7 @@ class Result:
         if self._variance_factor is None:
             raise InputError(
                 f"the method {self.method!r} with the loss {self.loss!r} has no variance factor",
+                code="unsupported",
                 remedy="use it with the implicit loop or reweighted, and the gaussian loss",
             )
         if self.variance_factor_applied:

@@ -113,7 +113,9 @@ def _check(there: Mapping[str, str | None], here: Mapping[str, str], who: str) -
     """The same versions give the same numbers; others may not even understand each other."""
     missing = [name for name in here if there.get(name) is None]
     if missing:
-        raise InputError(f"{who} has no {', '.join(missing)}", remedy=_REMEDY)
+        raise InputError(
+            f"{who} has no {', '.join(missing)}", code="version-mismatch", remedy=_REMEDY
+        )
     other = [name for name in here if there[name] != here[name]]
     if other:
         raise InputError(
@@ -121,6 +123,7 @@ def _check(there: Mapping[str, str | None], here: Mapping[str, str], who: str) -
             + ", ".join(f"{name} {there[name]}" for name in other)
             + ", and here is "
             + ", ".join(f"{name} {here[name]}" for name in other),
+            code="version-mismatch",
             remedy=_ENGINE if other == ["engine"] else _REMEDY,
         )
 
@@ -159,6 +162,7 @@ def _distributed() -> ModuleType:
     except ImportError:
         raise UsageError(
             "work on a cluster needs dask.distributed, which is not installed",
+            code="missing-dependency",
             remedy="pip install 'loopcal[cluster]'",
         ) from None
     module: ModuleType = distributed
@@ -182,12 +186,14 @@ def _connected(address: Any, name: str) -> Any:
     except OSError as error:
         raise InputError(
             f"no scheduler answers ({error})",
+            code="no-scheduler",
             place=name,
             remedy="start one (dask scheduler), or give the address that it states",
         ) from None
     except (ValueError, ImportError) as error:
         raise UsageError(
             f"there is no way to this scheduler: {error}",
+            code="no-scheduler",
             place=name,
             remedy="give the address that it states, such as tcp://host:8786",
         ) from None
@@ -225,6 +231,7 @@ async def _meet(address: str, how: Mapping[str, Any]) -> None:
     if not scheduler:
         raise InputError(
             "something answers there that is no scheduler",
+            code="no-scheduler",
             place=address,
             remedy="give the scheduler's own address: its port is usually 8786, and 8787 that of "
             "its dashboard",
@@ -302,14 +309,18 @@ def _failure(error: BaseException) -> BaseException:
         return InputError(
             f"a piece of the work ended all of the {error.allowed_failures + 1} workers that "
             "tried it, killed or out of memory",
+            code="worker-lost",
             remedy="give the workers more memory, or fewer threads each; a study or a stream "
             "goes on where it was",
         )
     if isinstance(error, ModuleNotFoundError) and str(error.name).startswith("loopcal"):
-        return InputError("a worker has no loopcal of this version", remedy=_REMEDY)
+        return InputError(
+            "a worker has no loopcal of this version", code="version-mismatch", remedy=_REMEDY
+        )
     if isinstance(error, CancelledError | OSError):
         return InputError(
             "the connection to the scheduler was lost",
+            code="no-scheduler",
             remedy="see whether it still runs, and begin again; a study or a stream goes on "
             "where it was",
         )

@@ -34,19 +34,24 @@ from loopcal.execution.executor import (
 )
 from loopcal.expressions.choice import cores, engine_threads
 
+MOST_WORKERS = 1024
+
 
 @dataclass(frozen=True)
 class _Local(Executor):
     """Workers on this machine, by default one for each core.
 
-    Raises UsageError for fewer than one.
+    Raises UsageError for fewer than one, or more than 1,024.
     """
 
     workers: int = field(default_factory=cores)
 
     def __post_init__(self) -> None:
-        if self.workers < 1:
-            raise UsageError(f"{self.workers} workers do no work", remedy="give 1 or more")
+        if not 1 <= self.workers <= MOST_WORKERS:
+            raise UsageError(
+                f"{self.workers} workers cannot be started",
+                remedy=f"give a number from 1 to {MOST_WORKERS}",
+            )
 
     @property
     def _share(self) -> int:
@@ -160,11 +165,13 @@ def _ended(some_done: bool) -> InputError:
     if some_done:
         return InputError(
             "a worker ended before its work was done, killed or out of memory",
+            code="worker-lost",
             remedy="use fewer workers (--workers); a study or a stream goes on where it was",
         )
     return InputError(
         "a worker ended before any work was done: it was killed, or out of memory, or the script "
         "that starts workers would do so in each of them, because they import it anew",
+        code="worker-lost",
         remedy='in a script, do the work under if __name__ == "__main__":, otherwise use fewer '
         "workers (--workers)",
     )

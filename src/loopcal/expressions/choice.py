@@ -38,10 +38,13 @@ def chosen_engine() -> str:
     if not name:
         return "compiled" if AVAILABLE else "numpy"
     if name not in ENGINES:
-        raise UsageError(f"LOOPCAL_ENGINE is {name!r}", remedy=nearest(name, ENGINES))
+        raise UsageError(
+            f"LOOPCAL_ENGINE is {name!r}", code="unknown-name", remedy=nearest(name, ENGINES)
+        )
     if name == "compiled" and not AVAILABLE:
         raise UsageError(
             "LOOPCAL_ENGINE is 'compiled', but loopcal was installed without the compiled engine",
+            code="missing-dependency",
             remedy="install CMake, make and a C++ compiler, then loopcal once more; or unset it",
         )
     return name

@@ -180,7 +180,9 @@ class Tape:
             tables = [_names(data[key]) for key in _TABLES]
             rows, outputs = list(data["operations"]), [index(o) for o in data["outputs"]]
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"this is not a tape: {error!r}", remedy=_REWRITE) from None
+            raise InputError(
+                f"this is not a tape: {error!r}", code="wrong-file-type", remedy=_REWRITE
+            ) from None
         quantities, known, parameters, loops = tables
         sizes = {
             "quantity": len(quantities),
@@ -224,9 +226,13 @@ def _checked(position: int, row: Any, sizes: Mapping[str, int]) -> tuple[str, tu
         valid = len(numbers) == OPERATIONS[name].arity and all(0 <= n < position for n in numbers)
     else:
         remedy = nearest(name, [*LEAVES, *OPERATIONS])
-        raise InputError(f"operation {name!r} is not known", place=place, remedy=remedy)
+        raise InputError(
+            f"operation {name!r} is not known", code="unknown-name", place=place, remedy=remedy
+        )
     if not valid:
-        raise InputError(f"{row!r} has wrong arguments", place=place, remedy=_REWRITE)
+        raise InputError(
+            f"{row!r} has wrong arguments", code="wrong-shape", place=place, remedy=_REWRITE
+        )
     return name, numbers
 
 

@@ -168,5 +168,8 @@ def _unwritable(path: Path, error: OSError) -> InputError:
     else:
         why, remedy = f"{error.strerror or error}", "choose another folder"
     return InputError(
-        f"cannot be written: {why}; nothing was changed", place=str(path), remedy=remedy
+        f"cannot be written: {why}; nothing was changed",
+        code="unwritable-file",
+        place=str(path),
+        remedy=remedy,
     )

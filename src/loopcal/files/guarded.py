@@ -143,7 +143,7 @@ def _answer(function: str, arguments: dict[str, Any], memory: int) -> bytes:
         with _at_most(memory):
             return b"v" + bytes(called(**arguments))
     except errors.LoopcalError as error:
-        told = {"message": error.message, "place": error.place, "remedy": error.remedy}
+        told = vars(error)
         return b"e" + json.dumps({"kind": type(error).__name__, **told}).encode()
     except MemoryError:
         message = f"reading it takes more than {memory / 1e9:.1f} GB of memory"

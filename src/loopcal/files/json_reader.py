@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any, NoReturn
 
 from loopcal.errors import InputError
 from loopcal.files.tables.raw import bytes_of
 
+_ESCAPED_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 MOST_BYTES = 1_000_000_000
 
 
@@ -21,30 +23,57 @@ def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:
     content = bytes_of(path, MOST_BYTES)
     if len(content) > MOST_BYTES:
         raise InputError(
-            f"the file is larger than {MOST_BYTES / 1e9:g} GB", place=str(path), remedy=remedy
+            f"the file is larger than {MOST_BYTES / 1e9:g} GB",
+            code="too-large",
+            place=str(path),
+            remedy=remedy,
         )
     try:
-        document = json.loads(content, parse_constant=_refused)
+        document = json.loads(content, parse_constant=_refused, parse_int=_whole)
     except json.JSONDecodeError as error:
         raise InputError(
             f"this is not valid JSON: {error.msg}",
+            code="invalid-syntax",
             place=f"{path}, line {error.lineno}, column {error.colno}",
             remedy=remedy,
         ) from None
     except (UnicodeDecodeError, RecursionError, ValueError) as error:
         why = str(error) if type(error) is ValueError else "it is no text of that form"
-        raise InputError(f"this is not valid JSON: {why}", place=str(path), remedy=remedy) from None
+        raise InputError(
+            f"this is not valid JSON: {why}", code="invalid-syntax", place=str(path), remedy=remedy
+        ) from None
+    if _ESCAPED_SURROGATE.search(content):
+        try:
+            json.dumps(document, ensure_ascii=False).encode("utf-8")
+        except UnicodeEncodeError as error:
+            raise InputError(
+                "this is not valid JSON: it holds half a character "
+                f"(\\u{ord(error.object[error.start]):04x})",
+                code="invalid-syntax",
+                place=str(path),
+                remedy=remedy,
+            ) from None
     if not isinstance(document, dict) or "schema" not in document:
         raise InputError(
-            f"this is no {kind}: it does not say its schema", place=str(path), remedy=remedy
+            f"this is no {kind}: it does not say its schema",
+            code="wrong-file-type",
+            place=str(path),
+            remedy=remedy,
         )
     if document["schema"] is True or document["schema"] != schema:
         raise InputError(
             f"schema is {document['schema']!r}, and only schema {schema} can be read",
+            code="wrong-schema",
             place=f"{path}: schema",
             remedy="use the loopcal that wrote this file, or write it anew",
         )
     return document
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > 300:
+        raise ValueError(f"it holds a number of {len(digits)} digits")
+    return int(digits)
 
 
 def _refused(constant: str) -> NoReturn:

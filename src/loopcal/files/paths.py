@@ -21,6 +21,7 @@ def expanded(path: str, folder: Path, place: Place) -> Path:
         if not os.environ.get(name):
             raise InputError(
                 f"the path {path!r} needs the environment variable {name}, which is not set",
+                code="missing-file",
                 place=str(place),
                 remedy=f"set it to the folder that is meant: export {name}=/path/to/folder",
             )

@@ -86,6 +86,7 @@ def check_units(dataset: Dataset, quantities: Mapping[str, str]) -> None:
             raise InputError(
                 f"{quantity!r} is given in {stated} ({unit(stated).dimension}), but the mechanism "
                 f"expects {unit(expected).dimension} ({expected})",
+                code="wrong-unit",
                 place=_column(dataset, quantity),
                 remedy=f"state a unit of {unit(expected).dimension}, or map another column",
             )
@@ -99,6 +100,7 @@ def refuse_lost(dataset: Dataset, names: Sequence[str], lost: NDArray[np.bool_])
             f"{', '.join(names)} all read 0 in {where.size} of {len(dataset)} poses "
             f"({_few([dataset.poses[i] for i in where])}): instruments write 0 where the reflector "
             "was lost",
+            code="lost-reflector",
             place=dataset.place(int(where[0]), names[0]),
             remedy=f"leave these cells blank; if the point is right, set check = false for "
             f"{names[0]!r}",
@@ -128,6 +130,7 @@ def _stop_if_all_missing(dataset: Dataset, quantity: str) -> None:
     if np.isnan(dataset.readings[quantity]).all():
         raise InputError(
             f"{quantity!r} has no reading in any of {len(dataset)} poses",
+            code="no-data",
             place=_column(dataset, quantity),
             remedy="map the column that holds it, or leave it out if it was not measured",
         )
@@ -148,6 +151,7 @@ def _stop_if_far(dataset: Dataset, quantity: str, si: str) -> None:
         raise InputError(
             f"{quantity!r} reads {values[index]:.6g} and is {taken} {si}: {beyond.sum()} of "
             f"{size.size} readings lie beyond {bound:.3g} {si}; they look like {looks}",
+            code="implausible-unit",
             place=_value(dataset, index, quantity),
             remedy=f'state unit = "{likely}"; if {si} is right, say check = false for {quantity!r}',
         )

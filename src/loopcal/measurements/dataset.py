@@ -77,6 +77,7 @@ class Dataset:
             if name not in names:
                 raise InputError(
                     f"a unit or sd is given for {name!r}, which is no quantity of the table",
+                    code="unknown-name",
                     remedy=nearest(name, names),
                 )
 
@@ -121,7 +122,9 @@ class Dataset:
         """Readings (N,) [SI] of one quantity; InputError naming the nearest if there is none."""
         if quantity not in self.readings:
             raise InputError(
-                f"there are no readings of {quantity!r}", remedy=nearest(quantity, self.readings)
+                f"there are no readings of {quantity!r}",
+                code="no-data",
+                remedy=nearest(quantity, self.readings),
             )
         return self.readings[quantity]
 
@@ -236,15 +239,22 @@ def _check_shapes(data: Dataset) -> None:
         if values.shape != (number,):
             raise InputError(
                 f"{what} has {values.size} values for {number} poses",
+                code="wrong-shape",
                 place=data.source.name,
                 remedy="give one value per pose, NaN where nothing was measured",
             )
     if not number:
-        raise InputError("no pose is left", place=data.source.name, remedy="give one pose at least")
+        raise InputError(
+            "no pose is left",
+            code="no-data",
+            place=data.source.name,
+            remedy="give one pose at least",
+        )
     for quantity in data.sds:
         if quantity not in data.readings:
             raise InputError(
                 f"an sd is given for {quantity!r}, which has no readings",
+                code="conflicting-keys",
                 place=data.source.name,
                 remedy=nearest(quantity, data.readings),
             )

@@ -107,11 +107,13 @@ class Tracker:
             if range is not None or transverse is not None or kind is not None:
                 raise InputError(
                     f"the tracker {name!r} is named and figures are given as well",
+                    code="conflicting-keys",
                     remedy="give the name, or range, transverse and kind",
                 )
             if name not in PRESETS:
                 raise InputError(
                     f"no figures are known here for the tracker {name!r}",
+                    code="unknown-name",
                     remedy=f"{nearest(name, PRESETS).rstrip('?')}, or give its maker's figures, "
                     'say { range = "10 um + 0.3 um/m", transverse = "15 um + 6 um/m" }',
                 )
@@ -121,12 +123,14 @@ class Tracker:
             missing = "range" if range is None else "transverse"
             raise InputError(
                 f"the {missing} figure of the tracker is missing",
+                code="missing-key",
                 remedy='give both, say range = "10 um + 0.3 um/m", transverse = "15 um + 6 um/m"',
             )
         if native and (station is not None or rounded_to):
             raise InputError(
                 "a station and a rounding belong to a tracker's coordinates, and ranges and angles "
                 "are read",
+                code="conflicting-keys",
                 remedy="leave them out",
             )
         factor = sd_per_figure(kind or "mpe", coverage)
@@ -150,17 +154,21 @@ class Tracker:
         r = np.asarray(points, dtype=np.float64)
         if r.ndim != 2 or r.shape[1] not in (2, 3):
             raise InputError(
-                f"the points have the shape {r.shape}", remedy="give (N, 3), or (N, 2) in a plane"
+                f"the points have the shape {r.shape}",
+                code="wrong-shape",
+                remedy="give (N, 3), or (N, 2) in a plane",
             )
         if self.station is not None and len(self.station) != r.shape[1]:
             raise InputError(
                 f"the station has {len(self.station)} coordinates, a point {r.shape[1]}",
+                code="wrong-shape",
                 remedy="give the instrument's place in the frame of the points",
             )
         lost = self.at_station(r)
         if lost.size:
             raise InputError(
                 f"point {int(lost[0]) + 1} lies where the tracker stands",
+                code="lost-reflector",
                 remedy="leave it out: a tracker writes 0, 0, 0 for a lost reflector",
             )
         if self.native:
@@ -248,10 +256,13 @@ def encoder_sd(
     """
     variance, parts = rounding_sd(rounded_to) ** 2, rounded_to > 0.0
     if bits is not None and counts is not None:
-        raise InputError("bits and counts are both given", remedy="give one of them")
+        raise InputError(
+            "bits and counts are both given", code="conflicting-keys", remedy="give one of them"
+        )
     if accuracy is None and (kind is not None or coverage is not None):
         raise InputError(
             "kind and coverage say nothing without an accuracy",
+            code="conflicting-keys",
             remedy='give accuracy = "5 arcsec", or leave them out',
         )
     positive("gear", gear)
@@ -289,6 +300,7 @@ def sd_per_figure(kind: str, coverage: float | str | None) -> float:
         if coverage is not None:
             raise InputError(
                 "a coverage is given for what is an sd already",
+                code="conflicting-keys",
                 remedy='leave coverage out, or say kind = "mpe"',
             )
         return 1.0
@@ -318,6 +330,7 @@ def length_figure(text: str, factor: float = 1.0) -> LengthFigure:
         else:
             raise InputError(
                 f"{text!r} is no length that grows with distance",
+                code="unknown-unit",
                 remedy='give lengths and lengths per length, say "15 um + 6 um/m"',
             )
     return LengthFigure(factor * constant, factor * slope)
@@ -338,7 +351,9 @@ def _one_term(text: str) -> tuple[float, str, str | None]:
     terms = _terms(text, '"5 arcsec"')
     if len(terms) != 1 or terms[0][2] is not None:
         raise InputError(
-            f"{text!r} is more than one number with its unit", remedy='give it as "5 arcsec"'
+            f"{text!r} is more than one number with its unit",
+            code="unknown-unit",
+            remedy='give it as "5 arcsec"',
         )
     return terms[0]
 
@@ -355,6 +370,7 @@ def _terms(text: str, example: str) -> list[tuple[float, str, str | None]]:
         if match is None or math.isnan(number):
             raise InputError(
                 f"{text!r} cannot be read as a figure with its unit",
+                code="unknown-unit",
                 remedy=f"write it as {example}",
             )
         found.append((number, match[2], match[3]))

@@ -46,6 +46,7 @@ def join(parts: Sequence[Dataset], machine: Sequence[bool]) -> Joined:
     if not kept:
         raise InputError(
             "the files have no pose in common",
+            code="mismatched-poses",
             place=" and ".join(_name(part, i) for i, part in enumerate(parts)),
             remedy="name the column of the pose ids of each file (pose = ...); ids are compared "
             "as they are written",
@@ -111,6 +112,7 @@ def _refuse_doubles(parts: Sequence[Dataset]) -> None:
             if quantity in read:
                 raise InputError(
                     f"{quantity!r} is read from {read[quantity]} and from {name}",
+                    code="duplicate-column",
                     place=name,
                     remedy="name its column for one of the two files",
                 )
@@ -120,6 +122,7 @@ def _refuse_doubles(parts: Sequence[Dataset]) -> None:
             if pose in seen:
                 raise InputError(
                     f"the pose {pose!r} is there twice, and readings are joined by pose",
+                    code="duplicate-name",
                     place=part.place(i),
                     remedy="give every pose an id of its own, or average the repeated readings",
                 )

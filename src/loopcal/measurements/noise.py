@@ -216,6 +216,7 @@ def _where_taken(tracker: Tracker, names: Sequence[str], dataset: Dataset) -> Ar
     if lost.size:
         raise InputError(
             f"{', '.join(names)} were read where the tracker itself stands",
+            code="lost-reflector",
             place=dataset.place(int(np.flatnonzero(whole)[lost[0]])),
             remedy="leave that pose out (a tracker writes 0, 0, 0 for a lost reflector), or give "
             "the station of the tracker in the frame of its readings",
@@ -227,13 +228,16 @@ def _where_taken(tracker: Tracker, names: Sequence[str], dataset: Dataset) -> Ar
 def _row(name: str, sds: Mapping[str, Array], dataset: Dataset) -> Array:
     remedy = f"give an sd for {name!r}: 0 if it is exact, inf if it is not measured"
     if name not in sds:
-        raise InputError(f"no sd is stated for the quantity {name!r}", remedy=remedy)
+        raise InputError(
+            f"no sd is stated for the quantity {name!r}", code="missing-sd", remedy=remedy
+        )
     row = np.asarray(sds[name], dtype=float)
     if row.ndim and np.isnan(row).any():
         without = np.flatnonzero(np.isnan(row))
         raise InputError(
             f"{len(without)} readings of {name!r} have no sd, the first at pose "
             f"{dataset.poses[without[0]]!r}",
+            code="missing-sd",
             remedy=remedy,
         )
     missing = np.isnan(dataset.readings[name]) if name in dataset.readings else None
@@ -241,6 +245,7 @@ def _row(name: str, sds: Mapping[str, Array], dataset: Dataset) -> Array:
         if not np.all(np.isinf(row)):
             raise InputError(
                 f"the data have no readings of the quantity {name!r}",
+                code="missing-reading",
                 remedy=f"name its column, or give it the sd inf if {name!r} is not measured",
             )
         return np.asarray(np.inf)
@@ -255,6 +260,7 @@ def _checked_entry(key: str | tuple[str, ...], value: Any) -> Any:
                 f"a tracker measures points, and {key!r} are not the readings of one"
                 if value.station is None or size not in (2, 3)
                 else f"the tracker's station has {len(value.station)} coordinates, {key!r} {size}",
+                code="wrong-shape",
                 remedy="name the coordinates in their order, say (x, y, z)",
             )
         return value
@@ -269,12 +275,14 @@ def _checked_entry(key: str | tuple[str, ...], value: Any) -> Any:
         if array.ndim not in (2, 3) or array.shape[-2:] != (size, size):
             raise InputError(
                 f"the covariance of {key!r} has the shape {array.shape}",
+                code="invalid-covariance",
                 remedy=f"give ({size}, {size}), or (N, {size}, {size}) with one per pose",
             )
         _check_covariance(key, array)
     elif array.ndim > 1:
         raise InputError(
             f"the sd of {key!r} has the shape {array.shape}",
+            code="wrong-shape",
             remedy="give one sd, or one per reading; a covariance belongs to a tuple of names",
         )
     elif np.any(array < 0) or (array.ndim == 0 and np.isnan(array)):
@@ -292,14 +300,20 @@ def _check_covariance(key: Any, array: Array) -> None:
     if not np.all(np.isfinite(array)):
         raise InputError(
             f"the covariance of {key!r} contains a value that is not finite",
+            code="invalid-covariance",
             remedy="list a quantity that is not measured with the sd inf instead",
         )
     if np.abs(array - np.swapaxes(array, -1, -2)).max() > 1e-9 * scale:
-        raise InputError(f"the covariance of {key!r} is not symmetric", remedy="make it symmetric")
+        raise InputError(
+            f"the covariance of {key!r} is not symmetric",
+            code="invalid-covariance",
+            remedy="make it symmetric",
+        )
     smallest = float(np.linalg.eigvalsh(array).min())
     if smallest < -1e-9 * scale:
         raise InputError(
             f"the covariance of {key!r} has the negative eigenvalue {smallest:.6g}",
+            code="invalid-covariance",
             remedy="a covariance has no negative eigenvalue: check signs and units",
         )
 
@@ -308,6 +322,7 @@ def _check_length(key: Any, value: Array, poses: int, dimensions: int) -> None:
     if value.ndim == dimensions and value.shape[0] != poses:
         raise InputError(
             f"the noise of {key!r} has {value.shape[0]} entries, the data have {poses} poses",
+            code="wrong-shape",
             remedy="give one entry for every pose that is used, or one for all",
         )
 

@@ -52,5 +52,7 @@ def positions_of(
         few = poses if len(poses) <= 20 else [*poses[:3], "...", *poses[-2:]]
         close = nearest(name, poses) if len(poses) <= 2000 else ""
         remedy = close if close.startswith("did") else "the ids are " + ", ".join(map(str, few))
-        raise InputError(f"there is no pose {name!r}", place=place, remedy=remedy)
+        raise InputError(
+            f"there is no pose {name!r}", code="unknown-name", place=place, remedy=remedy
+        )
     return found

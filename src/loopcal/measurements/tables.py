@@ -32,6 +32,7 @@ def column_names(table: Any) -> tuple[str, ...]:
     else:
         raise InputError(
             f"a {type(table).__name__} has no named columns",
+            code="wrong-shape",
             remedy="give a dict of arrays, {'x': [...], ...}, or a DataFrame",
         )
     for name in names:
@@ -46,7 +47,9 @@ def column(table: Any, name: str) -> Any:
     """The column called `name`; InputError naming the nearest where there is none."""
     names = column_names(table)
     if name not in names:
-        raise InputError(f"there is no column {name!r}", remedy=nearest(name, names))
+        raise InputError(
+            f"there is no column {name!r}", code="missing-column", remedy=nearest(name, names)
+        )
     return table[name]
 
 
@@ -60,7 +63,9 @@ def as_numbers(values: Any, what: str) -> NDArray[np.float64]:
     array = np.asarray(values)
     if array.ndim != 1:
         raise InputError(
-            f"{what} has shape {array.shape}", remedy="give one value per pose: a 1-D array"
+            f"{what} has shape {array.shape}",
+            code="wrong-shape",
+            remedy="give one value per pose: a 1-D array",
         )
     if array.dtype.kind in "fiu":
         return array.astype(np.float64)
@@ -72,6 +77,7 @@ def as_numbers(values: Any, what: str) -> NDArray[np.float64]:
         return np.empty(0)
     raise InputError(
         f"{what} holds {array.dtype.name} values ({array[0]!s}), not real numbers",
+        code="invalid-number",
         remedy="convert it to numbers, or leave it out",
     )
 

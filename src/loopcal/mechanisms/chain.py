@@ -17,9 +17,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.errors import InputError
 from loopcal.expressions.vectors import rotate, vector
 
+MOST_JOINTS = 64
+"""Of one chain: loops and derivatives of longer ones take minutes and gigabytes to derive."""
 MOTIONS = ("tx", "ty", "tz", "rx", "ry", "rz")
+
+
+def refuse_long_chain(joints: int) -> None:
+    """Raise InputError for a chain of more than 64 joints."""
+    if joints > MOST_JOINTS:
+        raise InputError(
+            f"the chain has {joints} joints, and at most {MOST_JOINTS} can be calibrated together",
+            code="too-large",
+            remedy="calibrate a shorter part of it (another base or tip)",
+        )
 
 
 @dataclass(frozen=True)

@@ -63,6 +63,7 @@ def _axes(nominal: Sequence[float], called: str, dimension: int) -> tuple[Any, A
     if dimension == 2 and given[2]:
         raise InputError(
             f"{called} is {list(nominal)}, and the machine moves in a plane",
+            code="unsupported",
             remedy="give a direction in the plane, say [0, 1, 0]",
         )
     n_0 = given / np.linalg.norm(given)

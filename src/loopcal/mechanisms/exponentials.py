@@ -19,7 +19,7 @@ from typing import Annotated
 
 from loopcal.errors import InputError
 from loopcal.mechanisms.axes import AxisFrame, JointName, Limits, Triple, fixed_frame
-from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.chain import Step, refuse_long_chain
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
@@ -89,11 +89,16 @@ def exponentials(
     """
     joints = tuple(joints)
     if not joints:
-        raise InputError("the machine has no joints", remedy="list at least one joint")
+        raise InputError(
+            "the machine has no joints", code="missing-key", remedy="list at least one joint"
+        )
+    refuse_long_chain(len(joints))
     names = [joint.name for joint in joints]
     for joint in names:
         if names.count(joint) > 1:
-            raise InputError(f"{joint!r} names two joints", remedy="name each differently")
+            raise InputError(
+                f"{joint!r} names two joints", code="duplicate-name", remedy="name each differently"
+            )
     steps = merged([*(s for joint in joints for s in joint.steps()), *fixed_frame(*home)])
     own = [Parameter(s.parameter, 0.0, s.unit) for j in joints for s in j.own if s.parameter]
     return Machine(

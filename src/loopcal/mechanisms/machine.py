@@ -134,6 +134,7 @@ def assemble(
         raise InputError(
             f"{machine.name!r} has no loop: nothing is read but its joints, and they may stand "
             "anywhere",
+            code="undetermined-quantities",
             remedy="add an instrument that looks at it",
         )
     parameters: dict[str, Parameter] = {}
@@ -216,7 +217,9 @@ def _stated(
     """The parameters that are given other values."""
     for name in nominal:
         if name not in own:
-            raise InputError(f"there is no parameter {name!r}", remedy=nearest(name, own))
+            raise InputError(
+                f"there is no parameter {name!r}", code="unknown-name", remedy=nearest(name, own)
+            )
     return {
         name: replace(given, name=name)
         if isinstance(given, Parameter)
@@ -229,7 +232,9 @@ def _refuse_repeated(names: Sequence[str], what: str = "readings") -> None:
     for name in names:
         if names.count(name) > 1:
             raise InputError(
-                f"{name!r} names two {what} of the mechanism", remedy="name each differently"
+                f"{name!r} names two {what} of the mechanism",
+                code="duplicate-name",
+                remedy="name each differently",
             )
 
 
@@ -239,12 +244,14 @@ def _refuse_misfits(machine: Machine, instruments: Sequence[Instrument]) -> None
             raise InputError(
                 f"the instrument {i.name!r} looks at machines in {i.dimension} dimensions, and "
                 f"{machine.name!r} moves in {machine.dimension}",
+                code="unsupported",
                 remedy=f"make it for {machine.dimension} dimensions",
             )
         own = {*i.placement, *i.parameters}
         if machine.chain and (shared := own & set(machine.parameters)):
             raise InputError(
                 f"{min(shared)!r} is a parameter of a joint and of the instrument {i.name!r}",
+                code="duplicate-name",
                 remedy="name the station or target of the instrument differently",
             )
     on_bodies = {*machine.parameters, *(n for i in instruments for n in i.parameters)}
@@ -261,5 +268,6 @@ def _refuse_shared(instrument: Instrument, other: str, shared: set[str]) -> None
     raise InputError(
         f"{min(shared)!r} would say both where the instrument {instrument.name!r} stands and "
         f"{other}, which are not of the same kind",
+        code="duplicate-name",
         remedy="give one of them another name; what shares a name shares its parameters",
     )

@@ -141,12 +141,14 @@ class Mechanism:
             if output not in self.quantities:
                 raise InputError(
                     f"the output {output!r} is not a quantity of the mechanism",
+                    code="unknown-name",
                     remedy=nearest(output, self.quantities),
                 )
         if len(set(self.outputs)) > len(self.tape.loops):
             raise InputError(
                 f"{len(self.outputs)} outputs cannot be predicted from "
                 f"{len(self.tape.loops)} loop equations",
+                code="undetermined-quantities",
                 remedy="name at most as many outputs as there are loop equations",
             )
 
@@ -221,4 +223,6 @@ def _check_names(quantities: Sequence[str], parameters: Iterable[str]) -> None:
                 remedy="use letters, digits and underscores: names are also searched by globs",
             )
     if len(set(quantities)) != len(quantities):
-        raise InputError("a quantity is declared twice", remedy="name each once")
+        raise InputError(
+            "a quantity is declared twice", code="duplicate-name", remedy="name each once"
+        )

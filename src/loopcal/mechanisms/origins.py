@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 from loopcal.errors import InputError, nearest
 from loopcal.mechanisms.axes import AxisFrame, JointName, Limits, Triple, fixed_frame
-from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.chain import Step, refuse_long_chain
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.machine import Machine
@@ -126,14 +126,18 @@ def joint_chain(
     Raises InputError for a chain in which nothing moves, or two joints of one name.
     """
     joints = tuple(joints)
+    refuse_long_chain(len(joints))
     names = [joint.name for joint in joints]
     for joint in names:
         if names.count(joint) > 1:
-            raise InputError(f"{joint!r} names two joints", remedy="name each differently")
+            raise InputError(
+                f"{joint!r} names two joints", code="duplicate-name", remedy="name each differently"
+            )
     reads = [read for joint in joints if (read := joint.reads)]
     if not reads:
         raise InputError(
             "nothing moves between the base and the tip: all joints are fixed",
+            code="missing-key",
             remedy="name a base and a tip with moving joints between them",
         )
     steps = tuple(step for joint in joints for step in joint.steps(axes=axes))

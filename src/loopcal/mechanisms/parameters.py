@@ -52,7 +52,9 @@ class Parameters:
         for parameter in self.items:
             if parameter.name in seen:
                 raise InputError(
-                    f"parameter {parameter.name!r} is declared twice", remedy="name each once"
+                    f"parameter {parameter.name!r} is declared twice",
+                    code="duplicate-name",
+                    remedy="name each once",
                 )
             seen.add(parameter.name)
 
@@ -66,7 +68,9 @@ class Parameters:
         for parameter in self.items:
             if parameter.name == name:
                 return parameter
-        raise InputError(f"there is no parameter {name!r}", remedy=nearest(name, self.names))
+        raise InputError(
+            f"there is no parameter {name!r}", code="unknown-name", remedy=nearest(name, self.names)
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -116,7 +120,9 @@ def matching(pattern: str, names: Iterable[str], what: str) -> tuple[str, ...]:
         return (pattern,)
     found = tuple(name for name in known if fnmatchcase(name, pattern))
     if not found:
-        raise InputError(f"no {what} is called {pattern!r}", remedy=nearest(pattern, known))
+        raise InputError(
+            f"no {what} is called {pattern!r}", code="unknown-name", remedy=nearest(pattern, known)
+        )
     return found
 
 

@@ -75,7 +75,7 @@ def planar_two_link(
     for key in nominal:
         if key not in PLANAR_TWO_LINK:
             remedy = nearest(key, PLANAR_TWO_LINK)
-            raise InputError(f"there is no parameter {key!r}", remedy=remedy)
+            raise InputError(f"there is no parameter {key!r}", code="unknown-name", remedy=remedy)
 
     def parameter(key: str, value: float, unit: str) -> Parameter:
         given = nominal.get(key, value)

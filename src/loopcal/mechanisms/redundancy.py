@@ -87,6 +87,7 @@ def fix_redundant(
     if mechanism.home and readings is None:
         raise InputError(
             f"the quantities of {mechanism.name!r} cannot stand anywhere: its loops tie them",
+            code="undetermined-quantities",
             remedy="give readings that fit each other, say readings=simulate(...).quantities",
         )
     kept = [name for key in keep for name in mechanism.parameters.matching(key)]

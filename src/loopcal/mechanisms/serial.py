@@ -23,7 +23,7 @@ from typing import Annotated, Any
 
 from loopcal.errors import InputError, nearest
 from loopcal.mechanisms.axes import JointName
-from loopcal.mechanisms.chain import MOTIONS, Step
+from loopcal.mechanisms.chain import MOTIONS, Step, refuse_long_chain
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.instruments.point import point as cartesian
 from loopcal.mechanisms.keys import Key
@@ -190,7 +190,10 @@ def serial_machine(joints: Sequence[Joint], *, name: str = NAME) -> Machine:
     """
     joints = tuple(joints)
     if not joints:
-        raise InputError("a serial arm has no joints", remedy="list at least one joint")
+        raise InputError(
+            "a serial arm has no joints", code="missing-key", remedy="list at least one joint"
+        )
+    refuse_long_chain(len(joints))
     _check_distinct([joint.name for joint in joints])
     described = {"type": "serial", "joints": list(joints)}
     return chain_machine(chain_steps(joints), name=name, description=described)
@@ -235,5 +238,6 @@ def _check_distinct(names: Sequence[str]) -> None:
         if names.count(name) > 1:
             raise InputError(
                 f"{name!r} names two readings of the arm (joints and measured coordinates)",
+                code="duplicate-name",
                 remedy="give every joint and every coordinate a name of its own",
             )

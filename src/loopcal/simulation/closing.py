@@ -76,6 +76,7 @@ def _too_few_driven(mechanism: Mechanism, unknown: Sequence[str]) -> InputError:
     return InputError(
         f"{len(unknown)} quantities ({', '.join(unknown)}) cannot be found from {loops} loop "
         "equations",
+        code="undetermined-quantities",
         remedy=f"give the values of {len(unknown) - loops} of {', '.join(drivable)} in every pose"
         + (f"; the outputs ({computed}) are computed, not driven" if computed else ""),
     )
@@ -102,6 +103,7 @@ def _refuse_open(mechanism: Mechanism, f: Array, x: Array, poses: Sequence[str])
         raise InputError(
             f"the loops of {int(still_open.sum())} poses cannot close; at pose {poses[first]!r} "
             f"the loop equation {loop!r} stays {worst[first]:.3g} away from zero",
+            code="open-loops",
             remedy="drive the mechanism within its reach, or give better start values"
             + ("; leave undriven as many quantities as things touch" if mechanism.implied else ""),
         )

@@ -155,6 +155,7 @@ def _values(
         if key not in (*names, *mechanism.tape.known):
             raise InputError(
                 f"{key!r} is no quantity of {mechanism.name!r}",
+                code="unknown-name",
                 remedy=nearest(key, [*names, *mechanism.tape.known]),
             )
     turns = {turn for orientation in mechanism.orientations for turn in orientation.turns}
@@ -172,6 +173,7 @@ def _values(
             raise InputError(
                 f"the driven quantity {name!r} has no value at pose "
                 f"{driven.poses[int(np.argmax(missing))]!r}",
+                code="missing-reading",
                 remedy="give its true value in every pose, or leave the quantity out altogether "
                 "where the loops can say what it is",
             )
@@ -186,6 +188,7 @@ def _known(mechanism: Mechanism, driven: Dataset) -> Array:
             raise InputError(
                 f"the known constant {name!r} has no value at pose "
                 f"{driven.poses[int(np.argmax(np.isnan(row)))]!r}",
+                code="missing-reading",
                 remedy="give its value in every pose",
             )
     return np.array(rows).reshape(len(rows), len(driven))

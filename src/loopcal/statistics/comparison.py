@@ -106,6 +106,7 @@ def _check_same(a: Mechanism, b: Mechanism) -> None:
         words = f": only A has {', '.join(own) or 'none'}, only B {', '.join(its) or 'none'}"
         raise InputError(
             f"the two calibrations do not describe the same machine{words}",
+            code="conflicting-keys",
             remedy="compare results of one mechanism, with the same parameters and outputs",
         )
 
@@ -115,6 +116,7 @@ def _points(a: Calibrated, b: Calibrated, poses: Dataset | None) -> _Points | No
     if not sets:
         raise InputError(
             "no common poses are known at which the machines could be compared",
+            code="mismatched-poses",
             remedy="give poses: the readings of the joints",
         )
     chosen = sets if poses is not None else [_thinned(s) for s in sets]
@@ -146,6 +148,7 @@ def _readings(mechanism: Mechanism, data: Dataset) -> tuple[Array, Array]:
     if lacking:
         raise InputError(
             f"the common poses have no readings of {', '.join(map(repr, lacking))}",
+            code="missing-reading",
             remedy="give poses with a column for each quantity that is not an output",
         )
     known = np.array([data.readings[q] for q in mechanism.tape.known])

@@ -119,6 +119,7 @@ def grouped(mechanism: Mechanism, data: Dataset, groups: Sequence[object] | None
     if len(groups) != len(data):
         raise InputError(
             f"{len(groups)} groups are stated for {len(data)} poses",
+            code="wrong-shape",
             remedy="give one group for every pose",
         )
     codes = {group: code for code, group in enumerate(dict.fromkeys(map(str, groups)))}
@@ -135,6 +136,7 @@ def folds(groups: Index, number: int, seed: int) -> tuple[Index, ...]:
     if number < 2 or number > len(found):
         raise InputError(
             f"{number} folds cannot be made of {len(found)} different poses",
+            code="too-few-poses",
             remedy=f"ask for 2 to {len(found)} folds",
         )
     order = np.random.Generator(np.random.PCG64(seed)).permutation(len(found))
@@ -166,6 +168,7 @@ def held_out(groups: Index, share: float, seed: int) -> Index:
     if len(chosen) == len(found):
         raise InputError(
             f"holding out {share:g} of {len(found)} different poses leaves none for the fit",
+            code="too-few-poses",
             remedy="hold out less, or measure more poses",
         )
     return np.flatnonzero(np.isin(groups, chosen))

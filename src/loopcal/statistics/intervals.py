@@ -129,16 +129,19 @@ def _check(result: Result) -> None:
     if not result.fit.method.likelihood:
         raise InputError(
             f"the method {result.method!r} maximises no likelihood that could be profiled",
+            code="unsupported",
             remedy=f"calibrate with one of {', '.join(names_where('likelihood'))}",
         )
     if result.fit.robust_loss is not None:
         raise InputError(
             f"under the loss {result.loss!r} there is no likelihood that could be profiled",
+            code="unsupported",
             remedy='leave out the outliers it finds and calibrate with loss = "gaussian"',
         )
     if not result.status.converged:
         raise InputError(
             f"the fit did not converge ({result.status.reason}), so there is nothing to profile",
+            code="not-converged",
             remedy=result.status.message,
         )
 

@@ -145,6 +145,7 @@ def compare_models(
     if not models:
         raise InputError(
             "no model is stated to compare with the geometric one",
+            code="missing-key",
             remedy='state one or more: in a project [[compare.model]] with name = "..." and '
             "effects = [...]",
         )
@@ -201,6 +202,7 @@ def _judged(models: Sequence[ComparedModel], groups: Mapping[str, int]) -> list[
     if not known:
         raise NoTrustworthyResult(
             "no model could be validated: " + "; ".join(f"{m.name}: {m.failed}" for m in models),
+            code="not-converged",
             remedy="calibrate one of them alone and see what its summary says",
         )
     common = set(known[0].poses).intersection(*(v.poses for v in known))
@@ -208,6 +210,7 @@ def _judged(models: Sequence[ComparedModel], groups: Mapping[str, int]) -> list[
         raise NoTrustworthyResult(
             "no pose is predicted by every model, because folds of several models failed: "
             + "; ".join(w for v in known for w in v.warnings),
+            code="invalid-value",
             remedy="compare fewer models, or use other folds",
         )
     terms = {m.name: _terms(m.validation, common) for m in models if m.validation is not None}

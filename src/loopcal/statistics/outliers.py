@@ -102,7 +102,9 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
         raise InputError(f"the level of a test is a probability, not {level:g}")
     if scale not in SCALES:
         raise InputError(
-            f"there is no scale {scale!r}", remedy=f"choose one of {', '.join(SCALES)}"
+            f"there is no scale {scale!r}",
+            code="unknown-name",
+            remedy=f"choose one of {', '.join(SCALES)}",
         )
     with one_blas_thread():
         search = Search(result, level, scale)

@@ -200,6 +200,7 @@ def predict(
     if known is None:
         raise InputError(
             "the mechanism names no outputs, so there is nothing to predict",
+            code="no-outputs",
             remedy="name the quantities that its loops predict: outputs = (...)",
         )
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
@@ -236,6 +237,7 @@ def _check_enough(mechanism: Mechanism, missing: Sequence[str]) -> None:
         raise InputError(
             f"there are no readings of {', '.join(map(repr, missing))}, and {loops} loop "
             f"equations have the {outputs} outputs to find already",
+            code="missing-reading",
             remedy="give the readings of every quantity but the outputs",
         )
 

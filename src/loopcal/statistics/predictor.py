@@ -13,7 +13,8 @@ from loopcal.document.findings import PredictionEntry, UsualSd
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
-from loopcal.estimation.problem.problem import Pattern, Problem
+from loopcal.estimation.problem.patterns import Pattern
+from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.mechanisms.mechanism import Mechanism
@@ -93,6 +94,7 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
     if stored is None:
         raise InputError(
             f"{mechanism.name!r} has no outputs to predict: no instrument measures it",
+            code="no-outputs",
             remedy="add the instrument whose readings are to be predicted, and calibrate again",
         )
     sds = {q: entry.sd for entry in document.noise for q in entry.quantities}

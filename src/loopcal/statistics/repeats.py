@@ -139,13 +139,16 @@ def repeated_readings(series: Dataset | Sequence[Dataset]) -> Repeats:
     """
     every = [series] if isinstance(series, Dataset) else list(series)
     if not every:
-        raise InputError("there are no repeated readings", remedy="give one series at least")
+        raise InputError(
+            "there are no repeated readings", code="no-data", remedy="give one series at least"
+        )
     names = every[0].quantities
     for one in every:
         if set(one.quantities) != set(names):
             raise InputError(
                 f"the series have different quantities: {', '.join(names)} and "
                 f"{', '.join(one.quantities)}",
+                code="wrong-shape",
                 place=one.source.name,
                 remedy="name the columns that all of them have",
             )
@@ -213,6 +216,7 @@ def _read(one: Dataset, name: str) -> Array:
     if len(values) < FEWEST:
         raise InputError(
             f"{name!r} was read {len(values)} times, which says nothing of its scatter",
+            code="too-few-poses",
             place=one.source.name,
             remedy=f"read one pose {FEWEST} times at least, better 20, or name other columns",
         )

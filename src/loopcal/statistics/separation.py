@@ -152,6 +152,7 @@ def _miss(problem: Problem) -> float | None:
         raise InputError(
             f"the machine as described misses the measured points by up to {miss:.3g} m: the "
             "instrument stood elsewhere, or a column or unit is wrong",
+            code="implausible-readings",
             remedy="give the placement of these readings as nominal parameters, or series of three "
             "or more poses that spread in space, so that it can be found; or leave --project out",
         )
@@ -165,6 +166,7 @@ def _complete(one: Dataset, mechanism: Mechanism) -> Dataset:
     if there.sum() < 3:
         raise InputError(
             f"{int(there.sum())} rows have all of {', '.join(needed)}",
+            code="missing-reading",
             place=one.source.name,
             remedy="read all of them in three rows at least, or leave --project out",
         )
@@ -182,6 +184,7 @@ def _groups(mechanism: Mechanism, raw: Mapping[str, float]) -> list[SeparatedSd]
     if not members:
         raise InputError(
             "no quantity of the mechanism scatters in these readings",
+            code="no-data",
             remedy="leave --project out, or give readings with all their digits",
         )
     several = [role for role, _ in members]

@@ -265,6 +265,7 @@ def _pooled(
     if not parts:
         raise NoTrustworthyResult(
             f"no part could be predicted ({words}): {failed[0].reason}",
+            code="invalid-value",
             remedy="use fewer parts, or see what the summary says of the fit of all poses",
         )
     if failed:
@@ -321,7 +322,9 @@ def compare_methods(
     Raises InputError as `validate` does, and without any method.
     """
     if not methods:
-        raise InputError("no method is given to compare", remedy="name one or more")
+        raise InputError(
+            "no method is given to compare", code="missing-key", remedy="name one or more"
+        )
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
     found = {name: validate(mechanism, data, **how, **validation) for name, how in methods.items()}

@@ -111,7 +111,9 @@ def run_calibration(
     """
     if request.method is not None and request.method not in METHODS:
         raise UsageError(
-            f"there is no method {request.method!r}", remedy=nearest(request.method, METHODS)
+            f"there is no method {request.method!r}",
+            code="unknown-name",
+            remedy=nearest(request.method, METHODS),
         )
     run = _Run(named_project(project, function), request, out, executor, listeners)
     stream = project_stream(run.project)

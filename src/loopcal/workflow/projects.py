@@ -36,7 +36,11 @@ def new_project(name: str, kind: str) -> NewProject:
     Raises UsageError for a type that is none, InputError where files are in the way.
     """
     if kind not in TEMPLATES:
-        raise UsageError(f"there is no mechanism type {kind!r}", remedy=nearest(kind, TEMPLATES))
+        raise UsageError(
+            f"there is no mechanism type {kind!r}",
+            code="unknown-name",
+            remedy=nearest(kind, TEMPLATES),
+        )
     files = write_new_project(name, kind)
     project = Path(name) / "project.toml"
     code = [path for path in files if path.suffix == ".py"]
@@ -58,7 +62,9 @@ def schema(name: str) -> dict[str, Any]:
         return project_schema()
     if name == "result":
         return result_file.result_schema()
-    raise UsageError(f"there is no schema {name!r}", remedy=nearest(name, SCHEMAS))
+    raise UsageError(
+        f"there is no schema {name!r}", code="unknown-name", remedy=nearest(name, SCHEMAS)
+    )
 
 
 def named_project(path: str | Path, function: str | None) -> Project:

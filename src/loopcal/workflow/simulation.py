@@ -46,6 +46,7 @@ def run_simulation(
     if read.simulation is None:
         raise InputError(
             "the project does not say what to simulate",
+            code="missing-key",
             place=read.name,
             remedy="add [simulation.ranges], one line for every quantity that is driven",
         )

@@ -54,6 +54,7 @@ def refuse_without_all_poses(project: Project, fit: Fit, asked: Mapping[str, Any
         if wanted:
             raise InputError(
                 f"{words} needs all poses in memory, and these come as a stream",
+                code="unsupported",
                 place=project.name,
                 remedy="leave it out, or thin the poses (data.every) and say stream = false",
             )

@@ -28,7 +28,9 @@ def method_named(name: str) -> Method:
     Raises InputError naming the nearest method if there is none of that name.
     """
     if name not in METHODS:
-        raise InputError(f"there is no method {name!r}", remedy=nearest(name, METHODS))
+        raise InputError(
+            f"there is no method {name!r}", code="unknown-name", remedy=nearest(name, METHODS)
+        )
     module = import_module(f"loopcal.estimation.methods.{METHODS[name]}")
     return cast("Method", module.METHOD)
 

@@ -53,6 +53,7 @@ def components(problem: Problem, noise: Noise) -> tuple[Component, ...]:
             shared = ", ".join(quantities[i] for i in block.indices)
             raise InputError(
                 f"{shared} share a covariance, so their sds have one factor",
+                code="invalid-covariance",
                 remedy=f'estimate them together: estimate = "group" for {shared}',
             )
     return tuple(found)
@@ -66,6 +67,7 @@ def _check_start(problem: Problem, position: int) -> None:
     name = problem.mechanism.tape.quantities[position]
     raise InputError(
         f"the sd of {name!r} is to be estimated and has no size to begin from",
+        code="missing-sd",
         remedy=f"state a rough sd of {name!r} above zero, or leave its estimate out",
     )
 

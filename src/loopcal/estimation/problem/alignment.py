@@ -42,6 +42,7 @@ def align(points: Array, targets: Array) -> RigidMotion:
     if P.shape[1] < d:
         raise InputError(
             f"{P.shape[1]} measured points are too few to place the instrument",
+            code="too-few-poses",
             remedy=f"measure at least {d} points, or start from the nominal placement",
         )
     R, shift, s = _nearest(P, T)
@@ -49,6 +50,7 @@ def align(points: Array, targets: Array) -> RigidMotion:
         raise InputError(
             "the measured points lie on a line or coincide, so they do not show how the "
             "instrument stands",
+            code="too-few-poses",
             remedy="measure poses that spread in space, or start from the nominal placement",
         )
     left = R @ P + shift[:, None] - T
@@ -118,6 +120,7 @@ def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:
     if not stations:
         raise InputError(
             f"the mechanism {mechanism.name!r} cannot be placed by aligning points",
+            code="unsupported",
             remedy='start from the nominal parameters (fit.start = "nominal")',
         )
     begun = dict(zip(mechanism.parameters.names, problem.start.tolist(), strict=True))

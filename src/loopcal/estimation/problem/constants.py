@@ -48,6 +48,7 @@ def known_constants(mechanism: Mechanism, data: Dataset) -> Array:
             )
             raise InputError(
                 f"the known constant {name!r} must be there in every pose ({which})",
+                code="missing-reading",
                 remedy="name its column, or exclude the poses without it",
             )
         rows.append(values)
@@ -64,6 +65,7 @@ def _orientation(orientation: Orientation, data: Dataset) -> dict[str, Array]:
     for i in orientation.senseless(filled)[:1]:
         raise InputError(
             f"the quaternion {', '.join(orientation.columns)} is 0 and says of no orientation",
+            code="lost-reflector",
             place=data.place(int(i), orientation.columns[0]),
             remedy="leave its numbers blank (NaN) where no orientation was measured",
         )

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.problem.constants import known_constants, with_implied
-from loopcal.estimation.problem.enough import refuse_too_few
+from loopcal.estimation.problem.enough import refuse_too_few, refuse_without_redundancy
+from loopcal.estimation.problem.patterns import Pattern, Poses, held_loops, patterns_of
 from loopcal.estimation.problem.size import refuse_without_length
 from loopcal.estimation.problem.unknowns import Unknowns
 from loopcal.expressions.tape import Tape
@@ -23,27 +24,6 @@ from loopcal.mechanisms.mechanism import Mechanism
 Array = NDArray[np.float64]
 BLOCK = 4096
 """Poses per block: large enough that NumPy's overhead vanishes, small enough for the cache."""
-
-
-Poses = slice | NDArray[np.intp]
-
-
-@dataclass(frozen=True)
-class Pattern:
-    """Poses in which the same loops hold and the same of their quantities are unmeasured.
-
-    loops, unmeasured, absent: positions of these loops, of the unmeasured quantities in them, and
-    of the quantities that are in none of them.
-    """
-
-    loops: tuple[int, ...]
-    unmeasured: tuple[int, ...]
-    absent: tuple[int, ...]
-    poses: Poses
-
-    def count(self, poses: int) -> int:
-        """How many poses these are, of so many."""
-        return poses if isinstance(self.poses, slice) else len(self.poses)
 
 
 @dataclass(frozen=True)
@@ -86,10 +66,7 @@ class Problem:
     @cached_property
     def equations(self) -> int:
         """Loop equations over all poses, less the unmeasured quantities they determine."""
-        return sum(
-            pattern.count(len(self.poses)) * (len(pattern.loops) - len(pattern.unmeasured))
-            for pattern in self.patterns
-        )
+        return sum(pattern.equations(len(self.poses)) for pattern in self.patterns)
 
     @property
     def count(self) -> int:
@@ -130,11 +107,13 @@ def build_problem(
     dataset: Dataset,
     noise: Noise | None,
     start: Mapping[str, float] | None = None,
+    *,
+    whole: bool = True,
 ) -> Problem:
     """The problem of calibrating a mechanism from a data set.
 
     noise: None takes every reading as exact, as the basic method does; start: parameter values
-    [SI] to begin from, where not the nominal ones.
+    [SI] to begin from, where not the nominal ones; whole: these are all poses, not a chunk of them.
 
     Raises InputError where readings or sds are missing, a unit does not fit, there are fewer
     equations than parameters, or nothing says how large the machine is.
@@ -153,7 +132,9 @@ def build_problem(
     free = np.array([i for i, p in enumerate(parameters) if not p.fixed], dtype=np.intp)
     if not free.size:
         raise InputError(
-            "no parameter is left to estimate", remedy="set at least one parameter free"
+            "no parameter is left to estimate",
+            code="no-free-parameter",
+            remedy="set at least one parameter free",
         )
     estimated = [p for p in parameters if not p.fixed]
     problem = Problem(
@@ -166,9 +147,11 @@ def build_problem(
         np.array([p.nominal for p in estimated]),
         np.array([p.prior_sd for p in estimated]),
         dataset.poses,
-        _patterns(mechanism, np.isinf(uncertainty.sd)),
+        patterns_of(mechanism, np.isinf(uncertainty.sd)),
     )
-    refuse_too_few(problem)
+    refuse_without_redundancy(mechanism, problem.patterns, problem.poses)
+    if whole:
+        refuse_too_few(problem.equations, problem.count, problem.unknowns)
     refuse_without_length(mechanism, problem.readings, known, uncertainty.sd)
     return problem
 
@@ -182,7 +165,7 @@ def taken(problem: Problem, index: NDArray[np.intp]) -> Problem:
         known=problem.known[:, index],
         uncertainty=uncertainty,
         poses=tuple(problem.poses[i] for i in index),
-        patterns=_patterns(problem.mechanism, np.isinf(uncertainty.sd)),
+        patterns=patterns_of(problem.mechanism, np.isinf(uncertainty.sd)),
     )
 
 
@@ -193,7 +176,7 @@ def left_unmeasured(problem: Problem, without: NDArray[np.bool_]) -> Problem:
     """
     sd = np.where(without, np.inf, problem.uncertainty.sd)
     blind = np.broadcast_to(np.isinf(problem.uncertainty.sd), sd.shape)
-    patterns = _patterns(problem.mechanism, np.isinf(sd), blind)
+    patterns = patterns_of(problem.mechanism, np.isinf(sd), blind)
     return replace(problem, uncertainty=replace(problem.uncertainty, sd=sd), patterns=patterns)
 
 
@@ -210,6 +193,7 @@ def _exact(mechanism: Mechanism, dataset: Dataset) -> Noise:
         if name in unread - unmeasured:
             raise InputError(
                 f"least squares has no readings of the quantity {name!r}",
+                code="missing-reading",
                 remedy=f"name its column; if {name!r} is not measured, use another method and give "
                 "it the sd inf",
             )
@@ -222,57 +206,9 @@ def _check_units(mechanism: Mechanism, dataset: Dataset) -> None:
         if given is not None and given != unit:
             raise InputError(
                 f"the readings of {name!r} are in {given}, the mechanism reads {name!r} in {unit}",
+                code="wrong-unit",
                 remedy=f"give column {name!r} a unit that can be turned into {unit}",
             )
-
-
-@lru_cache(maxsize=64)
-def held_loops(tape: Tape, loops: tuple[int, ...]) -> Tape:
-    """The tape of the loops at these positions."""
-    return tape if len(loops) == len(tape.loops) else tape.only(loops)
-
-
-def _patterns(
-    mechanism: Mechanism, unmeasured: NDArray[np.bool_], blind: NDArray[np.bool_] | None = None
-) -> tuple[Pattern, ...]:
-    """Poses by what is unmeasured in them, (k, N) or (k, 1), and by the loops that then hold.
-
-    A family's loops go where all its own readings are `blind`, by default unmeasured: eliminating
-    these readings would leave nothing of the loops.
-    """
-    codes = np.concatenate([unmeasured, unmeasured if blind is None else blind])
-    if (codes == codes[:, :1]).all():
-        found = _pattern(mechanism, codes[:, 0])
-        return (found,) if found.loops else ()
-    unique, inverse = np.unique(codes.T, axis=0, return_inverse=True)
-    alike: dict[tuple[tuple[int, ...], ...], list[int]] = {}
-    patterns = [_pattern(mechanism, code) for code in unique]
-    for i, pattern in enumerate(patterns):
-        alike.setdefault((pattern.loops, pattern.unmeasured), []).append(i)
-    return tuple(
-        replace(patterns[same[0]], poses=np.flatnonzero(np.isin(inverse.ravel(), same)))
-        for same in alike.values()
-        if patterns[same[0]].loops
-    )
-
-
-def _pattern(mechanism: Mechanism, code: NDArray[np.bool_]) -> Pattern:
-    """The pattern of all poses in which this is unmeasured and, in the second half, blind."""
-    tape = mechanism.tape
-    unmeasured, blind = code.reshape(2, -1)
-    missing = {tape.quantities[i] for i in np.flatnonzero(unmeasured)}
-    unread = {tape.quantities[i] for i in np.flatnonzero(blind)}
-    silent = {loop for f in mechanism.families if unread.issuperset(f.readings) for loop in f.loops}
-    inputs = tape.depends_on()
-    loops = [i for i, loop in enumerate(tape.loops) if loop not in silent]
-    present = frozenset().union(*(inputs[i] for i in loops))
-    places = enumerate(tape.quantities)
-    return Pattern(
-        tuple(loops),
-        tuple(i for i, name in places if name in missing and name in present),
-        tuple(i for i, name in enumerate(tape.quantities) if name not in present),
-        slice(None),
-    )
 
 
 def _filled(raw: Array, home: Sequence[float]) -> Array:

@@ -50,6 +50,7 @@ def refuse_without_length(mechanism: Mechanism, readings: Array, known: Array, s
     raise InputError(
         f"no length is measured: by construction 0 is read of {listed}, and would be of a machine "
         "of any size",
+        code="unknown-size",
         remedy=f"hold a length that is known, say {longest} = {{ fixed = true }} under "
         "[parameters], or give it a prior sd; or measure one, with a ball-bar of known length or "
         "as the distance of two poses",

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.problem.problem import Pattern
+from loopcal.estimation.problem.patterns import Pattern
 from loopcal.estimation.problem.unread import found_in_loops
 from loopcal.estimation.solve.sweep import Sweeper
 

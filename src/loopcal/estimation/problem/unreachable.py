@@ -48,6 +48,7 @@ def refuse_unreachable(problem: Problem, parameters: Array) -> None:
         raise InputError(
             f"readings that the machine cannot have given: {'; '.join(words)}{more}; "
             f"half of the points have no coordinate beyond {significant(size, 3)} m",
+            code="implausible-readings",
             remedy="correct the readings of these poses, leave single ones blank, or leave the "
             "poses out (data.exclude)",
         )

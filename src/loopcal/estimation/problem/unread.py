@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from loopcal.estimation.problem.problem import Pattern
+from loopcal.estimation.problem.patterns import Pattern
 from loopcal.estimation.solve.block import Block
 from loopcal.estimation.solve.sweep import Sweeper
 

@@ -66,5 +66,6 @@ def cannot_close(singular: Failed) -> InputError:
         f"the loops of {singular.count} poses cannot close, the first is pose "
         f"{singular.poses[0]!r}: some equation there contains no uncertain quantity that could be "
         "corrected",
+        code="open-loops",
         remedy="give at least one quantity of every loop equation an sd above zero",
     )

@@ -86,7 +86,9 @@ def loss_named(name: str) -> Loss | None:
     Raises InputError naming the nearest loss if there is none of that name.
     """
     if name not in LOSSES:
-        raise InputError(f"there is no loss {name!r}", remedy=nearest(name, LOSSES))
+        raise InputError(
+            f"there is no loss {name!r}", code="unknown-name", remedy=nearest(name, LOSSES)
+        )
     losses: dict[str, Loss] = {"huber": Huber(), "student-t": StudentT()}
     return losses.get(name)
 

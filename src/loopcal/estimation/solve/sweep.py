@@ -14,7 +14,8 @@ from collections.abc import Collection, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.problem.problem import BLOCK, Pattern, Poses, Problem
+from loopcal.estimation.problem.patterns import Pattern, Poses
+from loopcal.estimation.problem.problem import BLOCK, Problem
 from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.estimation.solve.block_kernel import BlockKernel, Reduce, Reduced, kernel_for
 from loopcal.estimation.solve.closing import Closed, close_by_newton

@@ -56,7 +56,7 @@ def calibrate_stream(
     Raises InputError as `calibrate` does, and for what needs all poses at once.
     """
     if not stream.count:
-        raise InputError("the stream has no poses", remedy="give one pose at least")
+        raise InputError("the stream has no poses", code="no-data", remedy="give one pose at least")
     first, fit = stream.chunk(0), fit or Fit()
     refuse_unstreamable(fit)
     _refuse_estimates(fit, first.noise)
@@ -105,12 +105,14 @@ def refuse_unstreamable(fit: Fit) -> None:
         known = " or ".join(map(repr, names_where("streamable")))
         raise InputError(
             f"the method {fit.method.name!r} needs all poses in memory, and these come as a stream",
+            code="unsupported",
             remedy=f"use {known}, or thin the poses (data.every) and say stream = false",
         )
     if fit.robust_loss is not None or not isinstance(fit.start, str):
         what = f"the loss {fit.loss!r}" if fit.robust_loss else "a start by parameter values"
         raise InputError(
             f"{what} needs all poses in memory, and these come as a stream",
+            code="unsupported",
             remedy="leave it out, or thin the poses (data.every) and say stream = false",
         )
 
@@ -119,6 +121,7 @@ def _refuse_estimates(fit: Fit, noise: Noise) -> None:
     if noise.estimate and not fit.method.exact:
         raise InputError(
             "sds are learnt from poses in memory, and these come as a stream",
+            code="unsupported",
             remedy="learn them from a part of the poses (data.every, stream = false), and state "
             "them here",
         )

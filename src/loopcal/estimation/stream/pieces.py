@@ -68,12 +68,8 @@ class Task:
 
     def problem(self, chunk: Chunk) -> Problem:
         """The problem of one chunk; that its poses alone determine the parameters is not asked."""
-        mechanism = self.mechanism
-        known = mechanism.with_parameters(mechanism.parameters.with_prior({"*": 1.0}))
-        problem = build_problem(known, chunk.data, None if self.exact else chunk.noise, self.start)
-        prior = {p.name: p.prior_sd for p in mechanism.parameters}
-        sds = np.array([prior[name] for name in problem.names])
-        return replace(problem, mechanism=mechanism, prior_sd=sds)
+        noise = None if self.exact else chunk.noise
+        return build_problem(self.mechanism, chunk.data, noise, self.start, whole=False)
 
     def sweeper(self, problem: Problem) -> Sweeper:
         """What sweeps over the poses of one chunk."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError
+from loopcal.estimation.problem.enough import refuse_too_few
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.in_memory import cannot_close
 from loopcal.estimation.solve.merit import Evaluation, Failed
@@ -78,13 +78,7 @@ class StreamMerit:
         found = self._evaluated(parameters, triangular=False, closing=None, first=True)
         if found.singular:
             raise cannot_close(found.singular)
-        needed = len(self.unknowns.free) - int(np.isfinite(self.unknowns.prior_sd).sum())
-        if found.equations < needed:
-            raise InputError(
-                f"{found.equations} loop equations ({found.poses} poses) cannot determine "
-                f"{needed} parameters without prior knowledge",
-                remedy="measure more poses, fix parameters, or give them a finite prior sd",
-            )
+        refuse_too_few(found.equations, found.poses, self.unknowns)
         return found
 
     def evaluate(

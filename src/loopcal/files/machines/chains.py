@@ -80,6 +80,7 @@ def urdf(model: Urdf, units: Mapping[str, str], place: Place) -> Mechanism:
         words = "neither a file nor joints are" if model.file is None else "a file and joints are"
         raise InputError(
             f"{words} given, and one of the two says what the robot is",
+            code="conflicting-keys",
             place=str(place.at("joint" if model.joint else "file")),
             remedy='name the robot: file = "robot.urdf", with its links base and tip',
         )
@@ -97,6 +98,7 @@ def _of_file(model: Urdf, place: Place) -> Any:
         if getattr(model, key) is None:
             raise InputError(
                 f"the link {key!r} is not named",
+                code="missing-key",
                 place=str(place),
                 remedy=f'name a link of the robot: {key} = "..."; the joints from base to tip are '
                 "calibrated",
@@ -131,6 +133,7 @@ def _joints(make: Any, entries: Sequence[Any], units: Mapping[str, str], place: 
         if entry.kind != "fixed" and "axis" not in entry.model_fields_set:
             raise InputError(
                 f"the joint {entry.name!r} has no axis",
+                code="missing-key",
                 place=str(here),
                 remedy="give it in the joint's frame, as axis = [0, 0, 1]",
             )

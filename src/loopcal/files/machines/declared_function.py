@@ -75,6 +75,7 @@ def _function(
     if function is None:
         raise InputError(
             "the loops of this mechanism are a Python function, and none is named",
+            code="missing-key",
             place=str(place),
             remedy="name it on the command line: --mechanism FILE.py:FUNCTION",
         )
@@ -85,6 +86,7 @@ def _function(
     if not model.quantities:
         raise InputError(
             "no quantity is declared",
+            code="missing-key",
             place=str(place),
             remedy='list what is read in each pose: quantities = { x = "m", theta = "rad" }',
         )
@@ -115,6 +117,7 @@ def _refuse_other_quantities(model: Function, mechanism: Mechanism, place: Place
                 its_own = f"{name!r} in {its[name]}" if name in its else f"no {name!r}"
                 raise InputError(
                     f"{name!r} is declared in {stated[name]}, the mechanism named has {its_own}",
+                    code="wrong-unit",
                     place=str(place.at(key, name)),
                     remedy="leave the declaration to one of both",
                 )

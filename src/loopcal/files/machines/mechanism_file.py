@@ -84,6 +84,7 @@ def mechanism_from_data(
     if not isinstance(kind, str) or kind not in MODELS:
         raise InputError(
             "the mechanism's type is missing" if kind is None else f"there is no type {kind!r}",
+            code="unknown-name",
             place=str(place if kind is None else place.at("type")),
             remedy=nearest(str(kind or ""), MODELS),
         )
@@ -93,6 +94,7 @@ def mechanism_from_data(
     if function is not None:
         raise InputError(
             f"this describes a mechanism of the type {kind!r}, and a function is named as well",
+            code="conflicting-keys",
             place=str(place),
             remedy='leave the function out, or describe the mechanism as type = "function"',
         )

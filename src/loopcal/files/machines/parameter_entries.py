@@ -38,6 +38,7 @@ def in_si(
         raise InputError(
             f"{given.name} is a unit of {given.dimension}, and this is of the dimension "
             f"{expected.dimension} ({expected.si})",
+            code="wrong-unit",
             place=str(place),
             remedy=f"give a unit of {expected.dimension}, or none for {expected.si}",
         )
@@ -71,6 +72,7 @@ def changed(
             if changes[name].get("prior_sd") == 0.0 and changes[name].get("fixed") is False:
                 raise InputError(
                     f"the sd of {name!r} is 0, which fixes it, and fixed = false sets it free",
+                    code="conflicting-keys",
                     place=str(here),
                     remedy="give a positive sd, or leave fixed = false out",
                 )
@@ -97,6 +99,7 @@ def declared_here(entries: Mapping[str, ParameterEntry], place: Place) -> dict[s
             if getattr(entry, key) is None:
                 raise InputError(
                     f"the parameter {name!r} is declared without a {key}",
+                    code="missing-key",
                     place=str(place.at(name)),
                     remedy=f"give {key} = {example}",
                 )

@@ -29,14 +29,19 @@ def load_function(named: str) -> Loops | Mechanism:
     file, colon, name = named.rpartition(":")
     if not colon or not file or not name.isidentifier():
         raise InputError(
-            f"{named!r} does not name a function", remedy="write FILE.py:FUNCTION, as arm.py:loops"
+            f"{named!r} does not name a function",
+            code="unknown-name",
+            remedy="write FILE.py:FUNCTION, as arm.py:loops",
         )
     path = existing_file(file)
     namespace = _run(path)
     if name not in namespace:
         own = [key for key, value in namespace.items() if callable(value) and key[0] != "_"]
         raise InputError(
-            f"the file defines no {name!r}", place=str(path), remedy=nearest(name, own)
+            f"the file defines no {name!r}",
+            code="unknown-name",
+            place=str(path),
+            remedy=nearest(name, own),
         )
     found = namespace[name]
     if callable(found):

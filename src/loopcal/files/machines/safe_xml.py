@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ def read_xml(path: str | Path, tag: str, remedy: str) -> Any:
     """
     from lxml import etree
 
-    name, content = shown(path), _content(path)
+    name, content = shown(path), _declared_first(_content(path))
     if b"<!doctype" in content.replace(b"\0", b"").lower():
         raise _document_type(name)
     parser = etree.XMLParser(
@@ -30,12 +31,15 @@ def read_xml(path: str | Path, tag: str, remedy: str) -> Any:
     try:
         root = etree.fromstring(content, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        raise InputError(f"this is no XML: {error}", place=name, remedy=remedy) from None
+        raise InputError(
+            f"this is no XML: {error}", code="wrong-file-type", place=name, remedy=remedy
+        ) from None
     if root.getroottree().docinfo.doctype:  # in an encoding that hid it
         raise _document_type(name)
     if local(root) != tag:
         raise InputError(
             f"this is XML of another kind: it describes <{local(root)}>, not <{tag}>",
+            code="wrong-file-type",
             place=name,
             remedy=remedy,
         )
@@ -60,9 +64,19 @@ def at(element: Any, file: str) -> str:
 def _document_type(name: str) -> InputError:
     return InputError(
         "this XML has a document type, which could make a reader fetch or expand things",
+        code="wrong-file-type",
         place=name,
         remedy="delete <!DOCTYPE ...> from the file",
     )
+
+
+def _declared_first(content: bytes) -> bytes:
+    """The content with blank lines before its XML declaration put behind it; lines keep numbers."""
+    bare = content.removeprefix(codecs.BOM_UTF8).lstrip()
+    if not bare.startswith(b"<?xml"):
+        return content
+    blank, end = content[: len(content) - len(bare)], bare.find(b"?>") + 2
+    return bare[:end] + b"\n" * blank.count(b"\n") + bare[end:]
 
 
 def _content(path: str | Path) -> bytes:
@@ -70,6 +84,7 @@ def _content(path: str | Path) -> bytes:
     if len(content) > MOST_BYTES:
         raise InputError(
             f"this file is larger than {MOST_BYTES // 1_000_000} MB, too large for a robot",
+            code="too-large",
             place=shown(path),
             remedy="meshes belong in files of their own",
         )

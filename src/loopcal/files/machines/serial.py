@@ -127,6 +127,7 @@ def serial(model: Serial, units: Mapping[str, str], place: Place) -> Mechanism:
             if key not in keys:
                 raise InputError(
                     f"a joint of the form {entry.form!r} has no {key!r}",
+                    code="missing-key",
                     place=str(here.at(key)),
                     remedy=f"its nominal values are {', '.join(keys)}",
                 )
@@ -156,6 +157,7 @@ def _refuse_own_point(model: Serial, place: Place) -> None:
         if key in model.model_fields_set:
             raise InputError(
                 f"{key!r} describes the one instrument of a file that lists none",
+                code="conflicting-keys",
                 place=str(place.at(key)),
                 remedy="give it to an instrument (station, readings), with nominal values in "
                 "[parameters]",
@@ -185,6 +187,9 @@ def _refuse_repeated(joints: list[str], point: list[str], place: Place) -> None:
         if name in seen:
             here = place.at("joint", i, "name") if i < len(joints) else place.at("point")
             raise InputError(
-                f"{name!r} names two quantities", place=str(here), remedy="name each differently"
+                f"{name!r} names two quantities",
+                code="duplicate-name",
+                place=str(here),
+                remedy="name each differently",
             )
         seen.add(name)

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, listed, nearest
 from loopcal.files.machines.safe_xml import at, children, local, read_xml
 from loopcal.files.toml.reader import shown
+from loopcal.mechanisms.chain import refuse_long_chain
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.origins import KINDS, LinkJoint, Mimic, joint_chain
 
@@ -97,17 +98,18 @@ class _Robot:
             if link not in self.links:
                 raise InputError(
                     f"the robot has no link {link!r}",
+                    code="unknown-name",
                     place=self.file,
                     remedy=nearest(link, self.links),
                 )
         found: list[Any] = []
-        passed, link = [tip], tip
+        passed, link = {tip: None}, tip
         while link != base:
             above = self.above.get(link, ())
             if not above:
                 raise InputError(
-                    f"the link {tip!r} is not below {base!r}: up from it come "
-                    f"{', '.join(map(repr, passed))}",
+                    f"the link {tip!r} is not below {base!r}: up from it come {listed(passed)}",
+                    code="unknown-name",
                     place=self.file,
                     remedy=f"name one of these as the base, or a tip below {base!r}",
                 )
@@ -119,7 +121,7 @@ class _Robot:
                     f"the link {link!r} hangs on two joints, {names}; a URDF is a tree",
                     "describe closed loops as a machine of their own type, or delete one joint",
                 )
-            found.insert(0, above[0])
+            found.append(above[0])
             link = self._link(above[0], "parent")
             if link in passed:
                 _refuse(
@@ -128,15 +130,17 @@ class _Robot:
                     f"the joints above {tip!r} go round in a circle through {link!r}",
                     "correct the parent of one of them",
                 )
-            passed.append(link)
+            passed[link] = None
         self._refuse_circle(base)
         if not found:
             raise InputError(
                 f"base and tip are the same link {base!r}",
+                code="conflicting-keys",
                 place=self.file,
                 remedy="name a tip with moving joints between the two",
             )
-        return found
+        refuse_long_chain(len(found))
+        return found[::-1]
 
     def joint(self, element: Any) -> LinkJoint:
         """One joint as it stands."""
@@ -278,4 +282,4 @@ def _named(elements: Iterable[Any], file: str) -> dict[str, Any]:
 
 
 def _refuse(element: Any, file: str, words: str, remedy: str) -> None:
-    raise InputError(words, place=at(element, file), remedy=remedy)
+    raise InputError(words, code="invalid-syntax", place=at(element, file), remedy=remedy)

@@ -27,6 +27,7 @@ def compare_spec(
         if model.name in found:
             raise InputError(
                 f"{model.name!r} names two models",
+                code="duplicate-name",
                 place=str(here.at("name")),
                 remedy="name each differently",
             )

@@ -59,6 +59,7 @@ def data_files(entry: DataEntry, mechanism: Mechanism, noise: NoiseSpec, place: 
             if name not in known:
                 raise InputError(
                     f"there is no instrument {name!r} that is used without reading",
+                    code="unknown-name",
                     place=str(here.at("instrument")),
                     remedy=nearest(name, known) if known else "leave instrument out",
                 )
@@ -86,12 +87,14 @@ def refuse_unread(read: set[str], mechanism: Mechanism, noise: NoiseSpec, place:
         if quantity in mechanism.known:
             raise InputError(
                 f"no column is named for the known constant {quantity!r}",
+                code="missing-column",
                 place=str(place),
                 remedy=f"{remedy}; every pose needs its value",
             )
         if noise.sd_of(quantity) != math.inf:
             raise InputError(
                 f"no column is named for the quantity {quantity!r}",
+                code="missing-column",
                 place=str(place),
                 remedy=f"{remedy}; if it is not measured, write "
                 f"{quantity} = {{ sd = inf }} in [noise]",
@@ -130,6 +133,7 @@ def _file(
         if quantity not in units:
             raise InputError(
                 f"the mechanism has no quantity {quantity!r}",
+                code="unknown-name",
                 place=str(here.at(quantity)),
                 remedy=nearest(quantity, units),
             )
@@ -139,6 +143,7 @@ def _file(
         if given.sd_column is None and (given.sd_unit or given.sd_at_least is not None):
             raise InputError(
                 "sd_unit and sd_at_least say nothing without a column of sds",
+                code="conflicting-keys",
                 place=str(at),
                 remedy='name the column: sd_column = "..."',
             )

@@ -35,6 +35,7 @@ def tracker_of(
         raise InputError(
             "a tracker measures the coordinates of a point together, or its range, azimuth and "
             f"elevation, and {', '.join(names)} are not that",
+            code="wrong-shape",
             place=str(here),
             remedy='name them in their order, say "x,y,z" or xyz',
         )
@@ -42,6 +43,7 @@ def tracker_of(
         other = "sd" if entry.sd is not None else "encoder"
         raise InputError(
             f"a tracker and {other} are stated for the same readings",
+            code="conflicting-keys",
             place=str(place),
             remedy="give one of them",
         )
@@ -52,6 +54,7 @@ def tracker_of(
     if station is not None and len(station) != len(names):
         raise InputError(
             f"the station has {len(station)} coordinates, {', '.join(names)} are {len(names)}",
+            code="wrong-shape",
             place=str(place.at("station")),
             remedy="give the tracker's place in the frame of its readings",
         )
@@ -85,6 +88,7 @@ def _encoder(entry: EncoderEntry, si: str, place: Place) -> float:
         raise InputError(
             f"bits and counts per turn are those of an angle, and this is of the dimension "
             f"{unit(si).dimension}",
+            code="wrong-unit",
             place=str(place),
             remedy="give the step of its readings: rounded_to = 1, unit = ...",
         )

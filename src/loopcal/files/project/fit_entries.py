@@ -70,6 +70,7 @@ def validation_spec(entry: ValidationEntry | None, place: Place) -> ValidationSp
     if len(stated) != 1:
         raise InputError(
             f"the validation states {' and '.join(stated) or 'no way to leave poses out'}",
+            code="missing-key",
             place=str(place),
             remedy='give one of folds = 10, hold_out = 0.3 and file = "other.csv"',
         )

@@ -21,6 +21,7 @@ def write_new_project(folder: str | Path, kind: str) -> tuple[Path, ...]:
         if (folder / name).exists():
             raise InputError(
                 "there is such a file already, and it is left as it is",
+                code="unwritable-file",
                 place=str(folder / name),
                 remedy="give the project another name",
             )

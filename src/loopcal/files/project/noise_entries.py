@@ -84,6 +84,7 @@ class NoiseSpec:
                 if covariances is None or value.quantities not in covariances:
                     raise InputError(
                         "a covariance from columns of the data is no noise to simulate",
+                        code="unsupported",
                         place=value.place,
                         remedy="state the noise of the simulation in [simulation.noise]",
                     )
@@ -134,6 +135,7 @@ def _kind(entry: NoiseEntry, place: Place) -> str:
     elif entry.station is not None:
         raise InputError(
             "a station is stated without a tracker",
+            code="conflicting-keys",
             place=str(place.at("station")),
             remedy='name the tracker, say tracker = "leica-at500"',
         )
@@ -141,6 +143,7 @@ def _kind(entry: NoiseEntry, place: Place) -> str:
     if len(kinds + wide) != 1:
         raise InputError(
             f"{' and '.join(given + wide) or 'no sd'} is stated",
+            code="missing-sd",
             place=str(place),
             remedy="give sd, encoder, rounded_to or tracker, or else covariance or "
             "covariance_columns",
@@ -163,6 +166,7 @@ def _covariance(
     if len(dimensions) > 1 and entry.unit is not None:
         raise InputError(
             f"a covariance of {' and '.join(sorted(dimensions))} cannot be in {entry.unit}",
+            code="wrong-unit",
             place=str(place.at("unit")),
             remedy="leave the unit out and give the covariance in SI (m, rad)",
         )
@@ -175,6 +179,7 @@ def _covariance(
         if len(columns) not in (size * size, size * (size + 1) // 2):
             raise InputError(
                 f"{len(columns)} columns are named for the covariance of {', '.join(names)}",
+                code="invalid-covariance",
                 place=str(place.at("covariance_columns")),
                 remedy=f"name {size * (size + 1) // 2} (xx, xy, ..., from the diagonal to the "
                 f"right) or {size * size} (row by row)",
@@ -184,6 +189,7 @@ def _covariance(
     if [len(row) for row in entry.covariance] != [size] * size:
         raise InputError(
             f"the covariance of {', '.join(names)} is not {size} by {size}",
+            code="invalid-covariance",
             place=str(place.at("covariance")),
             remedy=f"give {size} rows of {size} numbers",
         )

@@ -50,6 +50,7 @@ def load_dataset(project: Project) -> LoadedData:
     if spec is None:
         raise InputError(
             "the project names no readings",
+            code="missing-key",
             place=project.name,
             remedy='add [data] with file = "poses.csv"',
         )
@@ -94,6 +95,7 @@ def _read(
     if project.simulation is not None and not path.exists():
         raise InputError(
             f"there is no file {str(path)!r} yet",
+            code="missing-file",
             place=str(place.at("file")),
             remedy=f"make it: loopcal simulate {project.path or '-'} --out {path} --seed 1",
         )
@@ -127,6 +129,7 @@ def _part(project: Project, spec: DataSpec, path: Path, aside: Mapping[str, Colu
     if pose is None:
         raise InputError(
             "the readings of several files are joined by the ids of their poses",
+            code="mismatched-poses",
             place=str(path),
             remedy='name the column of the ids: pose = "..."',
         )
@@ -134,6 +137,7 @@ def _part(project: Project, spec: DataSpec, path: Path, aside: Mapping[str, Colu
     if not columns and not spec.instruments:
         raise InputError(
             "no column of this file is a quantity of the mechanism",
+            code="missing-column",
             place=str(path),
             remedy="name its columns: columns = { x = ... }",
         )
@@ -172,6 +176,7 @@ def _covariance(block: CovarianceColumns, values: Array, dataset: Dataset) -> Ar
         raise InputError(
             f"the covariance of {', '.join(block.quantities)} is not there in {int(gaps.sum())} "
             f"poses, the first being {dataset.poses[first]!r}",
+            code="missing-reading",
             place=dataset.place(first),
             remedy="fill the columns, or leave these poses out (data.exclude)",
         )

@@ -37,6 +37,7 @@ def readings_tables(
         if part.by_name and not part.instruments:
             raise InputError(
                 f"which readings {name} shall hold is not said",
+                code="missing-key",
                 remedy="name its columns in the project: columns = { x = ... }",
             )
         tables[name] = _table(dataset, list(part.columns), part, sds, Path(name).suffix)

@@ -65,6 +65,7 @@ class SimulationSpec:
         if self.missing is not None:
             raise InputError(
                 f"no range is given for {self.missing!r}",
+                code="missing-key",
                 place=self.place,
                 remedy=f"add {self.missing} = {{ from = ..., to = ..., unit = ... }}",
             )
@@ -103,6 +104,7 @@ def simulation_spec(
         if single:
             raise InputError(
                 "some ranges have steps and this one has none",
+                code="conflicting-keys",
                 place=str(place.at("ranges", single[0])),
                 remedy="give every range a step for a grid, or none for random poses",
             )
@@ -110,6 +112,7 @@ def simulation_spec(
         if poses not in (None, count):
             raise InputError(
                 f"{poses} poses are asked for, and the grid of all steps has {count}",
+                code="conflicting-keys",
                 place=str(place.at("poses")),
                 remedy="leave poses out for a grid, or the steps for random poses",
             )
@@ -117,12 +120,14 @@ def simulation_spec(
     if poses is None:
         raise InputError(
             "how many poses is not said",
+            code="missing-key",
             place=str(place),
             remedy="add poses = 100, or give every range a step",
         )
     if poses > MOST_POSES:
         raise InputError(
             f"{poses} poses are more than the {MOST_POSES} that can be simulated",
+            code="too-large",
             place=str(place.at("ranges" if grid else "poses")),
             remedy="take larger steps or fewer poses",
         )
@@ -132,6 +137,7 @@ def simulation_spec(
     if told.columns:
         raise InputError(
             "a covariance from columns of the data is no noise to simulate",
+            code="unsupported",
             place=told.columns[0].place,
             remedy="give a covariance that is the same in all poses",
         )
@@ -155,6 +161,7 @@ def _ranges(
             follows = "follows from the loops" if name in units else "is no quantity"
             raise InputError(
                 f"{name!r} {follows} of the mechanism",
+                code="unknown-name",
                 place=str(here),
                 remedy=f"give the ranges of {', '.join(driven)}"
                 if name in units
@@ -217,6 +224,7 @@ def _machine(
             elif name == key:
                 raise InputError(
                     f"{name!r} is fixed, which means known exactly, and deviates nowhere",
+                    code="conflicting-keys",
                     place=str(here),
                     remedy="set it free, or state its true value in [simulation.truth]",
                 )

@@ -191,6 +191,7 @@ class ParquetStream:
         for missing in sorted(asked - set(found)):
             raise InputError(
                 f"there is no pose {missing!r} to leave out",
+                code="unknown-name",
                 place=self.name,
                 remedy="ids are compared as they are written",
             )
@@ -213,6 +214,7 @@ def project_stream(project: Project) -> ParquetStream | None:
         if spec.stream and path.is_file():
             raise InputError(
                 f"{path.name} is no Parquet file, and others are not read in chunks",
+                code="wrong-file-type",
                 place=str(place.at("stream")),
                 remedy="save it as Parquet, or leave stream out",
             )
@@ -223,6 +225,7 @@ def project_stream(project: Project) -> ParquetStream | None:
     if spec.joins:
         raise InputError(
             "readings in several files are joined in memory, and these come as a stream",
+            code="unsupported",
             place=str(place.at("join")),
             remedy="join the files beforehand, or say stream = false",
         )
@@ -304,6 +307,7 @@ def _named(file: ParquetFile, asked: Iterable[str | int]) -> list[str]:
 def _elsewhere(file: ParquetFile, what: str) -> InputError:
     return InputError(
         f"on the machine {platform.node()!r} this file {what}",
+        code="unreadable-file",
         place=str(file.path),
         remedy="leave the readings alone while they are worked on; where work is shared out among "
         "machines, each must find them at this path, on a disk that all can read",

@@ -37,7 +37,9 @@ def template_files(kind: str, folder: str) -> Mapping[str, str]:
     """
     if kind not in TEMPLATES:
         raise InputError(
-            f"there is no project of the type {kind!r}", remedy=nearest(kind, TEMPLATES)
+            f"there is no project of the type {kind!r}",
+            code="unknown-name",
+            remedy=nearest(kind, TEMPLATES),
         )
     # a name that ends in .template keeps linters from taking an example for a module of ours
     shown = shlex.quote(" ".join(folder.split()))

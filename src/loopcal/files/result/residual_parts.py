@@ -45,6 +45,7 @@ class ResidualParts:
         if (self.folder / NAME).is_file():
             raise InputError(
                 "a file of this name is where the folder of the residuals belongs",
+                code="unwritable-file",
                 place=str(self.folder / NAME),
                 remedy="move it, or choose another folder for the result",
             )
@@ -76,6 +77,7 @@ class ResidualParts:
         if self._count and not (self._open / _name(1)).exists():
             raise InputError(
                 "another calibration that writes here has removed the residuals of this one",
+                code="unwritable-file",
                 place=str(self.folder),
                 remedy="run one at a time, or give each a folder of its own",
             )

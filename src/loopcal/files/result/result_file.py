@@ -87,6 +87,7 @@ def _told(error: ValidationError, content: Mapping[str, Any], place: Place) -> I
         if detail["type"] == "json_invalid":
             return InputError(
                 f"this is not valid JSON: {detail['msg']}",
+                code="invalid-syntax",
                 place=str(place),
                 remedy=_REMEDY,
             )
@@ -98,10 +99,13 @@ def _told(error: ValidationError, content: Mapping[str, Any], place: Place) -> I
             )
             at = place.at(*path) if path else place
             return InputError(
-                f"unknown key {key!r}", place=str(at), remedy=nearest(str(key), names)
+                f"unknown key {key!r}",
+                code="unknown-name",
+                place=str(at),
+                remedy=nearest(str(key), names),
             )
     told = input_error(details, content, place)
-    return InputError(told.message, place=told.place, remedy=_REMEDY)
+    return InputError(told.message, code=told.code, place=told.place, remedy=_REMEDY)
 
 
 def result_schema() -> dict[str, Any]:

@@ -52,6 +52,7 @@ def read_truth(path: str | Path, mechanism: Mechanism) -> Mapping[str, float]:
     if not isinstance(stated, dict) or not stated:
         raise InputError(
             "the file states no true parameters",
+            code="no-data",
             place=f"{path}: parameters",
             remedy="name the .truth.json that `loopcal simulate` wrote beside its readings",
         )
@@ -60,6 +61,7 @@ def read_truth(path: str | Path, mechanism: Mechanism) -> Mapping[str, float]:
         if name not in mechanism.parameters.names:
             raise InputError(
                 f"the mechanism {mechanism.name!r} has no parameter {name!r}",
+                code="unknown-name",
                 place=f"{path}: parameters",
                 remedy=nearest(name, mechanism.parameters.names),
             )
@@ -84,6 +86,7 @@ def _value(entry: Any, expected: str, place: str) -> float:
     if not fits:
         raise InputError(
             f"the true value is in {unit}, the parameter in {expected}",
+            code="wrong-unit",
             place=place,
             remedy=f"give a unit that can be turned into {expected}",
         )

@@ -154,6 +154,7 @@ def _refuse_repeated(names: Sequence[str], place: Place) -> None:
         if name in names[:i]:
             raise InputError(
                 f"the name {name!r} is given twice",
+                code="duplicate-name",
                 place=str(place.at(i, "name")),
                 remedy="give each a name of its own",
             )
@@ -184,12 +185,14 @@ def _noise(entries: Mapping[str, NoiseEntry], mechanism: Mechanism, place: Place
         if key == MODEL or entry.estimate is not None:
             raise InputError(
                 "a study takes the sds of the sensors as they are told",
+                code="unsupported",
                 place=str(place.at(key)),
                 remedy='state an sd for each quantity, and leave "estimate" and "model" out',
             )
         if entry.covariance_columns is not None:
             raise InputError(
                 "a study has no columns of data",
+                code="unsupported",
                 place=str(place.at(key, "covariance_columns")),
                 remedy="give a covariance that is the same in all poses",
             )
@@ -226,6 +229,7 @@ def _method(entry: MethodEntry, mechanism: Mechanism, told: NoiseSpec, place: Pl
         key = "noise" if entry.noise else "prior"
         raise InputError(
             f"the method least-squares uses no {key}",
+            code="unsupported",
             place=str(place.at(key)),
             remedy="leave it out, or choose implicit-loop or reweighted",
         )
@@ -256,6 +260,7 @@ def _published(
         if method not in names:
             raise InputError(
                 f"there is no method {method!r} in this study",
+                code="unknown-name",
                 place=str(here),
                 remedy=nearest(method, names),
             )
@@ -263,6 +268,7 @@ def _published(
             if name not in free:
                 raise InputError(
                     f"{name!r} is no parameter that is estimated",
+                    code="unknown-name",
                     place=str(here.at(name)),
                     remedy=nearest(name, free),
                 )

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 Column = Sequence[str] | NDArray[np.float64]
 CHUNK = 50
 """Draws in a part: a few seconds of work at most, lost when a study is killed."""
+MOST_DRAWS = 10_000_000
+"""Of all scenarios together."""
 TEXTS = ("scenario", "method", "reason")
 
 
@@ -45,7 +47,16 @@ class Part:
 
 
 def parts_of(scenarios: int, draws: int) -> list[Part]:
-    """All parts of a study with so many draws, in the order of their rows."""
+    """All parts of a study with so many draws of each scenario, in the order of their rows.
+
+    Raises InputError for more draws than can be listed.
+    """
+    if scenarios * draws > MOST_DRAWS:
+        raise InputError(
+            f"the study has {scenarios * draws} draws in all, and at most {MOST_DRAWS} are run",
+            code="too-large",
+            remedy="ask for fewer draws of each scenario, or leave scenarios out",
+        )
     return [
         Part(scenario, first, min(first + CHUNK, draws))
         for scenario in range(scenarios)
@@ -68,6 +79,7 @@ def open_folder(folder: Path, study: Study) -> None:
             raise InputError(
                 "this folder holds the draws of another study, or of this one before it (or "
                 "loopcal) was changed; they cannot be mixed",
+                code="unreadable-file",
                 place=str(folder),
                 remedy="choose another folder with --out, or delete this one",
             )
@@ -126,6 +138,7 @@ def _frame(path: Path) -> pl.DataFrame:
     except (pl.exceptions.PolarsError, OSError) as error:
         raise InputError(
             f"this part of the study cannot be read ({str(error).splitlines()[0]})",
+            code="unreadable-file",
             place=str(path),
             remedy="delete the file and run the study again: only this part is computed anew",
         ) from None

@@ -71,5 +71,5 @@ class StudyModel(Model):
     noise: NoiseEntries = Field(default={})
     prior: Sds = Field(default={})
     simulation: SharedSimulation = SharedSimulation()
-    scenarios: Annotated[list[ScenarioEntry], Field(min_length=1)]
+    scenarios: Annotated[list[ScenarioEntry], Field(min_length=1, max_length=1000)]
     methods: Annotated[list[MethodEntry], Field(min_length=1)]

@@ -37,11 +37,16 @@ def specified(columns: Mapping[str, ColumnLike], units: Mapping[str, str]) -> di
     quantity that is not there, and an sd in a unit of another dimension.
     """
     if not columns:
-        raise InputError("no column is asked for", remedy="map one quantity at least to a column")
+        raise InputError(
+            "no column is asked for",
+            code="missing-column",
+            remedy="map one quantity at least to a column",
+        )
     for quantity in units:
         if quantity not in columns:
             raise InputError(
                 f"a unit is given for {quantity!r}, which no column is read for",
+                code="conflicting-keys",
                 remedy=nearest(quantity, columns),
             )
     return {q: _checked(q, _column(q, given), units.get(q)) for q, given in columns.items()}
@@ -66,6 +71,7 @@ def all_numeric(
     if not found:
         raise InputError(
             "there is no column of numbers",
+            code="missing-column",
             place=table.name,
             remedy="check the delimiter and the decimal mark, or name the columns to read",
         )
@@ -80,6 +86,7 @@ def refuse_doubles(table: Table, columns: Mapping[str, Column]) -> None:
         if other != quantity:
             raise InputError(
                 f"column {column.column!r} is asked for twice: for {other!r} and {quantity!r}",
+                code="duplicate-column",
                 place=table.name,
                 remedy="map each quantity to a column of its own",
             )
@@ -89,6 +96,7 @@ def refuse_doubles(table: Table, columns: Mapping[str, Column]) -> None:
             raise InputError(
                 f"column {column.sd_column!r} is asked for as readings of {reads!r} and as the "
                 f"sd of {quantity!r}",
+                code="duplicate-column",
                 place=table.name,
                 remedy="name the column that holds the sd",
             )
@@ -101,12 +109,14 @@ def _column(quantity: str, given: ColumnLike) -> Column:
             if key not in known:
                 raise InputError(
                     f"unknown key {key!r}",
+                    code="unknown-name",
                     place=f"column of {quantity!r}",
                     remedy=nearest(str(key), known),
                 )
         if "column" not in given:
             raise InputError(
                 "the column is not named",
+                code="missing-column",
                 place=f"column of {quantity!r}",
                 remedy='give column = "its name" or its number',
             )
@@ -127,6 +137,7 @@ def _checked(quantity: str, column: Column, other_unit: str | None) -> Column:
     if other_unit and column.unit and unit(other_unit) != unit(column.unit):
         raise InputError(
             f"two units are stated, {column.unit} and {other_unit}",
+            code="wrong-unit",
             place=place,
             remedy="state one of them",
         )
@@ -142,6 +153,7 @@ def _checked(quantity: str, column: Column, other_unit: str | None) -> Column:
     if not fits:
         raise InputError(
             f"the sd is in {sd_unit}, the readings in {given}",
+            code="wrong-unit",
             place=place,
             remedy=f"give the sd in a unit of {unit(given or '1').dimension}",
         )

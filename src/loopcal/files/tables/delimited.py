@@ -84,6 +84,7 @@ def _careful(text: Text, dialect: Dialect) -> Table:
     if not cells:
         raise InputError(
             "there is a header, but no row of data",
+            code="no-data",
             place=f"{text.name}, row {dialect.header_row}",
             remedy="give one row per pose; if the row is data, state header = false",
         )
@@ -97,6 +98,7 @@ def _fitted(cells: list[str], dialect: Dialect, place: str) -> list[str]:
     raise InputError(
         f"this row has {len(cells)} cells, where {dialect.width} are expected "
         f"(delimiter {spoken(dialect.delimiter)})",
+        code="invalid-syntax",
         place=place,
         remedy="complete the row, start it with # if it is no data, or state the delimiter",
     )

@@ -126,6 +126,7 @@ def _check_fits(given: _Trial, best: _Trial, rows: list[Row], name: str) -> None
         raise InputError(
             f"the delimiter is stated as {spoken(given.delimiter)}, which does not divide this "
             f"row: {rows[0].line.strip()[:60]!r}",
+            code="invalid-syntax",
             place=f"{name}, row {rows[0].number}",
             remedy=f"state {spoken(best.delimiter)}, or leave the delimiter out",
         )
@@ -167,6 +168,7 @@ def quote_error(name: str, row: Row) -> InputError:
     """The error for a quote that does not end on its line."""
     return InputError(
         f"a quoted cell does not end: {row.line.strip()[:60]!r}",
+        code="invalid-syntax",
         place=f"{name}, row {row.number}",
         remedy="close the quotes on the same line, or remove them",
     )
@@ -187,6 +189,7 @@ def is_header(cells: Sequence[Sequence[object]], decimal: str, place: str) -> bo
         return False
     raise InputError(
         f"this row holds both numbers and text ({str(cells[0][text[0]])[:60]!r}): header or data?",
+        code="invalid-syntax",
         place=f"{place}, column {text[0] + 1}",
         remedy="state header = true or header = false, or correct the cell",
     )
@@ -197,6 +200,7 @@ def _check_header(names: tuple[str, ...], body: list[list[str]], row: Row, name:
         raise InputError(
             f"the header names {len(names)} columns ({row.line.strip()[:60]!r}), the rows below "
             f"it have {len(body[0])}",
+            code="invalid-syntax",
             place=f"{name}, row {row.number}",
             remedy="name every column, start a line that is no data with #, or state the delimiter",
         )

@@ -33,6 +33,7 @@ def from_child(function: str, arguments: dict[str, Any], path: Path, kind: str) 
     except Stopped as why:
         raise InputError(
             f"this is no {kind} file that can be read ({why})",
+            code="wrong-file-type",
             place=path.name,
             remedy=f"save it again as {kind}, or as CSV",
         ) from None

@@ -36,6 +36,7 @@ def read_matlab(
     if variable is not None and variable not in variables:
         raise InputError(
             f"there is no variable {variable!r}",
+            code="unknown-name",
             place=path.name,
             remedy=nearest(variable, variables),
         )
@@ -45,6 +46,7 @@ def read_matlab(
         if not columns:
             raise InputError(
                 f"there are {len(variables)} variables and none is a vector",
+                code="wrong-file-type",
                 place=path.name,
                 remedy=f"state variable = ..., one of {_listed(variables)}",
             )
@@ -55,7 +57,10 @@ def read_matlab(
         return _from_vectors(_fields(value, name), path, part, wanted)
     if value.ndim != 2 or value.size == 0:
         raise InputError(
-            f"its shape is {_shape(value)}", place=name, remedy="name a matrix with a row per pose"
+            f"its shape is {_shape(value)}",
+            code="wrong-shape",
+            place=name,
+            remedy="name a matrix with a row per pose",
         )
     matrix = value.reshape(-1, 1) if value.shape[0] == 1 else value
     cells = {i: _cells(matrix[:, i], name) for i in range(matrix.shape[1])}
@@ -69,6 +74,7 @@ def _load(path: Path) -> dict[str, Any]:
     if head.startswith((b"MATLAB 7.3", b"\x89HDF")):
         raise InputError(
             "this is a MATLAB 7.3 file (HDF5), which is not read",
+            code="wrong-file-type",
             place=path.name,
             remedy="save it in MATLAB with save(name, '-v7')",
         )
@@ -81,7 +87,10 @@ def _load(path: Path) -> dict[str, Any]:
     }
     if not variables:
         raise InputError(
-            "it holds no arrays", place=path.name, remedy="save a matrix or vectors in it"
+            "it holds no arrays",
+            code="wrong-file-type",
+            place=path.name,
+            remedy="save a matrix or vectors in it",
         )
     return variables
 
@@ -100,6 +109,7 @@ def _fields(value: Any, name: str) -> dict[str, Any]:
         if any(entry.size > 1 for entry in entries):
             raise InputError(
                 f"field {field!r} has several numbers per struct",
+                code="invalid-number",
                 place=name,
                 remedy="give each number a field of its own",
             )
@@ -121,6 +131,7 @@ def _from_vectors(
         few = ", ".join(f"{n} has {length}" for n, length in [*lengths.items()][:5])
         raise InputError(
             f"the vectors differ in length: {few}",
+            code="wrong-shape",
             place=name,
             remedy="ask only for columns of one length, or state variable = ...",
         )
@@ -138,6 +149,7 @@ def _cells(vector: Any, name: str) -> Cells:
         return ["" if isinstance(v, np.ndarray) else v for v in entries]
     raise InputError(
         f"it holds {vector.dtype.name} values, not real numbers",
+        code="invalid-number",
         place=name,
         remedy="save real numbers (double)",
     )

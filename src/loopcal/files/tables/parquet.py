@@ -62,6 +62,7 @@ def parquet_files(path: str | Path) -> tuple[ParquetFile, ...]:
     if not files:
         raise InputError(
             "this is a folder, and it holds no Parquet file; folders in it are not looked into",
+            code="wrong-file-type",
             place=str(path),
             remedy="put *.parquet files there, or name a file",
         )
@@ -69,6 +70,7 @@ def parquet_files(path: str | Path) -> tuple[ParquetFile, ...]:
         if set(file.names) != set(files[0].names):
             raise InputError(
                 f"its columns are not those of {files[0].path.name}",
+                code="unreadable-file",
                 place=file.path.name,
                 remedy="give all files of the folder the same columns",
             )
@@ -190,6 +192,7 @@ def _read(file: ParquetFile, names: Sequence[str], offset: int, rows: int) -> pl
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
         raise InputError(
             f"this Parquet file changed while it was read ({str(error).splitlines()[0]})",
+            code="unreadable-file",
             place=file.path.name,
             remedy="wait until it is written, then run the command again",
         ) from None
@@ -204,6 +207,7 @@ def _together(frames: Sequence[pl.DataFrame], place: str) -> pl.DataFrame:
         if len(kinds) > 1 and not all(kind.is_numeric() for kind in kinds):
             raise InputError(
                 f"the column {name!r} is {' and '.join(sorted(map(str, kinds)))}",
+                code="invalid-number",
                 place=place,
                 remedy="write it as the same type in all files of the folder",
             )

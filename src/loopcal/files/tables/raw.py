@@ -69,11 +69,17 @@ def existing_file(path: str | Path, *, empty_too: bool = False) -> Path:
     path = Path(path)
     try:
         if path.is_dir():
-            raise InputError("this is a folder", place=str(path), remedy="name a file inside it")
+            raise InputError(
+                "this is a folder",
+                code="wrong-file-type",
+                place=str(path),
+                remedy="name a file inside it",
+            )
         size = path.stat().st_size
         if not (path.is_file() or path.is_fifo()):
             raise InputError(
                 "this is a device, not a file",
+                code="wrong-file-type",
                 place=str(path),
                 remedy="name a file, or - for standard input where the command takes it",
             )
@@ -111,6 +117,7 @@ def opened(path: str | Path, *, empty_too: bool = False) -> BinaryIO:
         os.close(handle)
         raise InputError(
             f"this is a pipe, and no program writes into it for {PATIENCE:g} s",
+            code="unreadable-file",
             place=str(path),
             remedy="start the program that writes first, or name a file",
         )
@@ -127,13 +134,19 @@ def unreadable(path: Path, error: OSError | ValueError) -> InputError:
             beside = []
         close = nearest(path.name, beside) if beside else ""
         remedy = close if close.startswith("did") else "give the path of an existing file"
-        return InputError("there is no such file", place=str(path), remedy=remedy)
+        return InputError(
+            "there is no such file", code="missing-file", place=str(path), remedy=remedy
+        )
     if isinstance(error, PermissionError):
         return InputError(
-            "you may not read this file", place=str(path), remedy="ask for the right to read it"
+            "you may not read this file",
+            code="unreadable-file",
+            place=str(path),
+            remedy="ask for the right to read it",
         )
     return InputError(
         f"the file cannot be read ({getattr(error, 'strerror', None) or error})",
+        code="unreadable-file",
         place=str(path),
         remedy="name a readable file",
     )
@@ -141,7 +154,9 @@ def unreadable(path: Path, error: OSError | ValueError) -> InputError:
 
 def empty(name: str) -> InputError:
     """The error for a file without any data."""
-    return InputError("the file is empty", place=name, remedy="name a file with one row per pose")
+    return InputError(
+        "the file is empty", code="no-data", place=name, remedy="name a file with one row per pose"
+    )
 
 
 def sha256_of(path: Path) -> str:
@@ -184,6 +199,7 @@ def _read(stream: BinaryIO, file: str, stated: str | None) -> Text:
         if unended + first > BLOCK:
             raise InputError(
                 "this line is longer than 1 MB",
+                code="invalid-syntax",
                 place=f"{name}, row {row}",
                 remedy="end each pose by a line break; is this a table of numbers?",
             )
@@ -204,6 +220,7 @@ def _read(stream: BinaryIO, file: str, stated: str | None) -> Text:
 def _too_large(name: str) -> InputError:
     return InputError(
         f"the text is larger than {MOST_TEXT / 1e9:g} GB",
+        code="too-large",
         place=name,
         remedy="save the table as Parquet, which is read in chunks",
     )
@@ -214,6 +231,7 @@ def _refuse_other_kinds(head: bytes, name: str) -> None:
         if head.startswith(start):
             raise InputError(
                 f"this is no text but {kind}",
+                code="wrong-file-type",
                 place=name,
                 remedy="give the file the ending of its kind, or save it as CSV",
             )
@@ -225,6 +243,7 @@ def _refuse_binary(block: bytes, name: str, row: int, *, first: bool) -> None:
         what = "a NUL byte" if found[0] == b"\0" else f"the control character 0x{found[0].hex()}"
         raise InputError(
             f"this is no text: it holds {what}",
+            code="wrong-file-type",
             place=f"{name}, row {row + block.count(bytes([10]), 0, found.start())}",
             remedy="save the table as CSV; if this is UTF-16 text, state encoding = 'utf-16'",
         )
@@ -256,6 +275,7 @@ def _as_utf8(data: bytes, encoding: str | None, name: str) -> bytes:
     except LookupError:
         raise InputError(
             f"the encoding {encoding!r} is not known",
+            code="unknown-name",
             place=name,
             remedy="state utf-8, utf-16, cp1252, ... or leave it out",
         ) from None
@@ -263,12 +283,14 @@ def _as_utf8(data: bytes, encoding: str | None, name: str) -> bytes:
         where = f" at byte {error.start}" if isinstance(error, UnicodeDecodeError) else ""
         raise InputError(
             f"the text is not {encoding or 'UTF-8 or cp1252'}{where}",
+            code="invalid-syntax",
             place=name,
             remedy="state another encoding, or save the table as UTF-8",
         ) from None
     if "\0" in text:
         raise InputError(
             "this is no text: it holds a NUL character",
+            code="wrong-file-type",
             place=f"{name}, row {text.count(chr(10), 0, text.index(chr(0))) + 1}",
             remedy="save the table as CSV",
         )

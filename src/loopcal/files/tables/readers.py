@@ -164,6 +164,7 @@ def _refuse_nameless(table: Table, keep: NDArray[np.int64], ids: Sequence[str]) 
         raise InputError(
             "this pose has no id"
             + (f", nor have {len(nameless) - 1} others" if len(nameless) > 1 else ""),
+            code="mismatched-poses",
             place=f"{table.name}, {row_name(int(table.rows[nameless[0]]), table.begins)}",
             remedy="fill them in, or leave out pose = ...: poses are counted then",
         )
@@ -224,7 +225,10 @@ def _kind(path: str | Path | BinaryIO, how: _How) -> str:
     ending = Path(path).suffix.lower() if isinstance(path, str | Path) else ""
     if ending in (".xls", ".xlsb", ".ods"):
         raise InputError(
-            "only XLSX workbooks are read", place=str(path), remedy="save it as XLSX or CSV"
+            "only XLSX workbooks are read",
+            code="wrong-file-type",
+            place=str(path),
+            remedy="save it as XLSX or CSV",
         )
     kind = _ENDINGS.get(ending, "text")
     if isinstance(path, str | Path) and Path(path).is_dir():
@@ -233,6 +237,7 @@ def _kind(path: str | Path | BinaryIO, how: _How) -> str:
         if getattr(how, option.name) is not None and option.name not in _MEANT_FOR[kind]:
             raise InputError(
                 f"{option.name} is stated, which means nothing for {kind} files",
+                code="conflicting-keys",
                 place=str(path),
                 remedy=f"leave {option.name} out, or give the file the ending of its kind",
             )

@@ -27,6 +27,7 @@ def columns_of(text: str) -> dict[str, Column]:
         if not name or name in found:
             raise UsageError(
                 f"{part!r} in --columns {'names no column' if not name else 'is there twice'}",
+                code="unknown-name",
                 remedy="name each column once, say --columns S=rad,L=rad,x=m",
             )
         if stated:
@@ -51,7 +52,9 @@ def read_repeats(
     """
     if project is not None and columns is not None:
         raise UsageError(
-            "--project and --columns are both given", remedy="the project names the columns"
+            "--project and --columns are both given",
+            code="conflicting-keys",
+            remedy="the project names the columns",
         )
     if project is None:
         asked = None if columns is None else columns_of(columns)
@@ -59,6 +62,7 @@ def read_repeats(
     if project.data is None:
         raise InputError(
             "the project names no columns",
+            code="missing-column",
             place=project.name,
             remedy='add [data] with file = "poses.csv" and the columns',
         )
@@ -78,6 +82,7 @@ def _series(file: str | Path, columns: dict[str, Column] | None, pose: str | Non
     if not kept:
         raise InputError(
             "there is no column of readings beside the ids",
+            code="missing-column",
             place=read.source.name,
             remedy="name the columns: --columns S=rad,x=m",
         )

@@ -39,6 +39,7 @@ def read_spreadsheet(
     except python_calamine.CalamineError as error:
         raise InputError(
             f"this is no XLSX workbook that can be read ({error})",
+            code="wrong-file-type",
             place=path.name,
             remedy="save it again as XLSX or as CSV",
         ) from None
@@ -54,6 +55,7 @@ def read_spreadsheet(
     if header and len(rows) == 1:
         raise InputError(
             "there is a header, but no row of data",
+            code="no-data",
             place=f"{name}, row {rows[0][0]}",
             remedy="give one row per pose; if the row is data, state header = false",
         )
@@ -73,13 +75,17 @@ def _title(titles: list[str], sheet: str | int | None, name: str) -> str:
     if isinstance(sheet, str):
         if sheet not in titles:
             raise InputError(
-                f"there is no sheet {sheet!r}", place=name, remedy=nearest(sheet, titles)
+                f"there is no sheet {sheet!r}",
+                code="unknown-name",
+                place=name,
+                remedy=nearest(sheet, titles),
             )
         return sheet
     number = 1 if sheet is None else sheet
     if not 1 <= number <= len(titles):
         raise InputError(
             f"there is no sheet {number}",
+            code="unknown-name",
             place=name,
             remedy=f"give a number from 1 to {len(titles)}, or a name: {listed(titles)}",
         )

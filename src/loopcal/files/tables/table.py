@@ -62,6 +62,7 @@ class Table:
             row = row_name(int(self.rows[wrong.index]), self.begins)
             raise InputError(
                 f"{short(text)!r} is not a number",
+                code="invalid-number",
                 place=f"{self.name}, {row}, column {self.label(position)!r}",
                 remedy=_remedy(text, self.decimal),
             ) from None
@@ -85,7 +86,10 @@ def find_column(column: str | int, names: Sequence[str], width: int, place: str)
         if 1 <= column <= width:
             return column - 1
         raise InputError(
-            f"there is no column {column}", place=place, remedy=f"give a number from 1 to {width}"
+            f"there is no column {column}",
+            code="missing-column",
+            place=place,
+            remedy=f"give a number from 1 to {width}",
         )
     found = [i for i, name in enumerate(names) if name == column]
     if len(found) == 1:
@@ -94,12 +98,14 @@ def find_column(column: str | int, names: Sequence[str], width: int, place: str)
         numbers = " and ".join(str(i + 1) for i in found[:3]) + (" and more" if found[3:] else "")
         raise InputError(
             f"the header has {column!r} more than once (columns {numbers})",
+            code="duplicate-column",
             place=place,
             remedy="rename one of them, or give the column by its number",
         )
     if not names:
         raise InputError(
             f"there is no column {column!r}: the file has no header",
+            code="missing-column",
             place=place,
             remedy=f"give the column by its number, from 1 to {width}",
         )
@@ -107,6 +113,7 @@ def find_column(column: str | int, names: Sequence[str], width: int, place: str)
     remedy = f"{close} The" if close.startswith("did") else "the"
     raise InputError(
         f"there is no column {column!r}",
+        code="missing-column",
         place=place,
         remedy=f"{remedy} columns are {listed(names, 40)}",
     )

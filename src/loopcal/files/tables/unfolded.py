@@ -57,6 +57,7 @@ def _refuse_far_cells(blocks: Iterator[bytes], path: Path) -> None:
                 raise InputError(
                     f"cell {name.decode()} makes a sheet of {rows} rows and {columns} columns, "
                     "too large to read",
+                    code="too-large",
                     place=path.name,
                     remedy="delete cells far from the table, or save the table as Parquet",
                 )
@@ -87,6 +88,7 @@ def refuse_large_matlab(path: Path) -> None:
                 raise InputError(
                     "this is no MATLAB file that can be read: a variable of "
                     f"{length} bytes goes beyond its end",
+                    code="wrong-file-type",
                     place=path.name,
                     remedy="copy the file again; it was cut off or damaged",
                 )
@@ -123,6 +125,7 @@ def _most(path: Path) -> int:
 def _bomb(path: Path, most: int) -> InputError:
     return InputError(
         f"the file unfolds to more than {most / 1e9:.1f} GB, {PER_BYTE} times its size",
+        code="too-large",
         place=path.name,
         remedy="save the table as CSV or Parquet, if it is one",
     )

@@ -32,6 +32,7 @@ def table_bytes(columns: Mapping[str, Column], ending: str = ".csv") -> bytes:
     if ending not in SEPARATORS:
         raise InputError(
             f"a table cannot be written as {ending or 'a file without an ending'}",
+            code="wrong-file-type",
             remedy="name a file that ends in .csv, .tsv or .parquet",
         )
     rows = len(next(iter(columns.values())))
@@ -51,6 +52,7 @@ def check_ending(path: str | Path) -> None:
     if ending not in (*SEPARATORS, ".parquet", ".pq"):
         raise InputError(
             f"a table cannot be written as {ending or 'a file without an ending'}",
+            code="wrong-file-type",
             place=str(path),
             remedy="name a file that ends in .csv, .tsv or .parquet",
         )

@@ -21,7 +21,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
-from loopcal.errors import InputError, nearest, short
+from loopcal.errors import Code, InputError, nearest, short
 from loopcal.files.toml.place import Place, toml_path
 from loopcal.units import unit
 
@@ -44,16 +44,17 @@ class Model(BaseModel):
         return data
 
 
-def complaint(words: str, remedy: str) -> PydanticCustomError:
-    """An error for validators to raise, with its remedy."""
-    return PydanticCustomError("complaint", "{words}", {"words": words, "remedy": remedy})
+def complaint(words: str, remedy: str, code: Code = "invalid-value") -> PydanticCustomError:
+    """An error for validators to raise, with its remedy and code."""
+    said = {"words": words, "remedy": remedy, "code": code}
+    return PydanticCustomError("complaint", "{words}", said)
 
 
 def _known_unit(name: str) -> str:
     try:
         return unit(name).name
     except InputError as error:
-        raise complaint(error.message, error.remedy or "") from None
+        raise complaint(error.message, error.remedy or "", error.code) from None
 
 
 def _name_or_number(value: Any) -> Any:
@@ -110,8 +111,21 @@ def validated(model: type[Kind], data: Any, place: Place) -> Kind:
         raise input_error(details, data, place) from None
     except RecursionError:
         raise InputError(
-            "the tables are nested too deeply", place=str(place), remedy="flatten them"
+            "the tables are nested too deeply",
+            code="invalid-syntax",
+            place=str(place),
+            remedy="flatten them",
         ) from None
+
+
+_CODES: dict[str, Code] = {
+    "unknown_key": "unknown-name",
+    "missing": "missing-key",
+    "literal_error": "unknown-name",
+    "union_tag_invalid": "unknown-name",
+    "union_tag_not_found": "missing-key",
+}
+"""Of pydantic's kinds of complaints; all others are about a value."""
 
 
 def input_error(details: Sequence[ErrorDetails], data: Any, place: Place) -> InputError:
@@ -122,7 +136,8 @@ def input_error(details: Sequence[ErrorDetails], data: Any, place: Place) -> Inp
     if others:
         more = f" and {len(others) - 3} more" if len(others) > 3 else ""
         message += f" (also wrong: {', '.join(others[:3])}{more})"
-    return InputError(message, place=str(place.at(*paths[0])), remedy=remedy)
+    code: Code | None = details[0].get("ctx", {}).get("code") or _CODES.get(details[0]["type"])
+    return InputError(message, code=code, place=str(place.at(*paths[0])), remedy=remedy)
 
 
 def _path(detail: ErrorDetails, data: Any) -> tuple[str | int, ...]:
@@ -159,6 +174,10 @@ def _words(detail: ErrorDetails, path: Sequence[str | int]) -> tuple[str, str]:
             least = context.get("ge", context.get("gt"))
             than = f"{least:g} or more" if "ge" in context else f"more than {least:g}"
             return f"{_short(given)} is given, which is too small", f"give {than}"
+        case "less_than_equal" | "less_than":
+            most = context.get("le", context.get("lt"))
+            than = f"{most:,} or less" if "le" in context else f"less than {most:,}"
+            return f"{_short(given)} is given, which is too large", f"give {than}"
         case "too_short":
             return f"{_short(given)} has too few entries", f"give {context['min_length']} or more"
         case "too_long":

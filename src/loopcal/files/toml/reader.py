@@ -50,6 +50,7 @@ def toml_data(content: bytes | str, name: str) -> dict[str, Any]:
         raise InputError(
             f"this file is larger than {MOST_BYTES // 1_000_000} MB, too large for a project "
             "or a mechanism",
+            code="too-large",
             place=name,
             remedy="name a TOML file; readings belong in a file of their own (data.file)",
         )
@@ -58,7 +59,10 @@ def toml_data(content: bytes | str, name: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except RecursionError:
         raise InputError(
-            "this TOML is nested too deeply", place=name, remedy="close the brackets"
+            "this TOML is nested too deeply",
+            code="invalid-syntax",
+            place=name,
+            remedy="close the brackets",
         ) from None
     except ValueError as error:  # TOMLDecodeError, and numbers of too many digits
         words = str(error)
@@ -70,6 +74,7 @@ def toml_data(content: bytes | str, name: str) -> dict[str, Any]:
             place = f"{name}, end of the file"
         raise InputError(
             f"this is not valid TOML: {_AT.sub('', words)}",
+            code="invalid-syntax",
             place=place,
             remedy="mend the line; `loopcal new` writes a project to compare with",
         ) from None
@@ -79,13 +84,16 @@ def checked_schema(data: Mapping[str, Any], place: Place) -> None:
     """Raise InputError unless the file states the schema that is read here."""
     remedy = f"write schema = {SCHEMA} in the first line"
     if "schema" not in data:
-        raise InputError("the file does not say its schema", place=str(place), remedy=remedy)
+        raise InputError(
+            "the file does not say its schema", code="wrong-schema", place=str(place), remedy=remedy
+        )
     stated = data["schema"]
     if isinstance(stated, bool) or stated != SCHEMA:
         if isinstance(stated, int) and stated > SCHEMA:
             remedy = "use the loopcal that wrote this file, or a newer one"
         raise InputError(
             f"schema is {stated!r}, and only schema {SCHEMA} can be read",
+            code="wrong-schema",
             place=str(place.at("schema")),
             remedy=remedy,
         )
@@ -95,6 +103,7 @@ def _decoded(content: bytes, name: str) -> str:
     if (nul := content.find(b"\0")) >= 0:
         raise InputError(
             "this is no TOML file: it holds a NUL byte",
+            code="wrong-file-type",
             place=f"{name}, line {content.count(bytes([10]), 0, nul) + 1}",
             remedy="save the file as UTF-8 text",
         )
@@ -103,6 +112,7 @@ def _decoded(content: bytes, name: str) -> str:
     except UnicodeDecodeError as error:
         raise InputError(
             f"the text is not UTF-8: it holds the byte 0x{content[error.start]:02x}",
+            code="invalid-syntax",
             place=f"{name}, line {content.count(bytes([10]), 0, error.start) + 1}",
             remedy="save the file as UTF-8",
         ) from None

@@ -43,6 +43,7 @@ class Backlash:
         if len(found) > 1 and JOINT not in self.direction:
             raise InputError(
                 f"{len(found)} joints share the direction {self.direction!r}",
+                code="duplicate-name",
                 remedy=f"name one for each joint, as in direction = {Backlash.direction!r}",
             )
         units = mechanism.quantities

@@ -71,11 +71,13 @@ class Compliance:
         if not names or len({*names}) < len(names):
             raise InputError(
                 f"the loads of {self.name!r} are {names}",
+                code="duplicate-name",
                 remedy="list the points that weigh something, each with a name of its own",
             )
         if len({load.mass is None for load in self.loads}) > 1:
             raise InputError(
                 f"{self.name!r} knows the masses of some loads only",
+                code="conflicting-keys",
                 remedy="give all masses, or none: what they weigh is then estimated with the "
                 "compliance",
             )
@@ -137,6 +139,7 @@ class Compliance:
             raise InputError(
                 f"{mechanism.name!r} is no chain of joints from a base to a body, so its load on "
                 "each joint is not known",
+                code="unsupported",
                 remedy="leave out the effect 'compliance'",
             )
         if self.yielding == ("*",):

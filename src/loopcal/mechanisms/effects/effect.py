@@ -65,7 +65,9 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
     for effect in effects:
         if effect.name in (*mechanism.effects, *own):
             raise InputError(
-                f"{effect.name!r} names two effects", remedy="give each effect a name of its own"
+                f"{effect.name!r} names two effects",
+                code="duplicate-name",
+                remedy="give each effect a name of its own",
             )
         own[effect.name] = effect.parameters(mechanism)
         _refuse_shared(effect.name, own[effect.name], taken)
@@ -111,12 +113,14 @@ def joints(mechanism: Mechanism, patterns: Sequence[str], unit: str | None = Non
             raise InputError(
                 f"{name!r} is in {mechanism.quantities[name]}, and this effect acts on joints in "
                 f"{unit}",
+                code="wrong-unit",
                 remedy="name other joints",
             )
     if not found:
         raise InputError(
             f"no joint is called {' or '.join(map(repr, patterns))}"
             + (f" and in {unit}" if unit else ""),
+            code="unknown-name",
             remedy="name joints that are read, or leave this effect out",
         )
     return list(found)
@@ -147,6 +151,7 @@ def _meaning(
                     raise InputError(
                         f"the effect {effect.name!r} changes the parameter {name!r} by pose, and "
                         "an instrument looks at two poses at once",
+                        code="unsupported",
                         remedy="leave the effect or the instrument out",
                     )
                 else:
@@ -164,5 +169,6 @@ def _refuse_shared(effect: str, own: Mapping[str, Parameter], taken: set[str]) -
         if name in taken:
             raise InputError(
                 f"the effect {effect!r} has a parameter {name!r}, and so has something before it",
+                code="duplicate-name",
                 remedy="let one effect of a kind act on a joint or parameter",
             )

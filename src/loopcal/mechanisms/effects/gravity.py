@@ -71,6 +71,7 @@ def end_of(chain: Sequence[Step], load: Load) -> int:
     if not found:
         raise InputError(
             f"the load {load.name!r} moves with {load.joint!r}, which is no joint of the arm",
+            code="unknown-name",
             remedy="name the joint behind which it sits",
         )
     return found[-1] + 1
@@ -94,6 +95,7 @@ def refuse_beyond(mechanism: Mechanism, load: Load) -> None:
         raise InputError(
             f"the load {load.name!r} lies {away:.4g} m from its joint {load.joint!r}{meant}; the "
             f"whole machine is {size:.3g} m long",
+            code="implausible-readings",
             remedy='give the point in metres, or state its unit: { value = 150, unit = "mm" } or '
             'units = { length = "mm" }',
         )

@@ -50,6 +50,7 @@ class Harmonics:
         if len({f"{k:.12g}" for k in self.orders}) < len(self.orders):
             raise InputError(
                 f"the orders of {self.name!r} are {list(self.orders)}, one of them twice",
+                code="duplicate-name",
                 remedy="give each order once",
             )
 

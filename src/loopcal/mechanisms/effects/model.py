@@ -25,6 +25,7 @@ def with_only(mechanism: Mechanism, model: Model) -> Mechanism:
         if name not in mechanism.effects:
             raise InputError(
                 f"the mechanism has no effect {name!r}",
+                code="unknown-name",
                 remedy=nearest(name, mechanism.effects)
                 if mechanism.effects
                 else "describe it in the mechanism first: [[effect]]",

@@ -158,6 +158,7 @@ def socket(
     if len(own) != dimension:
         raise InputError(
             f"the socket {name!r} has {len(own)} gaps in a space of {dimension}",
+            code="wrong-shape",
             remedy=f"name {dimension}",
         )
     fixed = Target.named(name, dimension)

@@ -58,6 +58,7 @@ class Orientation:
         if len(names) != len(usual):
             raise InputError(
                 f"{len(names)} columns are named for the orientation {form!r}",
+                code="wrong-shape",
                 remedy=f"name {len(usual)}",
             )
         return cls(form, names, tuple(turns))

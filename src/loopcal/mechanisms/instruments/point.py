@@ -41,6 +41,7 @@ def point(
         raise InputError(
             f"the instrument {name!r} reads {len(own)} coordinates of a point in a space of "
             f"{dimension}",
+            code="wrong-shape",
             remedy=f"name {dimension} coordinates",
         )
     stands = Station(station, dimension)

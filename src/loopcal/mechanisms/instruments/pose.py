@@ -87,17 +87,21 @@ def pose(
     if len(angles) != len(suffixes):
         raise InputError(
             f"the instrument {name!r} has {len(angles)} turns in a space of {dimension}",
+            code="wrong-shape",
             remedy=f"name {len(suffixes)}",
         )
     if dimension == 2 and (columns is not None or orientation != "quaternion"):
         raise InputError(
             f"the instrument {name!r} states how an orientation in space is written, and the "
             "machine moves in a plane",
+            code="unsupported",
             remedy=f"leave it out: one angle, {angles[0]}, is read",
         )
     if not isinstance(target, str) and target.parameters:
         raise InputError(
-            f"the turns of the target of {name!r} have no names", remedy="give the target a name"
+            f"the turns of the target of {name!r} have no names",
+            code="missing-key",
+            remedy="give the target a name",
         )
     measured = Orientation.of(orientation, columns, angles) if dimension == 3 else None
     stands = Station(station, dimension)

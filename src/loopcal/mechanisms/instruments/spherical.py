@@ -65,6 +65,7 @@ def spherical(
         raise InputError(
             f"the instrument {name!r} has {len(names)} readings, and in a space of {dimension} a "
             f"tracker reads {', '.join(own)}",
+            code="wrong-shape",
             remedy=f"name {dimension} readings",
         )
     stands = Station(name if station is None else station, dimension)

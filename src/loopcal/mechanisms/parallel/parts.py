@@ -71,6 +71,7 @@ def chosen_passive(passive: Iterable[str], there: Sequence[str], machine: str) -
         if name not in there:
             raise InputError(
                 f"{machine!r} has no passive joint {name!r} that could be read",
+                code="unknown-name",
                 remedy=nearest(name, there),
             )
     return tuple(name for name in there if name in wanted)
@@ -93,6 +94,7 @@ def starts(
         if name not in names:
             raise InputError(
                 f"the home of {machine!r} names {name!r}, which is no quantity of it",
+                code="unknown-name",
                 remedy=nearest(name, names),
             )
     return {name: value for name, value in {**own, **(stated or {})}.items() if name in names}

@@ -1,0 +1,85 @@
+"""Poses by the loops that hold in them and by what is unmeasured there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.expressions.tape import Tape
+from loopcal.mechanisms.mechanism import Mechanism
+
+Poses = slice | NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Poses in which the same loops hold and the same of their quantities are unmeasured.
+
+    loops, unmeasured, absent: positions of these loops, of the unmeasured quantities in them, and
+    of the quantities that are in none of them.
+    """
+
+    loops: tuple[int, ...]
+    unmeasured: tuple[int, ...]
+    absent: tuple[int, ...]
+    poses: Poses
+
+    def count(self, poses: int) -> int:
+        """How many poses these are, of so many."""
+        return poses if isinstance(self.poses, slice) else len(self.poses)
+
+    def equations(self, poses: int) -> int:
+        """Loop equations in these poses, less the unmeasured quantities they determine."""
+        return self.count(poses) * (len(self.loops) - len(self.unmeasured))
+
+
+@lru_cache(maxsize=64)
+def held_loops(tape: Tape, loops: tuple[int, ...]) -> Tape:
+    """The tape of the loops at these positions."""
+    return tape if len(loops) == len(tape.loops) else tape.only(loops)
+
+
+def patterns_of(
+    mechanism: Mechanism, unmeasured: NDArray[np.bool_], blind: NDArray[np.bool_] | None = None
+) -> tuple[Pattern, ...]:
+    """Poses by what is unmeasured in them, (k, N) or (k, 1), and by the loops that then hold.
+
+    A family's loops go where all its own readings are `blind`, by default unmeasured: eliminating
+    these readings would leave nothing of the loops.
+    """
+    codes = np.concatenate([unmeasured, unmeasured if blind is None else blind])
+    if (codes == codes[:, :1]).all():
+        found = _pattern(mechanism, codes[:, 0])
+        return (found,) if found.loops else ()
+    unique, inverse = np.unique(codes.T, axis=0, return_inverse=True)
+    alike: dict[tuple[tuple[int, ...], ...], list[int]] = {}
+    patterns = [_pattern(mechanism, code) for code in unique]
+    for i, pattern in enumerate(patterns):
+        alike.setdefault((pattern.loops, pattern.unmeasured), []).append(i)
+    return tuple(
+        replace(patterns[same[0]], poses=np.flatnonzero(np.isin(inverse.ravel(), same)))
+        for same in alike.values()
+        if patterns[same[0]].loops
+    )
+
+
+def _pattern(mechanism: Mechanism, code: NDArray[np.bool_]) -> Pattern:
+    """The pattern of all poses in which this is unmeasured and, in the second half, blind."""
+    tape = mechanism.tape
+    unmeasured, blind = code.reshape(2, -1)
+    missing = {tape.quantities[i] for i in np.flatnonzero(unmeasured)}
+    unread = {tape.quantities[i] for i in np.flatnonzero(blind)}
+    silent = {loop for f in mechanism.families if unread.issuperset(f.readings) for loop in f.loops}
+    inputs = tape.depends_on()
+    loops = [i for i, loop in enumerate(tape.loops) if loop not in silent]
+    present = frozenset().union(*(inputs[i] for i in loops))
+    places = enumerate(tape.quantities)
+    return Pattern(
+        tuple(loops),
+        tuple(i for i, name in places if name in missing and name in present),
+        tuple(i for i, name in enumerate(tape.quantities) if name not in present),
+        slice(None),
+    )
