@@ -158,9 +158,8 @@ def test_the_calibration_index_counts_equations() -> None:
     readings["yP"][:5] = np.nan
     noise = lc.Noise({"?P": 1e-4, "phi?": 1e-4})
     result = lc.calibrate(simulated.truth, readings, noise=noise)
-    said = lc.findings(result).identifiability
-    index = said.index
+    index = lc.findings(result).identifiability.index
     assert (index.value, index.sensed, index.mobility) == (35, 75, 40)
-    assert said.index_words() == (
+    assert index.words() == (
         "calibration index 35 (sensed 75 - mobility 40, over 20 poses) for 6 parameters"
     )

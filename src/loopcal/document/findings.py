@@ -67,6 +67,17 @@ class CalibrationIndex:
     """Sensed minus mobility: equations that the poses give."""
     sensed: Count
     mobility: int
+    poses: Count | None = None
+    """How many poses; null: written by an earlier version."""
+    parameters: Count | None = None
+    """How many are estimated; null: written by an earlier version."""
+
+    def words(self) -> str:
+        """One line."""
+        return (
+            f"calibration index {self.value} (sensed {self.sensed} - mobility {self.mobility}, "
+            f"over {self.poses} poses) for {self.parameters} parameters"
+        )
 
 
 @dataclass(frozen=True)

@@ -113,7 +113,7 @@ class Result:
     def freedom(self) -> int:
         """Degrees of freedom: loop equations + finite priors - determined parameters."""
         informed = 0 if self.fit.method.exact else int(np.isfinite(self.problem.prior_sd).sum())
-        return self.problem.equations + informed - self.spectrum.rank
+        return self.solution.equations + informed - self.spectrum.rank
 
     @cached_property
     def value(self) -> Mapping[str, float]:
@@ -348,7 +348,7 @@ class Result:
             observability=None,
             prediction=None,
             outliers=None,
-            data=data_entry(self.dataset, self.problem.count, [*self.mechanism.quantities]),
+            data=data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities]),
             warnings=self.warnings,
             inputs={},
             versions={},

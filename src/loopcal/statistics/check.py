@@ -32,7 +32,12 @@ from loopcal.mechanisms.prior import PriorLike
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import SHOWN
 from loopcal.presentation.text_table import columns
-from loopcal.statistics.identifiability import SCHROER, WhatDataSay, what_data_say
+from loopcal.statistics.identifiability import (
+    SCHROER,
+    WhatDataSay,
+    calibration_index,
+    what_data_say,
+)
 from loopcal.statistics.observability import observability
 from loopcal.statistics.predictor import largest_by_unit, predictor_at, usual_words
 from loopcal.units import from_si
@@ -122,7 +127,7 @@ class Check:
         condition = self.identifiability.condition_number
         if condition is not None:
             lines.append(f"condition number of the poses {significant(condition, 3)}")
-        lines += [self.observability.words(), self.identifiability.index_words()]
+        lines += [self.observability.words(), self.identifiability.index.words()]
         lines += [
             f"prediction to expect: {words} at 95 % of these poses"
             for words in usual_words(self.expected_at_poses)
@@ -168,7 +173,8 @@ def check(
             usual = predictor_at(
                 problem, problem.mechanism, system.covariance(), system, x, {}
             ).usual
-    said = what_data_say(problem, information, sds, unit_sd=None if told is None else 1.0)
+    index = calibration_index(problem, problem.count, problem.equations)
+    said = what_data_say(problem, information, sds, index, unit_sd=None if told is None else 1.0)
     verdict = _verdict(problem, said, loose)
     return Check(
         problem.mechanism,

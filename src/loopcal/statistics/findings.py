@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from loopcal.document.findings import Observability, OtherOptimum
 from loopcal.document.result_document import ResultDocument
 from loopcal.estimation.result import Result
-from loopcal.estimation.stream.sweeps import StreamedProblem
-from loopcal.statistics.identifiability import WhatDataSay, what_data_say
+from loopcal.statistics.identifiability import WhatDataSay, calibration_index, what_data_say
 from loopcal.statistics.observability import data_spectrum, observability
 from loopcal.statistics.optima import other_optima
 from loopcal.statistics.outliers import Outliers, find_outliers
@@ -42,7 +41,7 @@ class Findings:
 
     def words(self) -> str:
         """For the summary: one line each."""
-        lines = [self.observability.words(), self.identifiability.index_words()]
+        lines = [self.observability.words(), self.identifiability.index.words()]
         if self.predictor is not None:
             lines += [
                 f"prediction: {words} at 95 % of these poses"
@@ -54,17 +53,24 @@ class Findings:
 
 def findings(result: Result) -> Findings:
     """Everything that follows from the result's parameter system."""
+    solution = result.solution
     return Findings(
-        what_data_say(result.problem, result.information, result.sd, unit_sd=_unit_sd(result)),
-        observability(result.information, result.problem.count),
+        what_data_say(
+            result.problem,
+            result.information,
+            result.sd,
+            calibration_index(result.problem, solution.poses, solution.equations),
+            unit_sd=_unit_sd(result),
+        ),
+        observability(result.information, solution.poses),
         predictor(result),
         find_outliers(result),
-        () if isinstance(result.problem, StreamedProblem) else other_optima(result),
+        () if result.all_poses is not None else other_optima(result),
     )
 
 
 def _unit_sd(result: Result) -> float | None:
     """Sd of a whitened equation: 1 by the stated sds, else from the residuals."""
-    freedom = result.problem.equations - data_spectrum(result.information).rank
+    freedom = result.solution.equations - data_spectrum(result.information).rank
     variance = result.fit.method.unit_variance(result.information.chi_squared, freedom)
     return None if variance is None else math.sqrt(variance)

@@ -35,16 +35,13 @@ _LEADING, _MOST_NAMED = 0.3, 4
 class WhatDataSay:
     """condition_number: of the data alone, column-scaled; None where singular.
 
-    learned: of parameters with a prior; weak: directions, the worst first; index: over so many
-    poses, of so many parameters.
+    learned: of parameters with a prior; weak: directions, the worst first.
     """
 
     condition_number: float | None
     learned: tuple[Learned, ...]
     weak: tuple[WeakDirection, ...]
     index: CalibrationIndex
-    poses: int
-    parameters: int
 
     def added_to(self, found: Identifiability) -> Identifiability:
         """What a fit says of its poses, with this."""
@@ -54,14 +51,6 @@ class WhatDataSay:
             data_versus_prior=self.learned,
             weak_directions=self.weak,
             calibration_index=self.index,
-        )
-
-    def index_words(self) -> str:
-        """The calibration index in one line."""
-        index = self.index
-        return (
-            f"calibration index {index.value} (sensed {index.sensed} - mobility {index.mobility}, "
-            f"over {self.poses} poses) for {self.parameters} parameters"
         )
 
     def words(self, most: int = 3) -> list[str]:
@@ -80,6 +69,7 @@ def what_data_say(
     problem: Problem,
     information: Accumulator,
     sds: Mapping[str, float | None],
+    index: CalibrationIndex,
     *,
     unit_sd: float | None = 1.0,
 ) -> WhatDataSay:
@@ -96,21 +86,20 @@ def what_data_say(
         system.condition if whole else None,
         _learned(problem, units, sds),
         (*_undetermined(problem, system), *_weak(system, names, units, unit_sd)),
-        calibration_index(problem),
-        problem.count,
-        len(problem.free),
+        index,
     )
 
 
-def calibration_index(problem: Problem) -> CalibrationIndex:
-    """Count the equations that the poses give, as Hollerbach and Wampler do."""
-    poses = problem.count
+def calibration_index(problem: Problem, poses: int, equations: int) -> CalibrationIndex:
+    """Count the equations that all poses give, as Hollerbach and Wampler do."""
     quantities, loops = problem.readings.shape[0], len(problem.mechanism.tape.loops)
     mobility = (quantities - loops) * poses
     return CalibrationIndex(
-        problem.equations,
-        problem.equations + mobility,
+        equations,
+        equations + mobility,
         mobility,
+        poses,
+        len(problem.free),
     )
 
 

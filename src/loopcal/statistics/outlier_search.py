@@ -81,7 +81,7 @@ class Search:
 
     @property
     def _share(self) -> float:
-        return self.problem.count / len(self.problem.poses)
+        return self.result.solution.poses / self.problem.count
 
     def _too_few(self, gone: NDArray[np.bool_]) -> bool:
         return bool(gone.mean() > 0.5)
@@ -151,7 +151,8 @@ class Search:
                 ratios.append(s / quantile(0.5, r))
                 total, equations = total + float(s.sum()), equations + r * len(s)
         middle = float(np.median(np.concatenate(ratios)))
-        spare = max(self.problem.equations - len(self.problem.free), 1) / self.problem.equations
+        known = self.result.solution.equations
+        spare = max(known - len(self.problem.free), 1) / known
         mean = total / equations if cleaned else 0.0
         return max(middle / spare, mean / spare, 1e-300)
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.problem.unknowns import Unknowns
 from loopcal.estimation.solve.merit import Evaluation, Failed
@@ -40,14 +41,7 @@ class InMemory:
         closing = NEAR if any(pattern.unmeasured for pattern in problem.patterns) else None
         found = self.evaluate(parameters, corrections, closing=closing)
         if not found.finite:
-            raise explain_domain(
-                problem.mechanism.tape,
-                problem.readings,
-                problem.known,
-                parameters,
-                problem.poses,
-                problem.mechanism.remedies,
-            )
+            raise outside_domain(problem, parameters)
         if found.singular:
             raise cannot_close(found.singular)
         return found
@@ -60,8 +54,16 @@ class InMemory:
         return None if closed.open.any() else closed.corrections
 
 
+def outside_domain(problem: Problem, parameters: Array) -> InputError:
+    """What to report of loops that have no value at the readings."""
+    tape, remedies = problem.mechanism.tape, problem.mechanism.remedies
+    return explain_domain(
+        tape, problem.readings, problem.known, parameters, problem.poses, remedies
+    )
+
+
 def cannot_close(singular: Failed) -> InputError:
-    """What to say of poses in which a loop equation has nothing that could be corrected."""
+    """What to report of poses in which a loop equation has nothing that could be corrected."""
     return InputError(
         f"the loops of {singular.count} poses cannot close, the first is pose "
         f"{singular.poses[0]!r}: some equation there contains no uncertain quantity that could be "

@@ -22,7 +22,14 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.checkpoint import Checkpoint, Place
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Loss
-from loopcal.estimation.solve.merit import NONE_FAILED, Evaluation, Failed, Merit, State
+from loopcal.estimation.solve.merit import (
+    NONE_FAILED,
+    Evaluation,
+    Failed,
+    Merit,
+    State,
+    without_state,
+)
 from loopcal.estimation.solve.reduction import (
     WELL_CONDITIONED,
     Spectrum,
@@ -349,8 +356,7 @@ class _Solver(Generic[State]):
         return End(
             end.parameters,
             closed,
-            end.found.data,
-            end.found.cost,
+            without_state(end.found),
             end.spectrum,
             self.unknowns.prior_square(end.parameters),
             Status.of(reason, self.iterations, evaluations, detail),

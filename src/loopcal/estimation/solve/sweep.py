@@ -40,10 +40,19 @@ _SAMPLE = 64
 class Sweeper:
     """Sweeps over the poses of one problem, with one of the two reductions.
 
-    exact: treat the sensors as exact (the basic method); loss: None is the gaussian one.
+    exact: treat the sensors as exact (the basic method); loss: None is the gaussian one; rounding:
+    what rounding of the loop values does to whitened residuals, their length by pose, by default
+    as the first sweep shows it.
     """
 
-    def __init__(self, problem: Problem, *, exact: bool = False, loss: Loss | None = None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        exact: bool = False,
+        loss: Loss | None = None,
+        rounding: float | None = None,
+    ) -> None:
         self.problem = problem
         self.loss = loss
         self.reduce: Reduce = unweighted if exact else whiten
@@ -62,8 +71,7 @@ class Sweeper:
         self.corrects = not exact or any(p.unmeasured for p in problem.patterns)
         self.parameters = problem.start
         self.evaluations = 0
-        self.rounding: float | None = None
-        """What rounding of the loop values does to whitened residuals, their length by pose."""
+        self.rounding = rounding
 
     def sweep(
         self,

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.stream.ending import SHOWN
-from loopcal.estimation.stream.pieces import Chunk
+from loopcal.estimation.stream.chunks import Chunk
+from loopcal.estimation.stream.last_pass import SHOWN
 from loopcal.files.paths import expanded
 from loopcal.files.project.project_data import (
     LoadedData,
