@@ -14,7 +14,6 @@ import polars as pl
 import pytest
 
 import loopcal as lc
-from loopcal.errors import InputError
 from loopcal.execution.executor import InProcess
 from loopcal.execution.local import Processes
 from loopcal.files.study.study_file import read_study
@@ -22,6 +21,7 @@ from loopcal.simulation.simulate import simulate
 from loopcal.studies.draws import run_draws, seed_of
 from loopcal.studies.run import run_study
 from tests.command_line import environment, run
+from tests.refusals import refused
 
 STUDY = """schema = 1
 title = "Poor second joint"
@@ -107,7 +107,7 @@ def test_a_killed_study_goes_on(path: Path, tmp_path: Path) -> None:
 def test_a_changed_study_is_refused(path: Path, tmp_path: Path) -> None:
     run_study(path, draws=2, executor=InProcess(), out=tmp_path / "out")
     path.write_text(STUDY.replace("phi3 = 1e-2", "phi3 = 2e-2"), "utf-8")
-    with pytest.raises(InputError, match="another study"):
+    with refused("unreadable-file"):
         run_study(path, draws=2, executor=InProcess(), out=tmp_path / "out")
     path.write_text(STUDY.replace("Poor", "Bad"), "utf-8")  # a title changes no number
     assert "Bad" in run_study(path, draws=2, executor=InProcess(), out=tmp_path / "out").text
@@ -117,7 +117,7 @@ def test_a_part_that_cannot_be_read_is_named(path: Path, tmp_path: Path) -> None
     run_study(path, draws=2, executor=InProcess(), out=tmp_path)
     part = next((tmp_path / "parts").iterdir())
     part.write_bytes(b"PAR1")
-    with pytest.raises(InputError, match=r"\.parquet"):
+    with refused("unreadable-file"):
         run_study(path, draws=2, executor=InProcess(), out=tmp_path)
 
 

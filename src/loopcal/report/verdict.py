@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from loopcal.document.result_document import ResultDocument
-from loopcal.mechanisms.model_error import PREFIX
 from loopcal.presentation.shown import chance, size, unit_shown
 
 REJECTED = 0.01
@@ -94,7 +93,9 @@ def _of_data(document: ResultDocument) -> list[tuple[str, str]]:
 def _of_model(document: ResultDocument) -> list[tuple[str, str]]:
     found = []
     for entry in document.noise:
-        if entry.quantities[0].startswith(PREFIX) and entry.sd:
+        first = entry.quantities[0]  # a disturbance is no quantity of the data
+        of_model = first.startswith("model_") and first not in document.data.quantities
+        if of_model and entry.sd:
             unit = entry.unit
             found.append(
                 (

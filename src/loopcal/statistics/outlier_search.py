@@ -18,7 +18,6 @@ from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.solution import Solution
-from loopcal.mechanisms.model_error import disturbances
 from loopcal.statistics.pose_tests import Fit, PoseTests, pose_tests, settle
 
 Array = NDArray[np.float64]
@@ -34,7 +33,7 @@ class Search:
         self.level = level
         self.scale = "residual" if self.exact else scale
         names = self.problem.mechanism.tape.quantities
-        aside = set(disturbances(self.problem.mechanism))
+        aside = set(self.problem.mechanism.disturbances)
         self.readings = np.array([name not in aside for name in names])
 
     def hopeless(self) -> bool:

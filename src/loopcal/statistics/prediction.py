@@ -24,7 +24,6 @@ from loopcal.estimation.result import Result
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.model_error import PREFIX
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import with_unit
@@ -206,7 +205,7 @@ def predict(
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     machine = known.mechanism.predicting()
     names, unused = machine.tape.quantities, machine.unused
-    also = [q for q in names if q not in data.readings and not q.startswith(PREFIX)]
+    also = [q for q in names if q not in data.readings and q not in machine.disturbances]
     also = [q for q in also if q not in machine.outputs and q not in unused]
     _check_enough(machine, also)
     found = replace(machine, outputs=(*machine.outputs, *also))
@@ -245,7 +244,9 @@ def _check_enough(mechanism: Mechanism, missing: Sequence[str]) -> None:
 def _readings(quantity: str, data: Dataset, known: Predictor) -> Array:
     """Readings (N,), or a start for what is found; a disturbance of the model is zero."""
     if quantity in known.units or quantity not in data.readings:
-        start = 0.0 if quantity.startswith(PREFIX) else known.typical.get(quantity, 0.0)
+        start = (
+            0.0 if quantity in known.mechanism.disturbances else known.typical.get(quantity, 0.0)
+        )
         given = data.readings.get(quantity, np.full(len(data), np.nan))
         return np.where(np.isnan(given), start, given)
     return np.array(data.readings[quantity])

@@ -18,7 +18,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.model_error import PREFIX, with_model_error
+from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.presentation.shown import with_unit
 from loopcal.statistics.sensitivity import output_sensitivity
@@ -98,7 +98,7 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
             remedy="add the instrument whose readings are to be predicted, and calibrate again",
         )
     sds = {q: entry.sd for entry in document.noise for q in entry.quantities}
-    if any(q.startswith(PREFIX) for q in sds):
+    if any(q in sds and q not in mechanism.quantities for q in disturbances(mechanism)):
         mechanism = with_model_error(mechanism)
     usual = stored.by or tuple(
         UsualSd(group.instrument, group.station, group.unit, stored.sd_at_poses[group.unit])
