@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from loopcal.estimation.on_request import ComparedModel
 
 from loopcal.errors import InputError
 from loopcal.measurements.dataset import Dataset
