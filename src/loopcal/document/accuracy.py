@@ -73,6 +73,17 @@ class InstrumentDistances:
 
 
 @dataclass(frozen=True)
+class FailedPart:
+    """A part of a validation that could not be predicted."""
+
+    number: Count
+    """Which of the parts, from 1."""
+    poses: Count
+    """How many poses it has."""
+    reason: str
+
+
+@dataclass(frozen=True)
 class ValidationEntry:
     """How well poses were predicted that took no part in the fit."""
 
@@ -88,6 +99,10 @@ class ValidationEntry:
     orientation: Distances | None = None
     """Angles [rad] between computed and measured orientations; null: none, or nothing else is."""
     by: tuple[InstrumentDistances, ...] = ()
+    parts: Count = 1
+    """How many parts were to be predicted."""
+    failed: tuple[FailedPart, ...] = ()
+    """Those whose fit failed; they do not count."""
 
 
 @dataclass(frozen=True)

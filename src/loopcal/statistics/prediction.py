@@ -22,7 +22,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.result import Result
 from loopcal.measurements.dataset import Dataset
-from loopcal.measurements.noise import Noise, resolve_noise
+from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.presentation.rounding import significant
@@ -185,7 +185,7 @@ def _spread(covariance: Array, group: OutputGroup) -> str:
 
 
 def predict(
-    calibration: Result | Predictor, data: Dataset | Any, *, noise: Noise | None = None
+    calibration: Result | Predictor, data: Dataset | Any, *, noise: NoiseLike | None = None
 ) -> Prediction:
     """Where the calibrated machine is at these readings, with covariance and extrapolation alarm.
 
@@ -202,6 +202,7 @@ def predict(
             code="no-outputs",
             remedy="name the quantities that its loops predict: outputs = (...)",
         )
+    told = Noise.of(noise)
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     machine = known.mechanism.predicting()
     names, unused = machine.tape.quantities, machine.unused
@@ -224,7 +225,7 @@ def predict(
         dict(zip(known.units, y[:o], strict=True)),
         known.units,
         from_parameters,
-        _by_readings(known, found, data, noise, S.by_reading[:, :o]),
+        _by_readings(known, found, data, told, S.by_reading[:, :o]),
         _ratio(from_parameters, known),
         output_groups(known.mechanism),
     )

@@ -18,7 +18,7 @@ from typing import Any, Unpack, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.accuracy import ValidationEntry
+from loopcal.document.accuracy import FailedPart, ValidationEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import validation_table
 from loopcal.errors import InputError, NoTrustworthyResult
@@ -36,15 +36,6 @@ from loopcal.statistics.folds import Index, Scheme, SchemeOptions, parts_of
 from loopcal.statistics.predictive import held_problem, log_densities, taken
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class FailedPart:
-    """A part of a validation that could not be predicted: its number, how many poses, and why."""
-
-    number: int
-    poses: int
-    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +82,8 @@ class Validation:
             self.log_likelihood,
             None if turned is None else turned.distances,
             () if found is None else tuple(one.entry for one in found.by),
+            self.parts,
+            self.failed,
         )
 
     def added_to(self, document: ResultDocument) -> ResultDocument:
@@ -271,7 +264,7 @@ def _pooled(
     if not parts:
         raise NoTrustworthyResult(
             f"no part could be predicted ({words}): {failed[0].reason}",
-            code="invalid-value",
+            code="not-converged",
             remedy="use fewer parts, or see what the summary says of the fit of all poses",
         )
     if failed:
