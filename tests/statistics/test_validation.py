@@ -12,9 +12,11 @@ from scipy.stats import multivariate_normal
 
 import loopcal as lc
 from loopcal.errors import InputError
+from loopcal.statistics import validation
 from loopcal.statistics.folds import folds, grouped, held_out, repeated
 from loopcal.statistics.validation import compare_methods, validate
 from tests.reference.simulated import arm_at, planar_arm
+from tests.refusals import refused
 
 SDS = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3}
 NOISE = lc.Noise(SDS)
@@ -222,3 +224,34 @@ def test_the_measured_workspace(
     assert new is not None
     assert basic.rms == pytest.approx(2.39e-3, abs=0.02e-3)
     assert new.rms == pytest.approx(3.08e-3, abs=0.06e-3)
+
+
+def test_a_fold_that_fails_is_reported_and_the_others_count(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    parts = folds(repeated(ARM.truth, DATA), 5, seed=0)
+    gone = {DATA.poses[i] for i in parts[2]}
+
+    def failing(mechanism: lc.Mechanism, data: lc.Dataset, **how: Any) -> lc.Result:
+        if not gone & set(data.poses):
+            raise InputError("these poses do not close")
+        return lc.calibrate(mechanism, data, **how)
+
+    whole = validate(ARM.truth, DATA, noise=NOISE, folds=5)
+    monkeypatch.setattr(validation, "calibrate", failing)
+    found = validate(ARM.truth, DATA, noise=NOISE, folds=5)
+    (failed,) = found.failed
+    assert (failed.number, failed.poses, failed.reason) == (3, 8, "these poses do not close")
+    assert found.parts == 5
+    assert "4 of 5 folds predicted" in found.words
+    assert set(found.poses) == set(DATA.poses) - gone
+    kept = [pose not in gone for pose in whole.poses]
+    assert whole.by_pose is not None
+    assert found.log_likelihood == pytest.approx(whole.by_pose[kept].sum(), rel=1e-12)
+    assert any("Fold 3 of 5 (8 poses)" in warning for warning in found.warnings)
+
+
+def test_where_every_fold_fails_there_is_no_validation() -> None:
+    full = lc.calibrate(ARM.truth, DATA, noise=NOISE)
+    with refused("not-converged", "max_iterations"):
+        validate(ARM.truth, DATA, noise=NOISE, folds=5, full=full, max_iterations=0)

@@ -209,7 +209,7 @@ def _pooled(
     if not parts:
         raise NoTrustworthyResult(
             f"no part could be predicted ({words}): {failed[0].reason}",
-            code="invalid-value",
+            code="not-converged",
             remedy="use fewer parts, or see what the summary says of the fit of all poses",
         )
     if failed:
