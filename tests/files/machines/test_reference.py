@@ -26,7 +26,13 @@ from loopcal.mechanisms.serial import Joint
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "reference" / "mechanism-file.md"
 PARTS = {"load": Load, "joint": Joint, "link-joint": LinkJoint, "mimic": Mimic}
-MAKERS = {**INSTRUMENTS, **EFFECTS, **PARALLEL, **PARTS, "screw-joint": ScrewJoint}
+MAKERS: dict[str, Callable[..., Any]] = {
+    **INSTRUMENTS,
+    **EFFECTS,
+    **PARALLEL,
+    **PARTS,
+    "screw-joint": ScrewJoint,
+}
 
 
 def shown(default: Any) -> str:
