@@ -24,7 +24,7 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.rounding import significant
 from loopcal.estimation.summary import SHOWN
 from loopcal.measurements.dataset import Dataset
-from loopcal.measurements.noise import Noise, resolve_noise
+from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.predictor import Predictor, by_parameters, predictor, trace_sd
 from loopcal.statistics.sensitivity import output_sensitivity
@@ -167,7 +167,7 @@ def _spread(covariance: Array, units: Mapping[str, str], unit: str) -> str:
 
 
 def predict(
-    calibration: Result | Predictor, data: Dataset | Any, *, noise: Noise | None = None
+    calibration: Result | Predictor, data: Dataset | Any, *, noise: NoiseLike | None = None
 ) -> Prediction:
     """Where the calibrated machine is at these readings, with covariance and extrapolation alarm.
 
@@ -184,6 +184,7 @@ def predict(
             code="no-outputs",
             remedy="name the quantities that its loops predict: outputs = (...)",
         )
+    told = Noise.of(noise)
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     machine = known.mechanism.predicting()
     names, unused = machine.tape.quantities, machine.unused
@@ -206,7 +207,7 @@ def predict(
         dict(zip(known.units, y[:o], strict=True)),
         known.units,
         from_parameters,
-        _by_readings(known, found, data, noise, S.by_reading[:, :o]),
+        _by_readings(known, found, data, told, S.by_reading[:, :o]),
         _ratio(from_parameters, known),
     )
 

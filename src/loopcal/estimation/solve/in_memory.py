@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
-from loopcal.estimation.problem.unknowns import Unknowns
 from loopcal.estimation.solve.merit import Evaluation, Failed
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.expressions.domain import explain_domain
@@ -23,7 +20,8 @@ class InMemory:
 
     def __init__(self, sweeper: Sweeper) -> None:
         self.sweeper = sweeper
-        self.unknowns: Unknowns = replace(sweeper.problem.unknowns, prior_sd=sweeper.prior_sd)
+        own = sweeper.problem.unknowns
+        self.unknowns = own.without_prior() if sweeper.exact else own
         self.evaluate = sweeper.sweep
 
     @property

@@ -221,11 +221,12 @@ class _Solver(Generic[State]):
         return self._point(parameters, found)
 
     def _point(self, parameters: Array, found: Evaluation[State]) -> _Point[State]:
-        merit = found.cost + self.unknowns.prior_square(parameters)
+        offset = self.unknowns.offset(parameters)
+        off = offset / self.unknowns.prior_sd
+        merit = found.cost + float(off @ off)
         bad = not math.isfinite(merit) or bool(found.late) or bool(found.singular)
         system = None
         if found.finite:
-            offset = self.unknowns.offset(parameters)
             system = spectrum(found.data, offset, self.unknowns.prior_sd)
         return _Point(parameters, found, np.inf if bad else merit, system, found.closing)
 

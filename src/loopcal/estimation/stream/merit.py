@@ -84,8 +84,7 @@ class StreamMerit:
     """
 
     def __init__(self, task: Task, crew: Crew, first: Problem) -> None:
-        prior_sd = np.full(len(first.free), np.inf) if task.exact else first.prior_sd
-        self.unknowns = replace(first.unknowns, prior_sd=prior_sd)
+        self.unknowns = first.unknowns.without_prior() if task.exact else first.unknowns
         self.task, self.crew = task, crew
         self.evaluations = 0
         self.sizes: list[int] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -214,6 +214,8 @@ def _validation(result: Result) -> dict[str, Any] | None:
         "poses": len(found.poses),
         "accuracy": found.accuracy and _distances(found.accuracy),
         "log_likelihood": found.log_likelihood,
+        "parts": found.parts,
+        "failed": [asdict(part) for part in found.failed],
     }
 
 
