@@ -82,7 +82,9 @@ def calibrate(
 
     def solved(problem: Problem) -> Solution:
         # an undamped method is for study: it shows how its own iteration ends
-        return fitted(problem) if fit.method.damped else solve_or_fall_back(problem, fitted)
+        if fit.method.damped:
+            return fitted(problem)
+        return solve_or_fall_back(problem, fitted, fit.max_iterations)
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)

@@ -31,17 +31,20 @@ other parameters themselves; each is searched for so many iterations."""
 _HIGHER = 1e-6
 
 
-def solve_or_fall_back(problem: Problem, fit: Callable[[Problem], Solution]) -> Solution:
+def solve_or_fall_back(
+    problem: Problem, fit: Callable[[Problem], Solution], max_iterations: int = 100
+) -> Solution:
     """The fit from the problem's start, or from others if it does not converge.
 
-    The status says what was tried. Raises InputError as the fit does.
+    The status says what was tried; max_iterations: of each search for a start.
+    Raises InputError as the fit does.
     """
     first = fit(problem)
     if first.status.converged or first.status.reason == "runaway":
         return first  # elsewhere a model that invites parameters to infinity has false optima
     tried: list[str] = []
     rank = solve(problem, exact=True, max_iterations=0).spectrum.rank
-    for name, start in _starts(problem):
+    for name, start in _starts(problem, max_iterations):
         tried.append(name)
         try:
             found = fit(replace(problem, start=start))
@@ -60,12 +63,12 @@ def _with_note(solution: Solution, note: str) -> Solution:
     return replace(solution, status=replace(solution.status, message=message, note=note))
 
 
-def _starts(problem: Problem) -> Iterator[tuple[str, Array]]:
+def _starts(problem: Problem, most: int) -> Iterator[tuple[str, Array]]:
     stride = max(1, len(problem.poses) // _POSES)
     some = taken(problem, np.arange(0, len(problem.poses), stride)) if stride > 1 else problem
     searches: dict[str, Callable[[], Solution]] = {
-        "least squares": lambda: solve(some, exact=True),
-        "the iteration of the thesis": lambda: iterate_undamped(some),
+        "least squares": lambda: solve(some, exact=True, max_iterations=most),
+        "the iteration of the thesis": lambda: iterate_undamped(some, max_iterations=most),
     }
     for name, search in searches.items():
         try:
@@ -77,7 +80,7 @@ def _starts(problem: Problem) -> Iterator[tuple[str, Array]]:
     best, least = None, np.inf
     for start in _several(problem):
         try:
-            end = solve(replace(some, start=start), exact=True, max_iterations=_SEARCH)
+            end = solve(replace(some, start=start), exact=True, max_iterations=min(most, _SEARCH))
         except InputError:
             continue
         if end.chi_squared < least:
