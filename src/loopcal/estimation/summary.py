@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from loopcal.estimation.rounding import rounded_by_sd, significant
+from loopcal.estimation.rounding import FINE, rounded_by_sd, significant
 from loopcal.units import from_si
 
 if TYPE_CHECKING:
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
 SHOWN = {"m": "mm", "rad": "deg", "m/K": "um/K", "rad/K": "urad/K"}
 """Units in which SI values are printed, because they are the ones drawings and controllers use."""
-FINE = {"m": "um", "rad": "urad"}
-"""Units in which sds of sensors are printed."""
 
 
 def summary(result: Result) -> str:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from loopcal.estimation.rounding import rounded_by_sd, significant
-from loopcal.estimation.summary import FINE, SHOWN
+from loopcal.estimation.rounding import FINE, rounded_by_sd, significant
+from loopcal.estimation.summary import SHOWN
 from loopcal.units import from_si
 
 NONE = "–"
