@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from loopcal.document.fit import NoiseEntry
 from loopcal.errors import InputError
 from loopcal.estimation.noise.estimation import EstimatedSd, NoiseEstimate
-from loopcal.estimation.noise.noise_entry import NoiseEntry
 from loopcal.estimation.noise.variance_components import Component
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.rounding import sensor_sd
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import disturbances, with_model_error
+from loopcal.presentation.shown import with_unit
 
 
 def with_model(mechanism: Mechanism, data: Dataset, noise: Noise) -> tuple[Mechanism, Dataset]:
@@ -141,9 +141,9 @@ def words(
         if of_model and sum(shares[q] for q in entry.quantities) > 0.5:
             said.append(
                 "The machine model limits the accuracy, not a sensor: in each coordinate an error "
-                f"of {sensor_sd(entry.sd, entry.unit)} remains that no sensor noise explains. Look "
-                "for what the model lacks (compliance, gear or encoder eccentricity, drift, bad "
-                "poses)."
+                f"of {with_unit(entry.sd, entry.unit, 2, fine=True)} remains that no sensor noise "
+                "explains. Look for what the model lacks (compliance, gear or encoder "
+                "eccentricity, drift, bad poses)."
             )
     for one, other in estimate.alike:
         said.append(
@@ -152,7 +152,8 @@ def words(
         )
     for entry in noise:
         if entry.source == "estimated" and entry.sd == 0.0 and entry.upper is not None:
-            names, bound = ", ".join(entry.quantities), sensor_sd(entry.upper, entry.unit)
+            names = ", ".join(entry.quantities)
+            bound = with_unit(entry.upper, entry.unit, 2, fine=True)
             said.append(f"{names}: noise not detectable (sd below {bound} with 95 % confidence).")
     if not estimate.settled:
         said.append(

@@ -4,11 +4,6 @@ from __future__ import annotations
 
 import math
 
-from loopcal.units import from_si
-
-FINE = {"m": "um", "rad": "urad"}
-"""Units in which sds of sensors are shown."""
-
 
 def significant(value: float, digits: int) -> str:
     """A number with so many significant digits, never in exponent form between 1e-4 and 1e9.
@@ -22,16 +17,6 @@ def significant(value: float, digits: int) -> str:
     if not -5 < magnitude < 9:
         return f"{value:.{digits - 1}e}"
     return f"{value:.{max(digits - 1 - magnitude, 0)}f}"
-
-
-def sensor_sd(sd: float, unit: str) -> str:
-    """An sd [SI unit] as sensors are specified.
-
-    >>> sensor_sd(2.9e-5, "rad")
-    '29 urad'
-    """
-    shown = FINE.get(unit, unit)
-    return f"{significant(from_si(sd, shown), 2)} {shown}"
 
 
 def rounded_by_sd(value: float, sd: float, *, sign: bool = False) -> str:
