@@ -69,7 +69,8 @@ def check_dataset(
         _stop_if_cold(dataset, quantity, si)
     for point in points:
         if len(point) > 1 and all(q in suspects for q in point):
-            refuse_lost(dataset, point, np.all(_zeros(dataset, point), axis=0))
+            right = f"if the point is right, set check = false for {point[0]!r}"
+            refuse_lost(dataset, point, np.all(_zeros(dataset, point), axis=0), right)
     return (
         *_repeated_poses(dataset),
         *_empty_poses(dataset, [q for q in quantities if q in dataset.readings]),
@@ -95,8 +96,13 @@ def check_units(dataset: Dataset, quantities: Mapping[str, str]) -> None:
             )
 
 
-def refuse_lost(dataset: Dataset, names: Sequence[str], lost: NDArray[np.bool_]) -> None:
-    """Raise InputError for poses (N,) in which these quantities read 0 for a lost reflector."""
+def refuse_lost(
+    dataset: Dataset, names: Sequence[str], lost: NDArray[np.bool_], otherwise: str
+) -> None:
+    """Raise InputError for poses (N,) in which these quantities read 0 for a lost reflector.
+
+    otherwise: what else to do.
+    """
     where = np.flatnonzero(lost)
     if where.size:
         raise InputError(
@@ -105,8 +111,7 @@ def refuse_lost(dataset: Dataset, names: Sequence[str], lost: NDArray[np.bool_])
             "was lost",
             code="lost-reflector",
             place=dataset.place(int(where[0]), names[0]),
-            remedy=f"leave these cells blank; if the point is right, set check = false for "
-            f"{names[0]!r}",
+            remedy=f"leave these cells blank; {otherwise}",
         )
 
 
