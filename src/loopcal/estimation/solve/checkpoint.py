@@ -30,7 +30,8 @@ class Checkpoint(Generic[State]):
 
     first, current: where the search began, and where it is; before: the decrement one iteration
     ago; floor: the decrement that rounding hides; triangular: whether the parameter system is
-    kept as a triangle; iterations, evaluations: done so far.
+    kept as a triangle; iterations, evaluations: done so far; stage, earlier: of a robust fit, which
+    of its fits this is, and the iterations before it.
     """
 
     first: Place[State]
@@ -41,6 +42,8 @@ class Checkpoint(Generic[State]):
     triangular: bool
     iterations: int
     evaluations: int
+    stage: int = 0
+    earlier: int = 0
 
     def document(self) -> dict[str, Any]:
         """The checkpoint in plain lists, numbers and names; the state must be such itself."""

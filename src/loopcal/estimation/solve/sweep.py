@@ -136,7 +136,7 @@ class Sweeper:
             asked,
             self.rounding or 0.0,
             problem.equations,
-            problem.count,
+            (problem.count,),
             self._failed(singular),
             self._failed(late),
             surplus,
