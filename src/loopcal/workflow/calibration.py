@@ -239,7 +239,7 @@ class _Run:
             return result.noted(f"Not validated: {_UNCONVERGED}.")
         from loopcal.statistics.validation import validate
 
-        given |= validation_arguments(project, self.validation) | self._shared("folds")
+        given |= validation_arguments(project, self.validation, data.poses) | self._shared("folds")
         try:
             found = validate(project.mechanism, data, **given, full=result)
         except NoTrustworthyResult as error:
@@ -252,7 +252,8 @@ class _Run:
 
         project = self.project
         given: dict[str, Any] = {"noise": loaded.noise, "fit": self.fit}
-        given |= validation_arguments(project, self.validation or ValidationSpec(folds=10))
+        asked = self.validation or ValidationSpec(folds=10)
+        given |= validation_arguments(project, asked, loaded.dataset.poses)
         given |= self._shared("folds")
         found = compare_models(project.mechanism, loaded.dataset, project.compare, **given)
         chosen = next(m for m in found.models if m.name == found.recommended)
