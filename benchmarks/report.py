@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import command
+import learning
 import memory
 import platform_poses
 from both_engines import Engines
@@ -138,6 +139,24 @@ def cold_start(times: dict[str, Times], study: float) -> str:
         f"{study:.1f} s (at most {command.DEMANDED_STUDY:g} s: "
         f"{met(study <= command.DEMANDED_STUDY)})."
     )
+
+
+def learnt(found: Sequence[learning.Learning]) -> str:
+    """Learnt sds, and readings that no sds explain, beside a plain fit."""
+    rows = [
+        [
+            case.case,
+            f"{case.seconds:.2f}",
+            f"{case.ratio:.0f}",
+            ""
+            if case.demanded is None
+            else f"{case.demanded:g} s: {met(case.seconds <= case.demanded)}",
+        ]
+        for case in found
+    ]
+    head = ["case", "processor [s]", "of a plain fit", "at most"]
+    title = f"A six-axis arm with {learning.REFLECTORS} reflectors, {learning.POSES:,} poses:"
+    return f"### Learnt sds\n\n{title}\n\n{table(head, rows)}"
 
 
 def platform(found: Sequence[platform_poses.Platform]) -> str:

@@ -20,6 +20,7 @@ import figure
 import flatness
 import floor
 import floor_report
+import learning
 import memory
 import platform_poses
 import report
@@ -107,6 +108,13 @@ def platforms(found: Found, asked: argparse.Namespace) -> None:
     found.texts.append(report.platform(seen))
 
 
+def learnt(found: Found, asked: argparse.Namespace) -> None:
+    """Sds learnt, and validated."""
+    cases = learning.measure()
+    found.numbers["learning"] = [asdict(case) for case in cases]
+    found.texts.append(report.learnt(cases))
+
+
 PARTS: dict[str, Callable[[Found, argparse.Namespace], None]] = {
     "programs": programs,
     "engines": engines,
@@ -114,6 +122,7 @@ PARTS: dict[str, Callable[[Found, argparse.Namespace], None]] = {
     "memory": memories,
     "command": commands,
     "platform": platforms,
+    "learning": learnt,
 }
 CHECKED = {"programs", "engines"}
 """Parts that compare results: nothing is told before all of them have."""

@@ -34,6 +34,7 @@ ABOVE_ALL = {*FACE, "__main__"}
 
 MOST_LINES = 400
 SCREEN = 50
+MOST_ARGUMENTS = 8
 VAGUE_NAMES = {"utils", "util", "helpers", "helper", "misc", "common", "tools"}
 PLOTTING = {"plotly", "matplotlib", "bokeh", "altair", "seaborn"}
 
@@ -148,7 +149,30 @@ def length_on_screen(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     return lines
 
 
+def arguments(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """How many a function takes, without self; *args and **kwargs count as one each."""
+    own = function.args
+    named = [a.arg for a in (*own.posonlyargs, *own.args, *own.kwonlyargs)]
+    collected = [a for a in (own.vararg, own.kwarg) if a is not None]
+    return len([name for name in named if name not in ("self", "cls")]) + len(collected)
+
+
+def is_command(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
+    """Whether it is a command of the command line, whose arguments are options."""
+    return any(
+        isinstance(d, ast.Call) and dotted(d.func) == "app.command" for d in function.decorator_list
+    )
+
+
 MODULES = source_modules()
+
+
+def method_names() -> set[str]:
+    """The names in the registry of methods."""
+    registry = next(m for m in MODULES if m.name == "estimation.methods.registry")
+    rows = next(node.value for node in registry.tree.body if isinstance(node, ast.Assign))
+    assert isinstance(rows, ast.Dict)
+    return {str(key.value) for key in rows.keys if isinstance(key, ast.Constant)}
 
 
 def test_there_is_a_package_to_look_at() -> None:
@@ -195,6 +219,33 @@ def test_nine_functions_of_ten_fit_one_screen() -> None:
     }
     long = {name: length for name, length in lengths.items() if length > SCREEN}
     assert len(long) <= len(lengths) / 10, long
+
+
+def test_no_function_takes_more_than_eight_arguments() -> None:
+    many = {
+        f"{module.name}.{function.name}": arguments(function)
+        for module in MODULES
+        for function in module.functions()
+        if arguments(function) > MOST_ARGUMENTS and not is_command(function)
+    }
+    assert many == {}
+
+
+def test_a_method_is_named_where_it_is_defined_and_compared_nowhere() -> None:
+    texts = [p for p in PACKAGE.rglob("*") if p.suffix in (".py", ".toml", ".html", ".js")]
+    named = [path for path in texts if "least-squares" in path.read_text("utf-8")]
+    assert len(named) <= 6, named
+    names = method_names()
+    assert "least-squares" in names
+    compared = [
+        f"{module.name}:{node.lineno}"
+        for module in MODULES
+        for node in ast.walk(module.tree)
+        if isinstance(node, ast.Compare)
+        for part in (node.left, *node.comparators)
+        if isinstance(part, ast.Constant) and part.value in names
+    ]
+    assert compared == []
 
 
 def test_every_module_says_what_it_holds() -> None:

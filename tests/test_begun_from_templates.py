@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.errors import InputError
 from loopcal.workflow.calibration import run_calibration
 from loopcal.workflow.projects import new_project
 from loopcal.workflow.simulation import run_simulation
+from tests.refusals import refused
 
 
 def test_lengths_that_the_rest_makes_up_for_set_no_size(
@@ -25,7 +25,7 @@ def test_lengths_that_the_rest_makes_up_for_set_no_size(
     text = file.read_text()
     assert '"a_2" = { fixed = true }' in text
     file.write_text(text.replace('"a_2" = { fixed = true }', ""))
-    with pytest.raises(InputError, match="no length is measured"):
+    with refused("unknown-size"):
         run_calibration("arm/project.toml")
 
 

@@ -59,6 +59,7 @@ Code = Literal[
     "unknown-unit",
     "unreadable-file",
     "unsupported",
+    "untraceable-function",
     "unwritable-file",
     "version-mismatch",
     "worker-lost",

@@ -15,6 +15,7 @@ from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
 from tests.reference.plain_tape import FUNCTIONS, loop_values
 from tests.reference.random_loops import PARAMETERS, QUANTITIES, RandomLoops, random_loops
+from tests.refusals import refused
 
 
 def traced(loops: RandomLoops) -> Tape:
@@ -196,5 +197,5 @@ def test_a_tape_that_lacks_a_part_is_refused(missing: str) -> None:
 
 
 def test_a_tape_that_is_no_mapping_is_refused() -> None:
-    with pytest.raises(InputError, match="not a tape"):
+    with refused("wrong-file-type"):
         Tape.from_data([1, 2, 3])  # type: ignore[arg-type]

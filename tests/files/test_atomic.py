@@ -10,6 +10,7 @@ import pytest
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic, write_files
+from tests.refusals import refused
 
 NEW: dict[str, str | bytes] = {
     "result.json": '{"µ": 1}',
@@ -127,7 +128,7 @@ def test_where_hard_links_are_unknown_the_earlier_files_come_back_too(folder, mo
     assert (folder / "result.json").read_text() == "1"
     (folder / "result.json").write_bytes(before["result.json"])
     (folder / "residuals.csv").mkdir()
-    with pytest.raises(InputError, match="a folder of this name is in the way"):
+    with refused("unwritable-file"):
         write_files(folder, NEW)
     (folder / "residuals.csv").rmdir()
     assert contents(folder) == before
@@ -158,16 +159,16 @@ def test_an_interrupt_leaves_nothing_behind(folder, monkeypatch):
 def test_a_file_where_a_folder_is_needed(tmp_path):
     (tmp_path / "results").write_text("mine")
     for folder in ("results", "results/deeper"):
-        with pytest.raises(InputError, match="a file stands where a folder is needed") as caught:
+        with refused("unwritable-file") as caught:
             write_files(tmp_path / folder, NEW)
         assert str(tmp_path / folder) in str(caught.value)
     assert (tmp_path / "results").read_text() == "mine"
 
 
 def test_a_folder_where_a_file_is_needed(tmp_path):
-    with pytest.raises(InputError, match="a folder of this name is in the way"):
+    with refused("unwritable-file"):
         write_atomic(tmp_path, "x")
-    with pytest.raises(InputError, match="name is too long"):
+    with refused("unwritable-file"):
         write_atomic(tmp_path / ("x" * 300), "x")
 
 
@@ -177,7 +178,7 @@ def test_what_is_to_go_goes_with_the_rest_or_stays(tmp_path: Path) -> None:
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "3"}
     write_files(tmp_path, {"old": "4"})
     (tmp_path / "b").mkdir()
-    with pytest.raises(InputError, match="in the way"):
+    with refused("unwritable-file"):
         write_files(tmp_path, {"a": "5", "b": "6"}, remove=("old",))
     (tmp_path / "b").rmdir()
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "3", "old": "4"}

@@ -12,6 +12,7 @@ import loopcal as lc
 from loopcal.errors import InputError
 from loopcal.measurements.datasheet import DatasheetSd, Tracker, length_figure
 from loopcal.measurements.noise import resolve_noise
+from tests.refusals import refused
 
 AT500: dict[str, Any] = {"range": "10 um + 0.3 um/m", "transverse": "15 um + 6 um/m"}
 POINTS = np.random.default_rng(3).normal(0, 4, (40, 3))
@@ -159,7 +160,7 @@ def test_a_number_it_is_all_the_same():
 def test_a_lost_reflector_is_named_by_its_pose():
     data = lc.Dataset.from_arrays({q: [1.0, 0.0] for q in "xyz"}, poses=["a", "lost"])
     noise = lc.Noise({("x", "y", "z"): Tracker.of("leica-at500")})
-    with pytest.raises(InputError, match="tracker itself") as caught:
+    with refused("lost-reflector") as caught:
         resolve_noise(noise, data, ["x", "y", "z"], lambda key: (key,))
     assert "lost" in str(caught.value)
 

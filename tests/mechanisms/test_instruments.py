@@ -25,6 +25,7 @@ from loopcal.mechanisms.serial import chain_machine
 from loopcal.mechanisms.station import Target
 from tests.reference import frames
 from tests.reference.plain_tape import loop_values
+from tests.refusals import refused
 
 Array = NDArray[np.float64]
 STEPS = (Step("rz", None, "q1"), Step("tx", "a"), Step("ry", None, "q2"), Step("tz", "h"))
@@ -254,17 +255,17 @@ def test_instruments_that_share_a_name_share_its_parameters() -> None:
     ],
 )
 def test_what_does_not_go_together_is_refused(instruments: list[Instrument], words: str) -> None:
-    with pytest.raises(InputError, match=words) as refused:
+    with pytest.raises(InputError, match=words) as error:
         assemble(machine(), instruments)
-    assert refused.value.remedy
+    assert error.value.remedy
 
 
 def test_the_name_of_a_joint_is_none_of_an_instrument() -> None:
     """tool_x of a joint called "tool" is no coordinate of a target."""
     for mine in (point(target="q"), point(station="q")):
-        with pytest.raises(InputError, match="'q_x' is a parameter of a joint and of") as refused:
+        with refused("duplicate-name", "'q_x'") as error:
             assemble(chain_machine([Step("tx", "q_x"), Step("rz", joint="q")], name="arm"), [mine])
-        assert "differently" in str(refused.value.remedy)
+        assert "differently" in str(error.value.remedy)
 
 
 def test_what_no_file_can_describe_is_a_function_to_it() -> None:
@@ -279,9 +280,9 @@ def test_a_wire_of_no_length_is_told_what_to_do() -> None:
     mechanism = made([draw_wire()], at | {"tool_z": 0.0})
     data = {"q1": [0.1, 0.0], "q2": [0.2, 0.0], "wire": [0.5, 0.6]}
     noise, prior = lc.Noise({"*": 1e-4}), lc.Prior({"*": 0.1})
-    with pytest.raises(InputError, match="'wire' at pose '2'") as refused:
+    with refused("outside-domain", "'wire'", "pose '2'") as error:
         lc.calibrate(mechanism, data, noise=noise, prior=prior)
-    assert "wire_x, wire_y, wire_z" in (refused.value.remedy or "")
+    assert "wire_x, wire_y, wire_z" in (error.value.remedy or "")
 
 
 def test_a_tracker_below_its_target_is_told_what_to_do() -> None:
@@ -290,6 +291,6 @@ def test_a_tracker_below_its_target_is_told_what_to_do() -> None:
     angles = {"T_azimuth": [0.1, 0.2, 0.3], "T_elevation": [1.0, 1.1, 0.9]}
     data = {"q1": [0.1, 0.0, 0.4], "q2": [0.2, 0.0, 0.1], "T_range": [0.5, 0.6, 0.7], **angles}
     noise, prior = lc.Noise({"*": 1e-4}), lc.Prior({"*": 0.1})
-    with pytest.raises(InputError, match="'T_azimuth' at pose '2'") as refused:
+    with refused("outside-domain", "'T_azimuth'", "pose '2'") as error:
         lc.calibrate(mechanism, data, noise=noise, prior=prior)
-    assert "straight above it" in (refused.value.remedy or "")
+    assert "straight above it" in (error.value.remedy or "")

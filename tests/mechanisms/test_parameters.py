@@ -10,6 +10,7 @@ import pytest
 from loopcal.errors import InputError
 from loopcal.mechanisms.parameters import Parameter, Parameters, declared, matching
 from loopcal.mechanisms.prior import Prior
+from tests.refusals import refused
 
 LENGTHS = Parameters(
     (
@@ -44,7 +45,7 @@ def test_globs_stand_for_names_in_their_order(pattern: str, names: tuple[str, ..
 
 
 def test_a_glob_minds_upper_and_lower_case() -> None:
-    with pytest.raises(InputError, match="no parameter is called 'L\\*'"):
+    with refused("unknown-name", "'L*'"):
         LENGTHS.matching("L*")
 
 
@@ -53,13 +54,13 @@ def test_a_name_that_looks_like_a_glob_is_found_as_it_stands() -> None:
 
 
 def test_unknown_names_name_the_nearest() -> None:
-    with pytest.raises(InputError, match=r"(?s)no parameter 'phi'.*did you mean 'phi1'"):
+    with refused("unknown-name", "'phi'", "did you mean 'phi1'"):
         LENGTHS["phi"]
-    with pytest.raises(InputError, match=r"(?s)'l3'.*known are 'l1'"):
+    with refused("unknown-name", "'l3'", "'l1'"):
         LENGTHS.with_nominal({"l3": 0.1})
-    with pytest.raises(InputError, match="no parameter is called 'q\\*'"):
+    with refused("unknown-name", "'q*'"):
         LENGTHS.with_prior({"q*": 0.1})
-    with pytest.raises(InputError, match="no parameter is called 'q'"):
+    with refused("unknown-name", "'q'"):
         LENGTHS.with_fixed(["q"])
 
 
@@ -121,5 +122,5 @@ def test_a_prior_takes_units_and_globs_and_applies_to_parameters() -> None:
 
 @pytest.mark.parametrize("sd", [-1.0, math.nan, "wide", None, (-1.0, "mm")])
 def test_a_prior_that_is_no_sd_is_refused(sd: Any) -> None:
-    with pytest.raises(InputError, match="prior sd of 'l1'"):
+    with refused("invalid-value", "'l1'"):
         Prior({"l1": sd})

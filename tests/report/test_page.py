@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loopcal.errors import InputError, UsageError
 from loopcal.files.result.result_columns import ResultColumns
 from loopcal.report.page import MOST, report_html
 from loopcal.report.source import read_source
 from loopcal.report.tables import accuracy_table, comparison_table, parameter_table
 from loopcal.report.verdict import verdict
 from tests.golden_files import page_text
+from tests.refusals import refused
 
 
 def document_of(folder: Path) -> dict[str, Any]:
@@ -80,12 +80,12 @@ def test_results_of_one_name_are_told_apart(planar: Path) -> None:
 
 
 def test_there_is_an_end_to_side_by_side(planar: Path) -> None:
-    with pytest.raises(UsageError, match="9 results"):
+    with refused("invalid-usage", "9 results"):
         report_html([read_source(planar)] * (MOST + 1))
 
 
 def test_a_folder_without_a_result_is_told(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
+    with refused("missing-file"):
         read_source(tmp_path)
 
 

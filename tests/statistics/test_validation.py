@@ -12,9 +12,11 @@ from scipy.stats import multivariate_normal
 
 import loopcal as lc
 from loopcal.errors import InputError
+from loopcal.statistics import validation
 from loopcal.statistics.folds import folds, grouped, held_out, repeated
 from loopcal.statistics.validation import compare_methods, validate
 from tests.reference.simulated import arm_at, planar_arm
+from tests.refusals import refused
 
 SDS = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3}
 NOISE = lc.Noise(SDS)
@@ -71,6 +73,18 @@ def test_refits_give_nothing_away(how: dict[str, Any]) -> None:
     assert found.accuracy is not None
     assert found.accuracy.rms == pytest.approx(np.sqrt(np.square(errors).sum(axis=0).mean()))
     assert found.poses == DATA.poses
+
+
+def test_refits_that_begin_at_learnt_sds_give_nothing_away() -> None:
+    """The second encoder, exact here, may end at zero in one fit and not in another."""
+    data = ARM.read(SDS | {"phi3": 0.0}, seed=3)
+    noise = lc.Noise(SDS, estimate={"phi?": "each"})
+    found = validate(ARM.truth, data, folds=5, seed=2, noise=noise)
+    assert found.distances is not None
+    for part in folds(repeated(ARM.truth, data), 5, seed=2):
+        rest = data.take(np.setdiff1d(np.arange(len(data)), part))
+        other = validate(ARM.truth, rest, noise=noise, other=data.take(part))
+        assert found.distances[part] == pytest.approx(other.distances, rel=1e-4)
 
 
 def test_the_predictive_likelihood_is_that_of_the_misclosure() -> None:
@@ -210,3 +224,34 @@ def test_the_measured_workspace(
     assert new is not None
     assert basic.rms == pytest.approx(2.39e-3, abs=0.02e-3)
     assert new.rms == pytest.approx(3.08e-3, abs=0.06e-3)
+
+
+def test_a_fold_that_fails_is_reported_and_the_others_count(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    parts = folds(repeated(ARM.truth, DATA), 5, seed=0)
+    gone = {DATA.poses[i] for i in parts[2]}
+
+    def failing(mechanism: lc.Mechanism, data: lc.Dataset, **how: Any) -> lc.Result:
+        if not gone & set(data.poses):
+            raise InputError("these poses do not close")
+        return lc.calibrate(mechanism, data, **how)
+
+    whole = validate(ARM.truth, DATA, noise=NOISE, folds=5)
+    monkeypatch.setattr(validation, "calibrate", failing)
+    found = validate(ARM.truth, DATA, noise=NOISE, folds=5)
+    (failed,) = found.failed
+    assert (failed.number, failed.poses, failed.reason) == (3, 8, "these poses do not close")
+    assert found.parts == 5
+    assert "4 of 5 folds predicted" in found.words
+    assert set(found.poses) == set(DATA.poses) - gone
+    kept = [pose not in gone for pose in whole.poses]
+    assert whole.by_pose is not None
+    assert found.log_likelihood == pytest.approx(whole.by_pose[kept].sum(), rel=1e-12)
+    assert any("Fold 3 of 5 (8 poses)" in warning for warning in found.warnings)
+
+
+def test_where_every_fold_fails_there_is_no_validation() -> None:
+    full = lc.calibrate(ARM.truth, DATA, noise=NOISE)
+    with refused("not-converged", "max_iterations"):
+        validate(ARM.truth, DATA, noise=NOISE, folds=5, full=full, max_iterations=0)

@@ -68,7 +68,9 @@ def test_a_poor_second_joint_biases_least_squares_as_in_the_seed(study: Study) -
 def test_the_exchanged_arm_is_counted_where_an_undamped_iteration_ends_there(study: Study) -> None:
     seventh = scenario(study, "table 7")
     damped = seventh.methods[0]
-    undamped = replace(damped, name="undamped", method="implicit-loop-undamped")
+    undamped = replace(
+        damped, name="undamped", fit=damped.fit.changed(method="implicit-loop-undamped")
+    )
     known = damped.mechanism.with_parameters(
         Prior({"xA": 0.01, "yA": 0.01, "l?": 0.01, "phi*": 0.01}).apply(damped.mechanism.parameters)
     )

@@ -84,7 +84,11 @@ def calibrate(
         if told is None or not told.estimate:
             return Result(fit, data, problem, solved(problem), problem)
         estimate = estimate_noise(
-            problem, components(problem, told), solved, at_readings=fit.method.at_readings
+            problem,
+            components(problem, told),
+            solved,
+            at_readings=fit.method.at_readings,
+            begin=told.begin,
         )
         learnt = replace(estimate.problem, start=problem.start)
         return Result(fit, data, learnt, estimate.solution, problem, estimate)

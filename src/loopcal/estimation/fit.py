@@ -67,6 +67,7 @@ class Fit:
             raise InputError(
                 f"the method {chosen.name!r} cannot use the loss {loss!r}: it does not know how "
                 "far off a pose may be",
+                code="unsupported",
                 remedy=f"use method = {known} with the sds of the readings",
             )
         if isinstance(start, str) and start not in STARTS:
@@ -95,7 +96,8 @@ class Fit:
     @classmethod
     def of(cls, fit: Fit | None, options: FitOptions) -> Fit:
         """The settings given as one value, as keyword arguments, or both: these then win."""
-        return (fit or cls()).changed(**options)
+        given = fit or cls()
+        return given.changed(**options) if options else given
 
     def changed(self, **options: Unpack[FitOptions]) -> Fit:
         """These settings with others in place of some."""

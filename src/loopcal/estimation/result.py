@@ -112,7 +112,7 @@ class Result:
     def freedom(self) -> int:
         """Degrees of freedom: loop equations + finite priors - determined parameters."""
         informed = 0 if self.fit.method.exact else int(np.isfinite(self.problem.prior_sd).sum())
-        return self.problem.equations + informed - self.spectrum.rank
+        return self.solution.equations + informed - self.spectrum.rank
 
     @cached_property
     def value(self) -> Mapping[str, float]:
@@ -263,7 +263,12 @@ class Result:
             unit = next((self.mechanism.quantities[q] for q in self.mechanism.outputs), "")
             found += self.chi_squared.warnings(self.model_discrepancy, unit)
         if self.estimate is not None:
-            found += words(self.estimate, self.noise, self.chi_squared_shares)
+            found += words(
+                self.estimate,
+                self.noise,
+                self.chi_squared_shares,
+                self.problem.mechanism.disturbances,
+            )
         if self.validation is not None:
             found += self.validation.warnings
         return (*found, *self.notes)

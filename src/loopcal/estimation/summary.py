@@ -47,7 +47,7 @@ def _state(result: Result) -> list[str]:
     status = result.status
     head = "converged" if status.converged else f"NOT CONVERGED ({status.reason})"
     steps = f"{status.iterations} iteration{'s' if status.iterations != 1 else ''}"
-    used = result.problem.count
+    used = result.solution.poses
     source = result.dataset.source
     poses = f"{used} poses"
     if source.rows_read and source.rows_read != used:

@@ -14,13 +14,15 @@ from typing import Any, SupportsIndex
 
 import numpy as np
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import Code, InputError, nearest
 from loopcal.expressions.graph import Graph, Node
 from loopcal.expressions.tape import Tape
 
 
 class TraceError(InputError):
     """A loop function does something a tape cannot hold."""
+
+    usual_code: Code = "untraceable-function"
 
 
 _UFUNCS: dict[str, str] = {

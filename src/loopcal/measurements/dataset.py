@@ -123,7 +123,7 @@ class Dataset:
         if quantity not in self.readings:
             raise InputError(
                 f"there are no readings of {quantity!r}",
-                code="no-data",
+                code="unknown-name",
                 remedy=nearest(quantity, self.readings),
             )
         return self.readings[quantity]

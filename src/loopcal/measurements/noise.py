@@ -7,6 +7,7 @@ unmeasured (its reading is only a starting guess). A missing reading is unmeasur
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,6 +61,8 @@ class Noise:
             key for key, value in entries.items() if isinstance(value, Tracker | DatasheetSd)
         )
         """Keys of the entries that follow from a maker's figure."""
+        self.begin: Mapping[str, float] | None = None
+        """Where the search for learnt sds begins, if not at the stated ones; see `begun_at`."""
         self.estimate: dict[str | tuple[str, ...], str] = dict((estimate or {}).items())
         for key, how in self.estimate.items():
             if how not in ESTIMATES:
@@ -82,6 +85,15 @@ class Noise:
                 remedy='give Noise({"theta_*": 1e-4}), or a dict of sds by quantity',
             )
         return cls(given)
+
+    def begun_at(self, factors: Mapping[str, float]) -> Noise:
+        """The same noise, with the search for sds begun near where it will end.
+
+        factors: learnt over stated sd, for each name, glob or group that is learnt by itself.
+        """
+        begun = copy(self)
+        begun.begin = dict(factors)
+        return begun
 
     def __repr__(self) -> str:
         def text(value: Any) -> str:

@@ -27,7 +27,7 @@ Arguments = ParamSpec("Arguments")
 SECOND = 0.01
 """By how much [m, rad] the home of a row's second pose differs from that of the first."""
 ENDS = ("", "_b")
-"""What is appended to a machine's quantities where two of its poses stand in one row."""
+"""What names the quantities of both poses of a row; `Quantity.first` says which belong together."""
 
 
 @dataclass(frozen=True)
@@ -167,8 +167,10 @@ def assemble(
         loops=[*closure, *measured],
         name=machine.name,
     )
+    firsts = {q + ENDS[1]: q for q in (*machine.quantities, *machine.known)} if ends > 1 else {}
     return replace(
         made,
+        variables=tuple(replace(v, first=firsts.get(v.name)) for v in made.variables),
         families=tuple(_families(machine, instruments, ends)),
         home=_home(machine, ends),
         implied={q: v for i in instruments for q, v in i.implied.items()},

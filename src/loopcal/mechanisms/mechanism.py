@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ from loopcal.expressions.trace import Inputs, trace
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.parameters import Parameter, Parameters, declared, matching
+from loopcal.mechanisms.quantity import Quantity
 from loopcal.units import unit
 
 
@@ -63,9 +65,10 @@ class Family:
 class Mechanism:
     """Loop equations f(x, p) = 0 with their names, units and nominal values.
 
-    quantities, known: name -> SI unit of what is read in each pose, and of per-pose constants
-    that carry no error; parameters: the constants to be estimated; outputs: the quantities that
-    the loop predicts from the rest (the end point of an arm; may be empty); tape: the loops.
+    variables: what varies by pose, of which `quantities` and `known` are name -> SI unit of what
+    is read, and of constants that carry no error; parameters: the constants to be estimated;
+    outputs: the quantities that the loop predicts from the rest (the end point of an arm; may be
+    empty); tape: the loops.
     description: what a mechanism file says to build this mechanism, None if it was written as
     a function; placement: how the parameters change when the machine is moved, if known.
     families: loops that hold only where their own readings are; home: quantity -> value [SI] from
@@ -78,10 +81,9 @@ class Mechanism:
 
     name: str
     tape: Tape
-    quantities: Mapping[str, str]
+    variables: tuple[Quantity, ...]
     parameters: Parameters
     outputs: tuple[str, ...] = ()
-    known: Mapping[str, str] = field(default_factory=dict)
     description: Mapping[str, Any] | None = None
     placement: Placement | None = None
     families: tuple[Family, ...] = ()
@@ -130,11 +132,28 @@ class Mechanism:
         return cls(
             name or str(getattr(function, "__name__", "mechanism")),
             tape,
-            {q: unit(u).si for q, u in quantities.items()},
+            (
+                *(Quantity(q, unit(u).si) for q, u in quantities.items()),
+                *(Quantity(q, unit(u).si, "known") for q, u in known.items()),
+            ),
             declared(parameters),
             tuple(outputs),
-            {q: unit(u).si for q, u in known.items()},
         )
+
+    @cached_property
+    def quantities(self) -> Mapping[str, str]:
+        """What is read in each pose, name -> SI unit; disturbances of the model among them."""
+        return {v.name: v.unit for v in self.variables if v.role != "known"}
+
+    @cached_property
+    def known(self) -> Mapping[str, str]:
+        """Constants that vary by pose and carry no error, name -> SI unit."""
+        return {v.name: v.unit for v in self.variables if v.role == "known"}
+
+    @cached_property
+    def disturbances(self) -> tuple[str, ...]:
+        """Quantities that stand for errors of the machine model: no sensor reads them."""
+        return tuple(v.name for v in self.variables if v.role == "disturbance")
 
     def __post_init__(self) -> None:
         for output in self.outputs:
@@ -188,9 +207,8 @@ class Mechanism:
         """The quantities that a name, a glob, or the joined names of the outputs stand for."""
         if self.outputs and key == "".join(self.outputs):
             return self.outputs
-        model = tuple(q for q in self.quantities if q.startswith("model_"))
-        if key == "model" and model:
-            return model
+        if key == "model" and self.disturbances:
+            return self.disturbances
         return matching(key, self.quantities, "quantity")
 
     @property

@@ -16,13 +16,18 @@ from loopcal.expressions.graph import Graph, Node
 from loopcal.expressions.operations import LEAVES
 from loopcal.expressions.tape import Tape
 from loopcal.mechanisms.mechanism import Mechanism
-
-PREFIX = "model_"
+from loopcal.mechanisms.quantity import Quantity
 
 
 def disturbances(mechanism: Mechanism) -> tuple[str, ...]:
-    """Names of the disturbances that the mechanism has, or would be given."""
-    return tuple(PREFIX + name for name in (mechanism.outputs or mechanism.tape.loops))
+    """Names of the disturbances that the mechanism has, or would be given: model_OUTPUT."""
+    if mechanism.disturbances:
+        return mechanism.disturbances
+    taken = {*mechanism.quantities, *mechanism.known}
+    names = [f"model_{name}" for name in (mechanism.outputs or mechanism.tape.loops)]
+    while not taken.isdisjoint(names):
+        names = [f"{name}_" for name in names]
+    return tuple(names)
 
 
 def with_model_error(mechanism: Mechanism) -> Mechanism:
@@ -31,9 +36,9 @@ def with_model_error(mechanism: Mechanism) -> Mechanism:
     Its units are those of the outputs; a loop's own disturbance is a plain number in the unit of
     the loop. Their readings are zero in every pose. Raises InputError where outputs differ in unit.
     """
-    names = disturbances(mechanism)
-    if names[0] in mechanism.quantities:
+    if mechanism.disturbances:
         return mechanism
+    names = disturbances(mechanism)
     units = {mechanism.quantities[q] for q in mechanism.outputs}
     if len(units) > 1:
         both = " and ".join(sorted(units))
@@ -71,5 +76,5 @@ def with_model_error(mechanism: Mechanism) -> Mechanism:
         loops=tape.loops,
     )
     own = [mechanism.quantities[name] for name in mechanism.outputs] or ["1"] * len(names)
-    quantities = {**mechanism.quantities, **dict(zip(names, own, strict=True))}
-    return replace(mechanism, tape=disturbed, quantities=quantities)
+    added = [Quantity(n, u, "disturbance") for n, u in zip(names, own, strict=True)]
+    return replace(mechanism, tape=disturbed, variables=(*mechanism.variables, *added))

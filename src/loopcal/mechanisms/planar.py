@@ -92,7 +92,7 @@ def planar_two_link(
     return Mechanism(
         name,
         made.tape,
-        made.quantities,
+        made.variables,
         made.parameters,
         made.outputs,
         description={"type": "planar-two-link"},

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.expressions.engine import LoopValues, Stage, engine_for
-from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Family, Mechanism
 
 Array = NDArray[np.float64]
@@ -51,11 +50,11 @@ def samples(
     count = max(60, 3 * len(mechanism.parameters) // len(tape.loops))
     count = len(next(iter(readings.values()))) if readings else count
     given = dict(readings)
-    for name, unit in (dict(mechanism.quantities) | dict(mechanism.known)).items():
-        if name not in given:
-            span = _SPAN.get(unit, 1.0)
-            limits = ranges.get(name.removesuffix(ENDS[1]), (-span, span))
-            given[name] = draw.uniform(*limits, count)
+    for variable in mechanism.variables:
+        if variable.name not in given:
+            span = _SPAN.get(variable.unit, 1.0)
+            limits = ranges.get(variable.first or variable.name, (-span, span))
+            given[variable.name] = draw.uniform(*limits, count)
     nominal = {p.name: p.nominal for p in mechanism.parameters}
     nominal |= {name: nominal[name] + _OFF * draw.uniform(0.5, 1.0) for name in unsure}
     p = np.array([nominal[name] for name in tape.parameters])

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from loopcal.estimation.methods.registry import method_named
-from loopcal.mechanisms.model_error import PREFIX
 from loopcal.report.words import chance, size, unit_shown
 
 REJECTED = 0.01
@@ -96,7 +95,9 @@ def _of_data(document: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _of_model(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     found = []
     for entry in document["noise"]:
-        if entry["quantities"][0].startswith(PREFIX) and entry["sd"]:
+        first = entry["quantities"][0]  # a disturbance is no quantity of the data
+        of_model = first.startswith("model_") and first not in document["data"]["quantities"]
+        if of_model and entry["sd"]:
             unit = entry["unit"]
             found.append(
                 (

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loopcal.errors import InputError, nearest
 from loopcal.measurements.dataset import Dataset
-from loopcal.measurements.noise import Noise, ReadingUncertainty, resolve_noise
+from loopcal.measurements.noise import Noise, NoiseLike, ReadingUncertainty, resolve_noise
 from loopcal.measurements.source import Source
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Mechanism
@@ -44,7 +44,7 @@ def simulate(
     mechanism: Mechanism,
     readings: Mapping[str, ArrayLike] | Dataset | Any,
     *,
-    noise: Noise,
+    noise: NoiseLike,
     seed: int,
     truth: Mapping[str, float] | None = None,
     start: Mapping[str, ArrayLike] | None = None,
@@ -74,6 +74,9 @@ def simulate(
     Raises InputError for names that are not the mechanism's, values that are missing, and poses
     whose loops cannot close.
     """
+    told = Noise.of(noise)
+    if told is None:
+        raise InputError("no noise is given", remedy='give Noise({"*": 0.0}) for exact readings')
     driven = readings if isinstance(readings, Dataset) else Dataset.from_arrays(readings)
     unturned = not_given(mechanism, driven)
     driven = driven.with_readings(parallel(unturned, len(driven)))
@@ -87,9 +90,9 @@ def simulate(
     if gaps:
         exact = _exact(mechanism, driven, true, constants)
         rows = [mechanism.tape.quantities.index(q) for q in gaps]
-        true[rows] -= np.nan_to_num(_draw(_sds(mechanism, exact, noise), true.shape, seed)[rows])
+        true[rows] -= np.nan_to_num(_draw(_sds(mechanism, exact, told), true.shape, seed)[rows])
         true = close_loops(mechanism, values, true, known, unknown, driven.poses)
-    dataset = _read(mechanism, driven, true, constants, unturned, noise, seed)
+    dataset = _read(mechanism, driven, true, constants, unturned, told, seed)
     quantities = dict(zip(mechanism.tape.quantities, true, strict=True))
     for row in quantities.values():
         row.setflags(write=False)

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from loopcal.estimation.distances import measured_points
 from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset
-from loopcal.mechanisms.model_error import PREFIX
 from loopcal.statistics.pose_tests import Fit, try_rows
 from loopcal.units import from_si, to_si
 
@@ -169,7 +168,7 @@ def _of_several(problem: Problem, dataset: Dataset, x: Array, units: list[str]) 
     real = [
         j
         for j, name in enumerate(names)
-        if name in dataset.readings and not name.startswith(PREFIX)
+        if name in dataset.readings and name not in problem.mechanism.disturbances
     ]
     for j, other in combinations(real, 2):
         if units[j] == units[other]:

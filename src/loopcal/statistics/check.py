@@ -29,7 +29,12 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.prior import PriorLike
-from loopcal.statistics.identifiability import SCHROER, WhatDataSay, what_data_say
+from loopcal.statistics.identifiability import (
+    SCHROER,
+    WhatDataSay,
+    calibration_index,
+    what_data_say,
+)
 from loopcal.statistics.observability import Observability, observability
 from loopcal.statistics.predictor import predictor_at
 from loopcal.units import from_si
@@ -158,7 +163,8 @@ def check(
             usual = predictor_at(
                 problem, problem.mechanism, system.covariance(), system, x, {}
             ).usual
-    said = what_data_say(problem, information, sds, unit_sd=None if told is None else 1.0)
+    index = calibration_index(problem, problem.count, problem.equations)
+    said = what_data_say(problem, information, sds, index, unit_sd=None if told is None else 1.0)
     verdict = _verdict(problem, said, loose)
     return Check(
         problem.mechanism,

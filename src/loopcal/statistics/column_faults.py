@@ -23,7 +23,6 @@ from loopcal.estimation.prediction import output_differences, predict_outputs
 from loopcal.estimation.problem.alignment import align, can_be_placed, placed
 from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.solve.solver import solve
-from loopcal.mechanisms.model_error import PREFIX
 
 Array = NDArray[np.float64]
 MUCH_BETTER = 1 / 3
@@ -227,7 +226,7 @@ def _repairs(problem: Problem) -> Iterator[_Repair]:
     real = [
         j
         for j, name in enumerate(names)
-        if not (name.startswith(PREFIX) or name in mechanism.implied or hidden[j])
+        if not (name in mechanism.disturbances or name in mechanism.implied or hidden[j])
     ]
     parked = {j for j in real if np.ptp(x[j]) <= PARKED * np.abs(x[j]).max()}
 

@@ -143,7 +143,7 @@ def _readings(mechanism: Mechanism, data: Dataset) -> tuple[Array, Array]:
     lacking = [
         q
         for q in (*mechanism.tape.quantities, *mechanism.tape.known)
-        if q not in data.readings and q not in mechanism.outputs and not q.startswith("model_")
+        if q not in data.readings and q not in mechanism.outputs and q not in mechanism.disturbances
     ]
     if lacking:
         raise InputError(

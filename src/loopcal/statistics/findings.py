@@ -8,9 +8,8 @@ from typing import Any
 
 from loopcal.estimation.result import Result
 from loopcal.estimation.rounding import significant
-from loopcal.estimation.stream.sweeps import StreamedProblem
 from loopcal.estimation.summary import SHOWN
-from loopcal.statistics.identifiability import WhatDataSay, what_data_say
+from loopcal.statistics.identifiability import WhatDataSay, calibration_index, what_data_say
 from loopcal.statistics.observability import Observability, data_spectrum, observability
 from loopcal.statistics.optima import OtherOptimum, other_optima
 from loopcal.statistics.outliers import Outliers, find_outliers
@@ -56,17 +55,24 @@ class Findings:
 
 def findings(result: Result) -> Findings:
     """Everything that follows from the result's parameter system."""
+    solution = result.solution
     return Findings(
-        what_data_say(result.problem, result.information, result.sd, unit_sd=_unit_sd(result)),
-        observability(result.information, result.problem.count),
+        what_data_say(
+            result.problem,
+            result.information,
+            result.sd,
+            calibration_index(result.problem, solution.poses, solution.equations),
+            unit_sd=_unit_sd(result),
+        ),
+        observability(result.information, solution.poses),
         predictor(result),
         find_outliers(result),
-        () if isinstance(result.problem, StreamedProblem) else other_optima(result),
+        () if result.all_poses is not None else other_optima(result),
     )
 
 
 def _unit_sd(result: Result) -> float | None:
     """Sd of a whitened equation: 1 by the stated sds, else from the residuals."""
-    freedom = result.problem.equations - data_spectrum(result.information).rank
+    freedom = result.solution.equations - data_spectrum(result.information).rank
     variance = result.fit.method.unit_variance(result.information.chi_squared, freedom)
     return None if variance is None else math.sqrt(variance)

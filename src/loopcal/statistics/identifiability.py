@@ -132,6 +132,7 @@ def what_data_say(
     problem: Problem,
     information: Accumulator,
     sds: Mapping[str, float | None],
+    index: CalibrationIndex,
     *,
     unit_sd: float | None = 1.0,
 ) -> WhatDataSay:
@@ -148,18 +149,17 @@ def what_data_say(
         system.condition if whole else None,
         _learned(problem, units, sds),
         (*_undetermined(problem, system), *_weak(system, names, units, unit_sd)),
-        calibration_index(problem),
+        index,
     )
 
 
-def calibration_index(problem: Problem) -> CalibrationIndex:
-    """Count the equations that the poses give, as Hollerbach and Wampler do."""
-    poses = problem.count
+def calibration_index(problem: Problem, poses: int, equations: int) -> CalibrationIndex:
+    """Count the equations that all poses give, as Hollerbach and Wampler do."""
     quantities, loops = problem.readings.shape[0], len(problem.mechanism.tape.loops)
     mobility = (quantities - loops) * poses
     return CalibrationIndex(
-        problem.equations,
-        problem.equations + mobility,
+        equations,
+        equations + mobility,
         mobility,
         poses,
         len(problem.free),

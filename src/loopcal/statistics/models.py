@@ -133,7 +133,7 @@ def _judged(models: Sequence[ComparedModel], groups: Mapping[str, int]) -> list[
         raise NoTrustworthyResult(
             "no pose is predicted by every model, because folds of several models failed: "
             + "; ".join(w for v in known for w in v.warnings),
-            code="invalid-value",
+            code="not-converged",
             remedy="compare fewer models, or use other folds",
         )
     terms = {m.name: _terms(m.validation, common) for m in models if m.validation is not None}

@@ -18,7 +18,6 @@ from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.solution import Solution
-from loopcal.mechanisms.model_error import disturbances
 from loopcal.statistics.pose_tests import Fit, PoseTests, pose_tests, settle
 
 Array = NDArray[np.float64]
@@ -34,7 +33,7 @@ class Search:
         self.level = level
         self.scale = "residual" if self.exact else scale
         names = self.problem.mechanism.tape.quantities
-        aside = set(disturbances(self.problem.mechanism))
+        aside = set(self.problem.mechanism.disturbances)
         self.readings = np.array([name not in aside for name in names])
 
     def hopeless(self) -> bool:
@@ -81,7 +80,7 @@ class Search:
 
     @property
     def _share(self) -> float:
-        return self.problem.count / len(self.problem.poses)
+        return self.result.solution.poses / self.problem.count
 
     def _too_few(self, gone: NDArray[np.bool_]) -> bool:
         return bool(gone.mean() > 0.5)
@@ -151,7 +150,8 @@ class Search:
                 ratios.append(s / quantile(0.5, r))
                 total, equations = total + float(s.sum()), equations + r * len(s)
         middle = float(np.median(np.concatenate(ratios)))
-        spare = max(self.problem.equations - len(self.problem.free), 1) / self.problem.equations
+        known = self.result.solution.equations
+        spare = max(known - len(self.problem.free), 1) / known
         mean = total / equations if cleaned else 0.0
         return max(middle / spare, mean / spare, 1e-300)
 

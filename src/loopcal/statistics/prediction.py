@@ -24,9 +24,8 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.rounding import significant
 from loopcal.estimation.summary import SHOWN
 from loopcal.measurements.dataset import Dataset
-from loopcal.measurements.noise import Noise, resolve_noise
+from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.model_error import PREFIX
 from loopcal.statistics.predictor import Predictor, by_parameters, predictor, trace_sd
 from loopcal.statistics.sensitivity import output_sensitivity
 from loopcal.units import from_si
@@ -168,7 +167,7 @@ def _spread(covariance: Array, units: Mapping[str, str], unit: str) -> str:
 
 
 def predict(
-    calibration: Result | Predictor, data: Dataset | Any, *, noise: Noise | None = None
+    calibration: Result | Predictor, data: Dataset | Any, *, noise: NoiseLike | None = None
 ) -> Prediction:
     """Where the calibrated machine is at these readings, with covariance and extrapolation alarm.
 
@@ -185,10 +184,11 @@ def predict(
             code="no-outputs",
             remedy="name the quantities that its loops predict: outputs = (...)",
         )
+    told = Noise.of(noise)
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     machine = known.mechanism.predicting()
     names, unused = machine.tape.quantities, machine.unused
-    also = [q for q in names if q not in data.readings and not q.startswith(PREFIX)]
+    also = [q for q in names if q not in data.readings and q not in machine.disturbances]
     also = [q for q in also if q not in machine.outputs and q not in unused]
     _check_enough(machine, also)
     found = replace(machine, outputs=(*machine.outputs, *also))
@@ -207,7 +207,7 @@ def predict(
         dict(zip(known.units, y[:o], strict=True)),
         known.units,
         from_parameters,
-        _by_readings(known, found, data, noise, S.by_reading[:, :o]),
+        _by_readings(known, found, data, told, S.by_reading[:, :o]),
         _ratio(from_parameters, known),
     )
 
@@ -226,7 +226,9 @@ def _check_enough(mechanism: Mechanism, missing: Sequence[str]) -> None:
 def _readings(quantity: str, data: Dataset, known: Predictor) -> Array:
     """Readings (N,), or a start for what is found; a disturbance of the model is zero."""
     if quantity in known.units or quantity not in data.readings:
-        start = 0.0 if quantity.startswith(PREFIX) else known.typical.get(quantity, 0.0)
+        start = (
+            0.0 if quantity in known.mechanism.disturbances else known.typical.get(quantity, 0.0)
+        )
         given = data.readings.get(quantity, np.full(len(data), np.nan))
         return np.where(np.isnan(given), start, given)
     return np.array(data.readings[quantity])

@@ -17,7 +17,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.model_error import PREFIX, with_model_error
+from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.statistics.sensitivity import output_sensitivity
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ def predictor_of(document: Mapping[str, Any], mechanism: Mechanism) -> Predictor
             remedy="add the instrument whose readings are to be predicted, and calibrate again",
         )
     sds = {q: entry["sd"] for entry in document["noise"] for q in entry["quantities"]}
-    if any(q.startswith(PREFIX) for q in sds):
+    if any(q in sds and q not in mechanism.quantities for q in disturbances(mechanism)):
         mechanism = with_model_error(mechanism)
     values = {p["name"]: p["value"] for p in document["parameters"]}
     matrix = stored["covariance"] or document["covariance"]["matrix"]

@@ -89,7 +89,7 @@ def validated(
         part = _predicted(whole, other, known, np.arange(len(other)))
         return _pooled(whole, [part], {"file": name}, f"{len(other)} poses of {name}", other)
     parts = parts_of(scheme, case.mechanism, case.data)
-    begun = _Begun(case, whole.mechanism, dict(whole.value))
+    begun = _Begun.at(case, whole)
     made = gathered(executor, _left_out, begun, parts.indices, progress)
     return _pooled(whole, made, parts.stated, parts.words, case.data)
 
@@ -151,17 +151,23 @@ class _Begun:
     """What the fits of all parts share: the calibration, and where that of all poses ended."""
 
     case: Case
-    mechanism: Mechanism
-    value: Mapping[str, float]
+    near: Case
+
+    @classmethod
+    def at(cls, case: Case, whole: Result) -> _Begun:
+        """Parameters and learnt sds of the calibration of all poses."""
+        noise, learnt = case.noise, whole.estimate
+        if noise is not None and learnt is not None and learnt.settled:
+            noise = noise.begun_at(learnt.factors)
+        # the mechanism of the calibration has the prior already
+        fit = replace(case.fit, start=dict(whole.value), prior=None)
+        return cls(case, Case(whole.mechanism, case.data, noise, fit))
 
     def calibrated(self, index: Index) -> Result:
         """The calibration of these poses, begun where that of all poses ended."""
-        case = self.case
-        # the mechanism of the calibration has the prior already
-        near = replace(case.fit, start=self.value, prior=None)
-        found = replace(case, mechanism=self.mechanism, fit=near).calibrated(index)
+        found = self.near.calibrated(index)
         if found.spectrum.rank < len(found.estimated) or not found.status.converged:
-            return case.calibrated(index)
+            return self.case.calibrated(index)
         return found
 
 
@@ -203,7 +209,7 @@ def _pooled(
     if not parts:
         raise NoTrustworthyResult(
             f"no part could be predicted ({words}): {failed[0].reason}",
-            code="invalid-value",
+            code="not-converged",
             remedy="use fewer parts, or see what the summary says of the fit of all poses",
         )
     if failed:

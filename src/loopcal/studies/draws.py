@@ -14,15 +14,11 @@ from hashlib import sha256
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import DomainError
+from loopcal.errors import DomainError, NoTrustworthyResult
+from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.prediction import predict_outputs
-from loopcal.estimation.problem.problem import Problem, build_problem
-from loopcal.estimation.solve.reduction import undetermined
-from loopcal.estimation.solve.reweighted import solve_reweighted
+from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.solve.seed_iteration import iterate_undamped
-from loopcal.estimation.solve.solution import Solution
-from loopcal.estimation.solve.solver import solve
 from loopcal.files.study.study_file import Scenario, StudyMethod
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
@@ -96,35 +92,30 @@ def _row(
     method: StudyMethod, names: Sequence[str], made: Simulation, points: _Points
 ) -> dict[str, str | float]:
     """One fit; a parameter that this method holds fixed has an error, and the sd 0."""
-    problem = build_problem(
-        method.mechanism,
-        made.dataset,
-        None if method.method == "least-squares" else method.noise,
-    )
     try:
-        found = _solved(method, problem)
+        found = calibrated(method, made)
     except DomainError:
         return _without_result(names, "cannot_evaluate", 0)
+    except NoTrustworthyResult:
+        return _without_result(names, "sds_not_estimated", 0)
     if not found.status.converged:
         return _without_result(names, found.status.reason, found.status.iterations)
-    truth = np.array([made.parameters[name] for name in method.mechanism.parameters.names])
-    covariance = _covariance(method, problem, found)
-    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    for combination in undetermined(found.spectrum, problem.names):
-        sd[[problem.names.index(name) for name in combination]] = np.inf
-    errors = dict(zip(method.mechanism.parameters.names, truth - found.parameters, strict=True))
-    sds = dict(zip(problem.names, sd.tolist(), strict=True))
     row: dict[str, str | float] = {
         "reason": found.status.reason,
         "converged": 1.0,
         "iterations": float(found.status.iterations),
-        "chi_squared": found.chi_squared,
+        "chi_squared": found.solution.chi_squared,
     }
-    row |= {f"error.{name}": float(errors[name]) for name in names}
-    row |= {f"sd.{name}": sds.get(name, 0.0) for name in names}
-    row |= _end_point(method.mechanism, problem.names, found.parameters, covariance, points)
-    row["other_optimum"] = float(_is_elsewhere(method, problem, found, truth, sd))
+    row |= {f"error.{name}": made.parameters[name] - found.value[name] for name in names}
+    row |= {f"sd.{name}": found.sd[name] or 0.0 for name in names}
+    row |= _end_point(method.mechanism, found, points)
+    row["other_optimum"] = float(_is_elsewhere(method, made, found))
     return row
+
+
+def calibrated(method: StudyMethod, made: Simulation) -> Result:
+    """What `calibrate` makes of the readings of a draw by this method."""
+    return calibrate(method.mechanism, made.dataset, noise=method.noise, fit=method.fit)
 
 
 def _without_result(names: Sequence[str], reason: str, iterations: int) -> dict[str, str | float]:
@@ -139,41 +130,27 @@ def _without_result(names: Sequence[str], reason: str, iterations: int) -> dict[
     return row | {"other_optimum": 0.0}
 
 
-def _solved(method: StudyMethod, problem: Problem) -> Solution:
-    if method.method == "reweighted":
-        return solve_reweighted(problem)
-    if method.method == "implicit-loop-undamped":
-        return iterate_undamped(problem)
-    return solve(problem, exact=method.method == "least-squares")
-
-
-def _covariance(method: StudyMethod, problem: Problem, found: Solution) -> Array:
-    """That of `calibrate`: least squares takes its scale from the loop values."""
-    covariance = found.spectrum.covariance()
-    if method.method != "least-squares":
-        return covariance
-    freedom = problem.equations - found.spectrum.rank
-    return covariance * (found.chi_squared / freedom if freedom > 0 else math.inf)
-
-
-def _is_elsewhere(
-    method: StudyMethod, problem: Problem, found: Solution, truth: Array, sd: Array
-) -> bool:
+def _is_elsewhere(method: StudyMethod, made: Simulation, found: Result) -> bool:
     """Whether a fit that starts at the truth ends at another optimum.
 
-    That fit is damped for the undamped method too, whose first step may leave the truth far behind.
+    Its steps are damped even where the method's own are not: a full first step may leave the truth
+    far behind.
     """
-    off = np.abs(truth - found.parameters)[problem.free]
-    rounding = 1e-6 * np.maximum(np.abs(truth[problem.free]), 1.0)
-    if not (off > np.maximum(_SUSPICIOUS * sd, rounding)).any():
+    names = found.estimated
+    truth = np.array([made.parameters[name] for name in names])
+    value = np.array([found.value[name] for name in names])
+    sd = np.array([found.sd[name] for name in names], dtype=np.float64)
+    rounding = 1e-6 * np.maximum(np.abs(truth), 1.0)
+    if not (np.abs(truth - value) > np.maximum(_SUSPICIOUS * sd, rounding)).any():
         return False
+    fit = method.fit.changed(
+        method=method.fit.method.safe, start=dict(zip(names, truth.tolist(), strict=True))
+    )
     try:
-        if method.method == "implicit-loop-undamped":
-            method = replace(method, method="implicit-loop")
-        other = _solved(method, replace(problem, start=truth))
-    except DomainError:
+        other = calibrated(replace(method, fit=fit), made)
+    except (DomainError, NoTrustworthyResult):
         return False
-    apart = np.abs(other.parameters - found.parameters)[problem.free]
+    apart = np.abs([other.value[name] for name in names] - value)
     return bool(other.status.converged and (apart > np.maximum(_ELSEWHERE * sd, rounding)).any())
 
 
@@ -186,18 +163,17 @@ def _points(mechanism: Mechanism, made: Simulation) -> _Points:
     return _Points(x, x[rows], known.reshape(len(mechanism.tape.known), len(at)))
 
 
-def _end_point(
-    mechanism: Mechanism, names: Sequence[str], parameters: Array, covariance: Array, at: _Points
-) -> Mapping[str, float]:
+def _end_point(mechanism: Mechanism, found: Result, at: _Points) -> Mapping[str, float]:
     """How far predicted outputs are off at true readings, and whether their intervals hold."""
     units = {mechanism.quantities[name] for name in mechanism.outputs}
     if len(units) != 1:
         return dict.fromkeys(("end_point_rms", "end_point_max", "end_point_held"), math.nan)
+    parameters, covariance = found.solution.parameters, found.covariance
     computed = predict_outputs(mechanism, parameters, at.x, at.known)
     off = computed - at.outputs
     x = at.x.copy()
     x[[mechanism.tape.quantities.index(name) for name in mechanism.outputs]] = computed
-    S = output_sensitivity(mechanism, parameters, names, x, at.known).by_parameter
+    S = output_sensitivity(mechanism, parameters, found.estimated, x, at.known).by_parameter
     sd = np.sqrt(np.maximum(np.einsum("poi,ij,poj->op", S, covariance, S), 0.0))
     distance = np.sqrt(np.square(off).sum(axis=0))
     return {

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from loopcal.errors import InputError
-from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.result import Result
 from loopcal.files.study.study_file import Scenario
 from loopcal.measurements.dataset import Dataset
 from loopcal.simulation.simulate import simulate
-from loopcal.studies.draws import seed_of
+from loopcal.studies.draws import calibrated, seed_of
 
 
 def first_draw(scenario: Scenario, seed: int) -> dict[str, Result]:
@@ -22,11 +21,8 @@ def first_draw(scenario: Scenario, seed: int) -> dict[str, Result]:
     made = simulate(scenario.mechanism, driven, noise=scenario.noise, seed=own, truth=truth)
     found = {}
     for method in scenario.methods:
-        noise = None if method.method == "least-squares" else method.noise
         try:
-            found[method.name] = calibrate(
-                method.mechanism, made.dataset, noise=noise, method=method.method, start="nominal"
-            )
+            found[method.name] = calibrated(method, made)
         except InputError:
             continue
     return found

@@ -12,7 +12,7 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.solver import Progress
 from loopcal.estimation.stream.calibrate import calibrate_stream, refuse_unstreamable
-from loopcal.estimation.stream.ending import Parts
+from loopcal.estimation.stream.last_pass import Parts
 from loopcal.execution.executor import Executor
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.stream import ParquetStream

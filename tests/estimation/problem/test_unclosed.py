@@ -13,6 +13,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.estimation.problem.unclosed import open_loops
 from loopcal.mechanisms.mechanism import Mechanism
+from tests.refusals import refused
 
 NOISE = lc.Noise({"*": 1e-5, "platform_*": np.inf})
 
@@ -48,5 +49,5 @@ def test_a_joint_of_the_platform_that_lies_in_one_of_the_base_is_named() -> None
     at = {axis: mechanism.parameters[f"a1_{axis}"].nominal for axis in "xyz"}
     coincident = mechanism.with_nominal({f"b1_{axis}": v for axis, v in at.items()})
     still = {q: [0.0] for q in STEWART_GOUGH}
-    with pytest.raises(InputError, match="'leg_1' at pose '1'"):
+    with refused("outside-domain", "'leg_1'", "pose '1'"):
         lc.simulate(coincident, still, noise=NOISE, seed=1)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from loopcal.errors import DomainError, InputError
+from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.result import Result
 from loopcal.measurements.dataset import Dataset
@@ -20,6 +20,7 @@ from loopcal.mechanisms.prior import Prior
 from tests.reference.optimality import diagonal, optimality
 from tests.reference.random_cases import cases
 from tests.reference.simulated import Simulated, ma1400, planar_arm
+from tests.refusals import refused
 
 EXPONENTS = st.floats(-6, -0.7)
 PHASES = (Phase.explicit, Phase.generate)  # fits are too slow to shrink a failure
@@ -166,7 +167,7 @@ def test_a_start_outside_the_domain_names_operation_loop_and_pose() -> None:
     )
     a = np.array([0.5, 1.0, -0.25, 2.0])
     data = Dataset.from_arrays({"a": a, "b": np.sqrt(np.abs(a))}, poses=["p", "q", "r", "s"])
-    with pytest.raises(DomainError, match=r"sqrt of a negative number \(-0.25\)") as caught:
+    with refused("outside-domain", "-0.25") as caught:
         calibrate(machine, data, noise=Noise({"*": 1e-3}))
     assert "loop equation 'reach' at pose 'r'" in str(caught.value)
 
@@ -275,7 +276,7 @@ def test_what_cannot_be_fitted_is_named(arguments: dict[str, Any], message: str)
 def test_a_column_in_another_unit_is_refused() -> None:
     simulated = planar_arm(10)
     data = Dataset.from_arrays(dict(simulated.exact), units={"phi2": "mm"})
-    with pytest.raises(InputError, match=r"(?s)'phi2'.*rad"):
+    with refused("wrong-unit", "'phi2'"):
         calibrate(simulated.truth, data, noise=Noise({"*": 1e-3}))
 
 
@@ -287,8 +288,8 @@ def test_a_known_constant_must_be_there_in_every_pose() -> None:
         known={"load": "1"},
     )
     readings = {"a": np.arange(5.0), "b": np.arange(5.0)}
-    with pytest.raises(InputError, match=r"known constant 'load'.*\(none\)"):
+    with refused("missing-reading", "'load'"):
         calibrate(machine, Dataset.from_arrays(readings), noise=Noise({"*": 1e-3}))
     gap = np.array([1.0, 2.0, np.nan, 4.0, 5.0])
-    with pytest.raises(InputError, match="pose '3' lacks it"):
+    with refused("missing-reading", "pose '3'"):
         calibrate(machine, Dataset.from_arrays({**readings, "load": gap}), noise=Noise({"*": 1.0}))

@@ -13,6 +13,7 @@ from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.machines.urdf import urdf_machine
 from loopcal.files.study.study_parts import parts_of
 from loopcal.mechanisms.chain import MOST_JOINTS
+from tests.refusals import refused
 
 LIMITS = '<limit lower="-1" upper="1"/><axis xyz="0 0 1"/><origin xyz="0.1 0 0.2"/>'
 
@@ -29,7 +30,7 @@ def chain(joints: int, before: str = "") -> str:
 
 def test_a_urdf_chain_of_thousands_of_joints_is_refused_by_its_length(tmp_path: Path) -> None:
     (tmp_path / "r.urdf").write_text(chain(20_000), "utf-8")
-    with pytest.raises(InputError, match="20000 joints"):
+    with refused("too-large", "20000 joints"):
         urdf_machine(tmp_path / "r.urdf", "l0", "l20000")
     assert len(urdf_machine(tmp_path / "r.urdf", "l0", f"l{MOST_JOINTS}").quantities) == MOST_JOINTS
 
@@ -48,12 +49,12 @@ def test_a_file_of_thousands_of_joints_is_refused_by_their_number(
     head = f'schema = 1\ntype = "{kind}"\n'
     text = head + "".join(entry.replace("{i}", str(i)) for i in range(5_000))
     (tmp_path / "arm.toml").write_text(text, "utf-8")
-    with pytest.raises(InputError, match="5000 joints"):
+    with refused("too-large", "5000 joints"):
         read_mechanism(tmp_path / "arm.toml")
 
 
 def test_an_arm_of_thousands_of_joints_is_refused_in_python_too() -> None:
-    with pytest.raises(InputError, match="1000 joints"):
+    with refused("too-large", "1000 joints"):
         serial_arm([Joint(f"j{i}", "dh") for i in range(1_000)], {})
 
 
@@ -69,7 +70,7 @@ def test_blank_lines_before_the_declaration_are_passed_over(before: str, tmp_pat
 
 
 def test_a_study_of_more_draws_than_can_be_listed_is_refused() -> None:
-    with pytest.raises(InputError, match="1000000000000 draws"):
+    with refused("too-large", "1000000000000 draws"):
         parts_of(1, 10**12)
 
 
@@ -83,7 +84,7 @@ def test_a_number_of_workers_that_cannot_be_is_refused(kind: type, workers: int)
 def test_half_a_character_in_json_is_refused_by_name(tmp_path: Path) -> None:
     path = tmp_path / "result.json"
     path.write_text('{"schema": 1, "title": "a\\ud800"}', "utf-8")
-    with pytest.raises(InputError, match=r"half a character \(\\ud800\)"):
+    with refused("invalid-syntax", "ud800"):
         read_json(path, "result.json", 1)
     path.write_text('{"schema": 1, "title": "a\\ud83d\\ude00"}', "utf-8")
     assert read_json(path, "result.json", 1)["title"] == "a\U0001f600"
@@ -92,5 +93,5 @@ def test_half_a_character_in_json_is_refused_by_name(tmp_path: Path) -> None:
 def test_a_number_without_end_in_json_is_refused_by_name(tmp_path: Path) -> None:
     path = tmp_path / "x.truth.json"
     path.write_text(f'{{"schema": 1, "parameters": {{"l2": 1{"0" * 400}}}}}', "utf-8")
-    with pytest.raises(InputError, match="a number of 401 digits"):
+    with refused("invalid-syntax", "401 digits"):
         read_json(path, "truth.json", 1)

@@ -17,12 +17,16 @@ import pytest
 
 from loopcal.mechanisms.effects.gravity import Load
 from loopcal.mechanisms.effects.registry import EFFECTS
+from loopcal.mechanisms.exponentials import ScrewJoint
 from loopcal.mechanisms.instruments.registry import INSTRUMENTS
 from loopcal.mechanisms.keys import REQUIRED, arguments, plain
+from loopcal.mechanisms.origins import LinkJoint, Mimic
 from loopcal.mechanisms.parallel.registry import PARALLEL
+from loopcal.mechanisms.serial import Joint
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "reference" / "mechanism-file.md"
-MAKERS = {**INSTRUMENTS, **EFFECTS, "load": Load, **PARALLEL}
+PARTS = {"load": Load, "joint": Joint, "link-joint": LinkJoint, "mimic": Mimic}
+MAKERS = {**INSTRUMENTS, **EFFECTS, **PARALLEL, **PARTS, "screw-joint": ScrewJoint}
 
 
 def shown(default: Any) -> str:

@@ -9,6 +9,7 @@ from loopcal.errors import InputError
 from loopcal.files.machines.urdf import read_urdf, urdf_machine
 from loopcal.mechanisms.origins import LinkJoint, Mimic, joint_chain
 from tests.reference.robots import CHAINS, urdf_of
+from tests.refusals import refused
 
 POSES = 1000
 
@@ -194,7 +195,7 @@ def test_whatever_is_broken_it_is_told_or_read(tmp_path):
 def test_an_entity_is_never_expanded_nor_a_file_read(tmp_path):
     (tmp_path / "secret").write_text("0 0 1")
     head = f'<!DOCTYPE robot [<!ENTITY s SYSTEM "file://{tmp_path}/secret">]>'
-    with pytest.raises(InputError, match="document type"):
+    with refused("wrong-file-type"):
         read_urdf(written(tmp_path, robot(LINKS + JOINTS.replace("0 0 1", "&s;"), head)), "a", "d")
 
 

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
 from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.project.project_data import load_dataset
@@ -15,6 +14,7 @@ from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.project.templates import TEMPLATES, template_files
 from loopcal.simulation.poses import grid_poses, random_poses
 from loopcal.simulation.simulate import Simulation, simulate
+from tests.refusals import refused
 
 
 def function_of(files):
@@ -75,7 +75,7 @@ def test_a_serial_arm_would_not_be_without_its_fixed_parameters(tmp_path):
 
 @pytest.mark.parametrize("kind", TEMPLATES)
 def test_calibrating_before_simulating_says_what_to_do(kind, tmp_path):
-    with pytest.raises(InputError, match="loopcal simulate"):
+    with refused("missing-file"):
         load_dataset(started(kind, tmp_path))
 
 
@@ -99,5 +99,5 @@ def test_no_folder_name_can_break_its_comments():
 
 
 def test_another_type_names_the_nearest():
-    with pytest.raises(InputError, match="did you mean 'serial'"):
+    with refused("unknown-name", "did you mean 'serial'"):
         template_files("seriel", "new")

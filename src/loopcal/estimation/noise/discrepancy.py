@@ -27,9 +27,8 @@ def model_discrepancy(problem: Problem, solution: Solution) -> float | None:
     """
     mechanism = problem.mechanism
     names = disturbances(mechanism)
-    known = names[0] in mechanism.quantities
     units = {mechanism.quantities[q] for q in mechanism.outputs}
-    if len(units) != 1 or known or len(problem.poses) > _MOST_POSES:
+    if len(units) != 1 or mechanism.disturbances or len(problem.poses) > _MOST_POSES:
         return None
     rows = np.zeros((len(names), len(problem.poses)))
     own = problem.uncertainty

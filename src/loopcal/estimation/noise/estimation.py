@@ -48,8 +48,8 @@ class EstimatedSd:
     or where the data leave it open; upper_ratio: 95 % upper bound, where the estimate is zero,
     uncertain or hardly told apart from another (None also where nothing bounds it);
     likelihood_ratio: by how much -2 log of the restricted likelihood rises without the component,
-    None where the loops could not close without it; p_value: of so large a rise if there were
-    none of it.
+    None where the loops could not close without it, or the fit did not converge; p_value: of so
+    large a rise if there were none of it.
     """
 
     name: str
@@ -98,7 +98,15 @@ class NoiseEstimate:
 
     @cached_property
     def components(self) -> tuple[EstimatedSd, ...]:
-        """What the calibration says of each component; computed on request, it costs most."""
+        """What the calibration says of each component; computed on request, it costs most.
+
+        Without statistics where the fit did not converge.
+        """
+        if not self.solution.status.converged:
+            return tuple(
+                EstimatedSd(c.name, c.quantities, self.factors[c.name], None, None, None, None)
+                for c in self.stated
+            )
         unsure = {name for pair in self.alike for name in pair}
         return tuple(
             _judged(self.model, self.found, i, component, component.name in unsure)

@@ -15,7 +15,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.model_error import PREFIX, disturbances, with_model_error
+from loopcal.mechanisms.model_error import disturbances, with_model_error
 
 
 def with_model(mechanism: Mechanism, data: Dataset, noise: Noise) -> tuple[Mechanism, Dataset]:
@@ -125,12 +125,18 @@ def _learnt(entry: NoiseEntry, component: EstimatedSd, stated: Problem) -> Noise
 
 
 def words(
-    estimate: NoiseEstimate, noise: Sequence[NoiseEntry], shares: Mapping[str, float]
+    estimate: NoiseEstimate,
+    noise: Sequence[NoiseEntry],
+    shares: Mapping[str, float],
+    disturbances: Sequence[str],
 ) -> tuple[str, ...]:
-    """What the reader must know of the estimated sds; shares: of each quantity in chi-squared."""
+    """What the reader must know of the estimated sds.
+
+    shares: of each quantity in chi-squared; disturbances: quantities that are errors of the model.
+    """
     said = []
     for entry in noise:
-        of_model = entry.quantities[0].startswith(PREFIX)
+        of_model = entry.quantities[0] in disturbances
         if of_model and sum(shares[q] for q in entry.quantities) > 0.5:
             said.append(
                 f"What limits this machine is its model, not a sensor: an error of {entry.sd:.2g} "

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.effects.backlash import directions
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Mechanism
 
@@ -32,7 +33,8 @@ def with_implied(mechanism: Mechanism, data: Dataset) -> Dataset:
 def known_constants(mechanism: Mechanism, data: Dataset) -> Array:
     """The constants (c, N) [SI] of every pose; where an orientation was not measured, any one.
 
-    Raises InputError for a constant that is missing, and for numbers that are no orientation.
+    Raises InputError for a constant that is missing, for numbers that are no orientation, and for
+    directions of approach other than 1, 0 and -1.
     """
     filled: dict[str, Array] = {}
     for orientation in mechanism.orientations:
@@ -52,7 +54,22 @@ def known_constants(mechanism: Mechanism, data: Dataset) -> Array:
                 remedy="name its column, or exclude the poses without it",
             )
         rows.append(values)
+    for name in directions(mechanism):
+        _refuse_other_directions(data, name)
     return np.array(rows).reshape(len(rows), len(data))
+
+
+def _refuse_other_directions(data: Dataset, name: str) -> None:
+    values = data.readings[name]
+    wrong = np.flatnonzero(~np.isin(values, (-1.0, 0.0, 1.0)))
+    if wrong.size:
+        raise InputError(
+            f"the direction {name!r} is {values[wrong[0]]:g} in pose {data.poses[wrong[0]]!r} and "
+            f"no direction in {wrong.size} of {len(data)} poses",
+            place=data.place(int(wrong[0]), name),
+            remedy="give 1 where the reading grew until it stopped, -1 where it fell, 0 where the "
+            "play was taken out",
+        )
 
 
 def _orientation(orientation: Orientation, data: Dataset) -> dict[str, Array]:

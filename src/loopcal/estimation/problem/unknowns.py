@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,10 @@ class Unknowns:
     names: tuple[str, ...]
     nominal: Array
     prior_sd: Array
+
+    def without_prior(self) -> Unknowns:
+        """The same with nothing known beforehand."""
+        return replace(self, prior_sd=np.full(len(self.free), np.inf))
 
     def offset(self, parameters: Array) -> Array:
         """Nominal minus current values, (n,), of parameters (n_all,)."""

@@ -14,7 +14,7 @@ Nocedal and Wright, Numerical Optimization, 2nd ed. (2006), chapter 18.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +56,9 @@ def close_by_newton(tape: Tape, parameters: Array, block: Block, tolerance: floa
     for begin in range(0, block.count, 256):
         some = slice(begin, begin + 256)
         part = block.of(some)
-        problem = _Poses(first, second, part, _scaling(part.noise), costs)
+        scaling = _scaling(part.noise)
+        T = np.broadcast_to(scaling, (part.count, *scaling.shape[1:]))
+        problem = _Poses(first, second, part.readings, part.known, T, costs)
         done[:, some], late[some] = problem.run(part.corrections, tolerance)
     return Closed(done, late)
 
@@ -83,40 +85,51 @@ class _Local:
     s: Array
     Vt: Array
 
+    def of(self, chosen: NDArray[np.intp]) -> _Local:
+        """Some of these poses."""
+        return _Local(self.f[chosen], self.U[chosen], self.s[chosen], self.Vt[chosen])
+
     def closure(self, f: Array) -> Array:
         """Loop values f (b, m) in the metric of this Jacobian, (b, m): how far y must move."""
         turned = np.einsum("bmi,bm->bi", self.U, f)
         return np.where(self.s > 1e-13, turned / np.maximum(self.s, 1e-300), 0.0)
 
 
+@dataclass(frozen=True)
 class _Poses:
-    """Some poses with their engines: the iteration itself."""
+    """Some poses with their engines: the iteration itself.
 
-    def __init__(
-        self,
-        first: Engine,
-        second: Engine,
-        block: Block,
-        T: Array,
-        costs: Array,
-    ) -> None:
-        self.first, self.second = first, second
-        self.readings, self.known = block.readings, block.known
-        self.T = np.broadcast_to(T, (block.count, *T.shape[1:]))
-        self.costs = costs  # (k,) 1 for measured quantities, 0 for those that cost nothing
+    costs: (k,) 1 for measured quantities, 0 for those that cost nothing.
+    """
+
+    first: Engine
+    second: Engine
+    readings: Array
+    known: Array
+    T: Array
+    costs: Array
+
+    def of(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> _Poses:
+        """Some of these poses."""
+        readings, known = self.readings[:, chosen], self.known[:, chosen]
+        return replace(self, readings=readings, known=known, T=self.T[chosen])
 
     def run(self, corrections: Array, tolerance: float) -> tuple[Array, NDArray[np.bool_]]:
-        y = np.linalg.pinv(self.T) @ corrections.T[:, :, None]
-        y = y[:, :, 0]
-        open_ = np.ones(len(y), dtype=bool)
+        """Corrections (k, b), and the poses (b,) that stay open; closed poses are left alone."""
+        y = (np.linalg.pinv(self.T) @ corrections.T[:, :, None])[:, :, 0]
+        active, poses = np.arange(len(y)), self
         for _ in range(_MOST):
-            here = self._linearise(y)
-            step, multipliers = self._step(y, here)
-            step[~open_] = 0.0
-            y = y + self._length(y, here, step, multipliers)[:, None] * step
-            open_ &= ~(np.abs(step).max(axis=1) <= tolerance)
-            if not open_.any():
+            at = y[active]
+            here = poses._linearise(at)
+            step, multipliers = poses._step(at, here)
+            y[active] = at + poses._length(at, here, step, multipliers)[:, None] * step
+            rest = ~(np.abs(step).max(axis=1) <= tolerance)
+            if not rest.all():
+                active, poses = active[rest], poses.of(rest)
+            if not len(active):
                 break
+        open_ = np.zeros(len(y), dtype=bool)
+        open_[active] = True
         return self._corrections(y), open_
 
     def _corrections(self, y: Array) -> Array:
@@ -165,17 +178,21 @@ class _Poses:
     def _length(self, y: Array, here: _Local, step: Array, scaled: Array) -> Array:
         """The longest of the halved steps (b,) that lowers |M y|^2 / 2 + weight |closure|."""
         weight = 2.0 * np.abs(scaled).max(axis=1) + 1.0
-
-        def merit(at: Array) -> Array:
-            closure = np.abs(here.closure(self._values(at))).sum(axis=1)
-            value: Array = 0.5 * (self.costs * at * at).sum(axis=1) + weight * closure
-            return value
-
-        before = merit(y)
+        before = self._merit(y, here, weight)
         length = np.ones(len(y))
+        worse, poses = np.arange(len(y)), self
         for _ in range(_HALVINGS):
-            worse = ~(merit(y + length[:, None] * step) <= before * (1 + 1e-12) + 1e-12)
-            if not worse.any():
+            at = y[worse] + length[worse, None] * step[worse]
+            merit = poses._merit(at, here.of(worse), weight[worse])
+            still = ~(merit <= before[worse] * (1 + 1e-12) + 1e-12)
+            if not still.all():
+                worse, poses = worse[still], poses.of(still)
+            if not len(worse):
                 break
             length[worse] /= 2
         return length
+
+    def _merit(self, y: Array, here: _Local, weight: Array) -> Array:
+        closure = np.abs(here.closure(self._values(y))).sum(axis=1)
+        merit: Array = 0.5 * (self.costs * y * y).sum(axis=1) + weight * closure
+        return merit

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
-from loopcal.estimation.problem.unknowns import Unknowns
 from loopcal.estimation.solve.merit import Evaluation, Failed
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.expressions.domain import explain_domain
@@ -22,7 +20,8 @@ class InMemory:
 
     def __init__(self, sweeper: Sweeper) -> None:
         self.sweeper = sweeper
-        self.unknowns: Unknowns = replace(sweeper.problem.unknowns, prior_sd=sweeper.prior_sd)
+        own = sweeper.problem.unknowns
+        self.unknowns = own.without_prior() if sweeper.exact else own
         self.evaluate = sweeper.sweep
 
     @property
@@ -40,14 +39,7 @@ class InMemory:
         closing = NEAR if any(pattern.unmeasured for pattern in problem.patterns) else None
         found = self.evaluate(parameters, corrections, closing=closing)
         if not found.finite:
-            raise explain_domain(
-                problem.mechanism.tape,
-                problem.readings,
-                problem.known,
-                parameters,
-                problem.poses,
-                problem.mechanism.remedies,
-            )
+            raise outside_domain(problem, parameters)
         if found.singular:
             raise cannot_close(found.singular)
         return found
@@ -60,8 +52,16 @@ class InMemory:
         return None if closed.open.any() else closed.corrections
 
 
+def outside_domain(problem: Problem, parameters: Array) -> InputError:
+    """What to report of loops that have no value at the readings."""
+    tape, remedies = problem.mechanism.tape, problem.mechanism.remedies
+    return explain_domain(
+        tape, problem.readings, problem.known, parameters, problem.poses, remedies
+    )
+
+
 def cannot_close(singular: Failed) -> InputError:
-    """What to say of poses in which a loop equation has nothing that could be corrected."""
+    """What to report of poses in which a loop equation has nothing that could be corrected."""
     return InputError(
         f"the loops of {singular.count} poses cannot close, the first is pose "
         f"{singular.poses[0]!r}: some equation there contains no uncertain quantity that could be "

@@ -28,6 +28,7 @@ from loopcal.estimation.solve.block_kernel import BlockKernel, NumpyKernel
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.kernel import Whitened
 from loopcal.estimation.solve.loss import Loss
+from loopcal.estimation.solve.merit import without_state
 from loopcal.estimation.solve.scratch import one_blas_thread, scratch
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import Progress, solve_with
@@ -92,7 +93,7 @@ def solve_reweighted(
             reason = "max_iterations"
         status = Status.of(reason, iterations, likelihood.evaluations / len(problem.poses))
         prior = problem.unknowns.prior_square(parameters)
-        return Solution(parameters, corrections, end.data, end.cost, found.spectrum, prior, status)
+        return Solution(parameters, corrections, without_state(end), found.spectrum, prior, status)
 
 
 def _held(problem: Problem, parameters: Array, corrections: Array) -> Problem:
@@ -133,8 +134,8 @@ class _Reweighted(Sweeper):
     def __init__(
         self, problem: Problem, weights: Weights, rounding: float | None, loss: Loss | None
     ) -> None:
-        super().__init__(problem, loss=loss)
-        self.rounding = rounding  # whitened as here, so that c, which is no rounding, stays out
+        # the likelihood's rounding: c, which is no rounding, stays out
+        super().__init__(problem, loss=loss, rounding=rounding)
         self.weights = weights
         self.corrects = False
 

@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.solve.in_memory import outside_domain
 from loopcal.estimation.solve.kernel import unload
+from loopcal.estimation.solve.merit import without_state
 from loopcal.estimation.solve.reduction import Accumulator, spectrum
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.status import Status
 from loopcal.estimation.solve.sweep import Sweeper
-from loopcal.expressions.domain import explain_domain
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-10
@@ -49,7 +50,7 @@ def iterate_undamped(
         data, steps, proposals = _linearised(sweeper, parameters, corrections)
         if not np.all(np.isfinite(data.total)):
             if iteration == 1:
-                raise _outside(problem, parameters)
+                raise outside_domain(problem, parameters)
             reason, (parameters, corrections) = "diverged", before
             break
         before = parameters.copy(), corrections
@@ -71,12 +72,7 @@ def iterate_undamped(
     if reason == "max_iterations" and not sweep.data.chi_squared + prior <= first:
         reason = "diverged"
     status = Status.of(reason, iteration, sweeper.evaluations / len(problem.poses))
-    return Solution(parameters, corrections, sweep.data, sweep.cost, end, prior, status)
-
-
-def _outside(problem: Problem, parameters: Array) -> InputError:
-    tape, poses, remedies = problem.mechanism.tape, problem.poses, problem.mechanism.remedies
-    return explain_domain(tape, problem.readings, problem.known, parameters, poses, remedies)
+    return Solution(parameters, corrections, without_state(sweep), end, prior, status)
 
 
 def _linearised(

@@ -22,7 +22,14 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.checkpoint import Checkpoint, Place
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Loss
-from loopcal.estimation.solve.merit import NONE_FAILED, Evaluation, Failed, Merit, State
+from loopcal.estimation.solve.merit import (
+    NONE_FAILED,
+    Evaluation,
+    Failed,
+    Merit,
+    State,
+    without_state,
+)
 from loopcal.estimation.solve.reduction import (
     WELL_CONDITIONED,
     Spectrum,
@@ -214,11 +221,12 @@ class _Solver(Generic[State]):
         return self._point(parameters, found)
 
     def _point(self, parameters: Array, found: Evaluation[State]) -> _Point[State]:
-        merit = found.cost + self.unknowns.prior_square(parameters)
+        offset = self.unknowns.offset(parameters)
+        off = offset / self.unknowns.prior_sd
+        merit = found.cost + float(off @ off)
         bad = not math.isfinite(merit) or bool(found.late) or bool(found.singular)
         system = None
         if found.finite:
-            offset = self.unknowns.offset(parameters)
             system = spectrum(found.data, offset, self.unknowns.prior_sd)
         return _Point(parameters, found, np.inf if bad else merit, system, found.closing)
 
@@ -349,8 +357,7 @@ class _Solver(Generic[State]):
         return End(
             end.parameters,
             closed,
-            end.found.data,
-            end.found.cost,
+            without_state(end.found),
             end.spectrum,
             self.unknowns.prior_square(end.parameters),
             Status.of(reason, self.iterations, evaluations, detail),

@@ -21,7 +21,7 @@ from loopcal.estimation.solve.block_kernel import BlockKernel, Reduce, Reduced, 
 from loopcal.estimation.solve.closing import Closed, close_by_newton
 from loopcal.estimation.solve.kernel import unweighted, whiten
 from loopcal.estimation.solve.loss import Loss
-from loopcal.estimation.solve.merit import NAMED, Evaluation, Failed
+from loopcal.estimation.solve.merit import NAMED, NONE_FAILED, Evaluation, Failed
 from loopcal.estimation.solve.reduction import Accumulator
 from loopcal.expressions.engine import Engine, engine_for
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
@@ -40,10 +40,19 @@ _SAMPLE = 64
 class Sweeper:
     """Sweeps over the poses of one problem, with one of the two reductions.
 
-    exact: treat the sensors as exact (the basic method); loss: None is the gaussian one.
+    exact: treat the sensors as exact (the basic method); loss: None is the gaussian one; rounding:
+    what rounding of the loop values does to whitened residuals, their length by pose, by default
+    as the first sweep shows it.
     """
 
-    def __init__(self, problem: Problem, *, exact: bool = False, loss: Loss | None = None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        exact: bool = False,
+        loss: Loss | None = None,
+        rounding: float | None = None,
+    ) -> None:
         self.problem = problem
         self.loss = loss
         self.reduce: Reduce = unweighted if exact else whiten
@@ -51,19 +60,17 @@ class Sweeper:
             pattern.loops: engine_for(problem.tape(pattern), problem.names, problem.block)
             for pattern in problem.patterns
         }
-        self._exact = exact
+        self.exact = exact
         self._by_pose = problem.uncertainty.by_pose
         self._noises: dict[tuple[tuple[int, ...], tuple[int, ...]], BlockNoise] = {}
         self._units = problem.units
         self._kernels = {loops: self._made(engine) for loops, engine in self._engines.items()}
         self._block = min((kernel.block for kernel in self._kernels.values()), default=BLOCK)
-        self.prior_sd = np.full(len(problem.free), np.inf) if exact else problem.prior_sd
         # The basic method corrects nothing; only unmeasured quantities have to be found.
         self.corrects = not exact or any(p.unmeasured for p in problem.patterns)
         self.parameters = problem.start
         self.evaluations = 0
-        self.rounding: float | None = None
-        """What rounding of the loop values does to whitened residuals, their length by pose."""
+        self.rounding = rounding
 
     def sweep(
         self,
@@ -88,8 +95,8 @@ class Sweeper:
         kept = not self.corrects or whole
         proposal = corrections if kept else np.zeros(corrections.shape)
         steps, ratios = [0.0], [0.0]
-        nowhere = np.empty(0, dtype=np.intp)
-        singular, late = [nowhere], [nowhere]
+        singular: list[NDArray[np.intp]] = []
+        late: list[NDArray[np.intp]] = []
         surplus = 0.0
         summed = not triangular and self.loss is None
         for pattern, block in self.blocks(corrections, self._block):
@@ -178,6 +185,8 @@ class Sweeper:
 
     def _failed(self, found: list[NDArray[np.intp]]) -> Failed:
         """Poses by the positions that some blocks have found."""
+        if not found:
+            return NONE_FAILED
         some = np.concatenate(found)
         return Failed(some.size, tuple(self.problem.pose(int(i)) for i in some[:NAMED]))
 
@@ -187,7 +196,7 @@ class Sweeper:
         return alike == [True] and corrections.shape[1] <= self._block
 
     def _made(self, engine: Engine) -> BlockKernel:
-        return kernel_for(engine, self.reduce, exact=self._exact)
+        return kernel_for(engine, self.reduce, exact=self.exact)
 
     def _corrected(self, pattern: Pattern, block: Block) -> Reduced:
         self.evaluations += block.count
@@ -213,7 +222,7 @@ class Sweeper:
         expected = np.full(count, np.inf)
         last = ratio = 0.0
         for _ in range(MOST_CLOSINGS):
-            found = self._corrected(pattern, part.at(at))
+            found = self._corrected(pattern, part if at is part.corrections else part.at(at))
             correction, size = found.correction, found.step
             if active is None and (longest := float(size.max())) * contraction <= tolerance:
                 return Closed(correction, late, longest)

@@ -8,7 +8,6 @@ each chunk are handed out on the way.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,9 +23,9 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.solve.checkpoint import Checkpoint
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import Progress, solve_with
-from loopcal.estimation.stream.ending import Ending, Parts
-from loopcal.estimation.stream.pieces import Chunk, Stream, Task, do
-from loopcal.estimation.stream.sweeps import StreamMerit
+from loopcal.estimation.stream.chunks import Chunk, Disturbed, Stream
+from loopcal.estimation.stream.last_pass import LastPass, Parts
+from loopcal.estimation.stream.merit import StreamMerit, Task, do
 from loopcal.execution.executor import Executor, InProcess
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -62,7 +61,7 @@ def calibrate_stream(
     _refuse_estimates(fit, first.noise)
     mechanism, exact = fit.with_prior(mechanism), fit.method.exact
     if not exact:
-        stream = _Disturbed(mechanism, stream)
+        stream = Disturbed(mechanism, stream)
         mechanism, data = with_model(mechanism, first.data, first.noise)
         first = Chunk(data, first.noise)
     with one_blas_thread():
@@ -83,7 +82,7 @@ def calibrate_stream(
                 reached=reached,
                 resume=resume,
             )
-            return Ending(task, fit, solution).result(crew, merit, parts)
+            return LastPass(task, fit, solution).result(crew, merit, parts)
 
 
 def _task(mechanism: Mechanism, stream: Stream, *, exact: bool) -> Task:
@@ -125,24 +124,3 @@ def _refuse_estimates(fit: Fit, noise: Noise) -> None:
             remedy="learn them from a part of the poses (data.every, stream = false), and state "
             "them here",
         )
-
-
-@dataclass(frozen=True, eq=False)
-class _Disturbed:
-    """A stream with the readings of the machine model's own error, where the noise names it."""
-
-    mechanism: Mechanism
-    stream: Stream
-
-    @property
-    def poses(self) -> int:
-        return self.stream.poses
-
-    @property
-    def count(self) -> int:
-        return self.stream.count
-
-    def chunk(self, number: int) -> Chunk:
-        chunk = self.stream.chunk(number)
-        _, data = with_model(self.mechanism, chunk.data, chunk.noise)
-        return Chunk(data, chunk.noise)

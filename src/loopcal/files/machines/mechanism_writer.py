@@ -80,7 +80,7 @@ def _tables(key: str, listed: Sequence[Mapping[str, Any]]) -> list[str]:
 def _remarks(mechanism: Mechanism) -> list[str]:
     if not mechanism.remarks:
         return []
-    return ["remarks = [", *(f"    {_line('x', words)[4:]}," for words in mechanism.remarks), "]"]
+    return ["remarks = [", *(f"    {_value(words)}," for words in mechanism.remarks), "]"]
 
 
 def _parameter(parameter: Parameter, held: Sequence[str]) -> str:
@@ -97,21 +97,21 @@ def _line(key: str, value: Any) -> str:
     """`key = value` with tables and lists within the line."""
     import tomli_w
 
+    its_key = tomli_w.dumps({key: 0}).removesuffix(" = 0\n")
+    return f"{its_key} = {_value(value)}"
+
+
+def _value(value: Any) -> str:
+    import tomli_w
+
     if isinstance(value, Mapping):
-        inner = ", ".join(_line(k, _number(v)) for k, v in value.items())
-        return f"{_key(key)} = {{ {inner} }}" if inner else f"{_key(key)} = {{}}"
+        inner = ", ".join(_line(k, v) for k, v in value.items())
+        return f"{{ {inner} }}" if inner else "{}"
     if isinstance(value, Sequence) and not isinstance(value, str):
-        return f"{_key(key)} = [{', '.join(_line('x', v)[4:] for v in value)}]"
-    return tomli_w.dumps({key: _number(value)}).rstrip("\n")
-
-
-def _key(key: str) -> str:
-    return _line(key, 0)[: -len(" = 0")]
-
-
-def _number(value: Any) -> Any:
-    """Numbers of NumPy as Python's, whose repr survives reading exactly."""
-    return float(value) if isinstance(value, float) else value
+        return f"[{', '.join(map(_value, value))}]"
+    # numbers of NumPy as Python's, whose repr survives reading exactly
+    plain_value = float(value) if isinstance(value, float) else value
+    return tomli_w.dumps({"x": plain_value}).removeprefix("x = ").removesuffix("\n")
 
 
 def _comment(text: str) -> str:

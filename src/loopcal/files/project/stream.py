@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.distances import measured_points
-from loopcal.estimation.stream.ending import SHOWN
-from loopcal.estimation.stream.pieces import Chunk
+from loopcal.estimation.stream.chunks import Chunk
+from loopcal.estimation.stream.last_pass import SHOWN
 from loopcal.files.paths import expanded
 from loopcal.files.project.project_data import (
     LoadedData,

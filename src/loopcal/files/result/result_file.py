@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -214,6 +214,8 @@ def _validation(result: Result) -> dict[str, Any] | None:
         "poses": len(found.poses),
         "accuracy": found.accuracy and _distances(found.accuracy),
         "log_likelihood": found.log_likelihood,
+        "parts": found.parts,
+        "failed": [asdict(part) for part in found.failed],
     }
 
 
@@ -299,7 +301,7 @@ def _data(result: Result) -> dict[str, Any]:
         "file": source.file,
         "sha256": source.sha256,
         "poses": source.rows_read or len(dataset),
-        "used": result.problem.count,
+        "used": result.solution.poses,
         "excluded": list(source.excluded),
         "every": source.every,
         "joined": [{"file": part.file, "sha256": part.sha256} for part in source.joined],

@@ -130,6 +130,14 @@ class AccuracyEntry(Model):
     after: Distances = Field(description="With the calibrated parameters.")
 
 
+class FailedPartEntry(Model):
+    """A part of a validation that could not be predicted."""
+
+    number: Annotated[int, Field(ge=1)]
+    poses: Count
+    reason: str
+
+
 class ValidationEntry(Model):
     """How well poses were predicted that took no part in the fit."""
 
@@ -139,6 +147,10 @@ class ValidationEntry(Model):
     accuracy: Distances | None = Field(description="In the unit of `accuracy`; null: no outputs.")
     log_likelihood: Finite | None = Field(
         description="Predictive, summed over the poses; null where the method has none."
+    )
+    parts: Count = Field(default=1, description="How many parts were to be predicted.")
+    failed: list[FailedPartEntry] = Field(
+        default=[], description="Parts whose fit failed; their poses do not count."
     )
 
 

@@ -10,8 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError, nearest
+from loopcal.estimation.calibrate import refuse_noise
+from loopcal.estimation.fit import Fit
 from loopcal.files.machines.parameter_entries import changed, in_si
 from loopcal.files.machines.python_function import Loops
+from loopcal.files.project.fit_entries import fit_of
 from loopcal.files.project.noise_entries import NoiseSpec, noise_spec
 from loopcal.files.project.project_file import plain, priors, stated_mechanism
 from loopcal.files.project.simulation_entries import SimulationSpec, simulation_spec
@@ -35,12 +38,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StudyMethod:
-    """One method in one scenario: its mechanism has the priors, noise is what it is told."""
+    """One way to calibrate a scenario's readings: the arguments of `calibrate`, by a name.
+
+    The mechanism has the priors; noise is what the method is told.
+    """
 
     name: str
-    method: str
     mechanism: Mechanism
     noise: Noise
+    fit: Fit
 
 
 @dataclass(frozen=True)
@@ -180,14 +186,18 @@ def _with_priors(mechanism: Mechanism, entries: Mapping[str, SdEntry], place: Pl
     return mechanism.with_parameters(changed(mechanism.parameters, priors(entries), place))
 
 
-def _noise(entries: Mapping[str, NoiseEntry], mechanism: Mechanism, place: Place) -> NoiseSpec:
+def _noise(
+    entries: Mapping[str, NoiseEntry], mechanism: Mechanism, place: Place, *, learnt: bool = False
+) -> NoiseSpec:
+    """The noise stated; learnt: whether it is that of a method, which may learn sds."""
     for key, entry in entries.items():
-        if key == MODEL or entry.estimate is not None:
+        if not learnt and (key == MODEL or entry.estimate is not None):
             raise InputError(
-                "a study takes the sds of the sensors as they are told",
+                "this noise is also what the simulation draws from, so it cannot be learnt",
                 code="unsupported",
                 place=str(place.at(key)),
-                remedy='state an sd for each quantity, and leave "estimate" and "model" out',
+                remedy='state an sd for each quantity here, and "estimate" and "model" in '
+                "[methods.noise]",
             )
         if entry.covariance_columns is not None:
             raise InputError(
@@ -225,20 +235,25 @@ def _simulation(
 
 
 def _method(entry: MethodEntry, mechanism: Mechanism, told: NoiseSpec, place: Place) -> StudyMethod:
-    if entry.method == "least-squares" and (entry.noise or entry.prior):
+    fit = fit_of(entry, place)
+    if fit.method.exact and (entry.noise or entry.prior):
         key = "noise" if entry.noise else "prior"
         raise InputError(
-            f"the method least-squares uses no {key}",
+            f"the method {fit.method.name} uses no {key}",
             code="unsupported",
             place=str(place.at(key)),
-            remedy="leave it out, or choose implicit-loop or reweighted",
+            remedy="leave it out, or choose a method that weights the readings",
         )
-    own = _noise(entry.noise, mechanism, place.at("noise"))
+    noise = told.followed_by(_noise(entry.noise, mechanism, place.at("noise"), learnt=True)).noise()
+    try:
+        refuse_noise(fit, noise)
+    except InputError as error:
+        raise error.at(str(place)) from None
     return StudyMethod(
         entry.name or entry.method,
-        entry.method,
         _with_priors(mechanism, entry.prior, place.at("prior")),
-        told.followed_by(own).noise(),
+        noise,
+        fit,
     )
 
 

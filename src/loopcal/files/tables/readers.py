@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +30,8 @@ from loopcal.measurements.source import Source, row_name
 from loopcal.units import difference_to_si, to_si, unit
 
 
-@dataclass(frozen=True)
-class _How:
-    """What a caller may state of how a file is written."""
+class Layout(TypedDict, total=False):
+    """How a file is written, as keyword arguments; what is not stated is recognised."""
 
     sheet: str | int | None
     header: bool | None
@@ -40,6 +39,18 @@ class _How:
     decimal: str | None
     encoding: str | None
     variable: str | None
+
+
+@dataclass(frozen=True)
+class _How:
+    """What a caller states of how a file is written."""
+
+    sheet: str | int | None = None
+    header: bool | None = None
+    delimiter: str | None = None
+    decimal: str | None = None
+    encoding: str | None = None
+    variable: str | None = None
 
 
 _MEANT_FOR: dict[str, set[str]] = {
@@ -64,13 +75,8 @@ def read_dataset(
     pose: str | int | None = None,
     exclude: Iterable[object] = (),
     every: int = 1,
-    sheet: str | int | None = None,
-    header: bool | None = None,
-    delimiter: str | None = None,
-    decimal: str | None = None,
-    encoding: str | None = None,
     units: Mapping[str, str] | None = None,
-    variable: str | None = None,
+    **layout: Unpack[Layout],
 ) -> Dataset:
     """Readings from CSV, TSV or other text, XLSX, Parquet or MATLAB (by the ending of the name).
 
@@ -90,7 +96,7 @@ def read_dataset(
 
     Raises InputError, naming file, row and column, for all that cannot be read as stated.
     """
-    how = _How(sheet, header, delimiter, decimal, encoding, variable)
+    how = _How(**layout)
     asked = None if columns is None else specified(columns, units or {})
     step, gone = checked_every(every), asked_ids(exclude)
     if asked is None:
@@ -185,16 +191,10 @@ def read_poses(path: str | Path, pose: str | int, **how: Any) -> Dataset:
 
 def column_labels(
     path: str | Path | BinaryIO,
-    *,
-    sheet: str | int | None = None,
-    header: bool | None = None,
-    delimiter: str | None = None,
-    decimal: str | None = None,
-    encoding: str | None = None,
-    variable: str | None = None,
+    **layout: Unpack[Layout],
 ) -> tuple[str, ...]:
     """Names of the columns of a file, read as `read_dataset` reads it; none without a header."""
-    how = _How(sheet, header, delimiter, decimal, encoding, variable)
+    how = _How(**layout)
     if isinstance(path, str | Path) and _kind(path, how) == "Parquet":
         return parquet_files(path)[0].names
     return _table(path, how, None).names

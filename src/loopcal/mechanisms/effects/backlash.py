@@ -9,6 +9,7 @@ from loopcal.errors import InputError
 from loopcal.mechanisms.effects.effect import Joints, Name, joints
 from loopcal.mechanisms.frame import Values
 from loopcal.mechanisms.keys import Key
+from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 
@@ -19,6 +20,22 @@ Direction = Annotated[
     str,
     Key("Name of the known constant of each pose, +1, 0 or -1; {joint} is the name of the joint."),
 ]
+
+
+def directions(mechanism: Mechanism) -> list[str]:
+    """The known constants of a mechanism that are directions of approach: +1, 0 or -1."""
+    effects = (mechanism.description or {}).get("effect", [])
+    stated = [effect["direction"] for effect in effects if effect["type"] == "backlash"]
+    return [
+        name
+        for name in mechanism.known
+        if any(
+            name == s.replace(JOINT, q) + e
+            for s in stated
+            for q in mechanism.quantities
+            for e in ENDS
+        )
+    ]
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from loopcal.mechanisms.keys import Key, description
 from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, matching
+from loopcal.mechanisms.quantity import Quantity
 
 Joints = Annotated[tuple[str, ...], Key("Joints by names or globs.", least=1)]
 Changing = Annotated[tuple[str, ...], Key("Parameters by names or globs.", least=1)]
@@ -59,8 +60,8 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
     cannot act on.
     """
     own: dict[str, dict[str, Parameter]] = {}
-    known: dict[str, str] = {}
-    ends = _ends(mechanism)
+    known: dict[str, Quantity] = {}
+    ends = ENDS if any(v.first for v in mechanism.variables) else ENDS[:1]
     taken = {*mechanism.parameters.names}
     for effect in effects:
         if effect.name in (*mechanism.effects, *own):
@@ -72,11 +73,15 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
         own[effect.name] = effect.parameters(mechanism)
         _refuse_shared(effect.name, own[effect.name], taken)
         taken |= own[effect.name].keys()
-        known |= {n + end: u for n, u in effect.known(mechanism).items() for end in ends}
+        for name, unit in effect.known(mechanism).items():
+            for end in ends:
+                its = Quantity(name + end, unit, "known", name if end else None)
+                known.setdefault(its.name, its)
+    variables = (*mechanism.variables, *(v for n, v in known.items() if n not in mechanism.known))
     added = [p for its in own.values() for p in its.values()]
     tape = substituted(
         mechanism.tape,
-        lambda x, p: _meaning(mechanism, effects, x, p),
+        lambda x, p: _meaning(mechanism, effects, _rows(variables), x, p),
         known=[name for name in known if name not in mechanism.known],
         parameters=[p.name for p in added],
     )
@@ -85,8 +90,8 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
     return replace(
         mechanism,
         tape=tape,
+        variables=variables,
         parameters=Parameters((*mechanism.parameters, *added)),
-        known={**mechanism.known, **known},
         description=described | {"effect": told},
         effects={**mechanism.effects, **{name: tuple(its) for name, its in own.items()}},
     )
@@ -100,8 +105,8 @@ def joints(mechanism: Mechanism, patterns: Sequence[str], unit: str | None = Non
     none.
     """
     read = {q for family in mechanism.families for q in family.readings} | {*mechanism.outputs}
-    twins = {q + end for q in mechanism.quantities for end in ENDS if end}
-    own = [q for q in mechanism.quantities if q not in read and q not in twins]
+    own = [v.name for v in mechanism.variables if v.role == "reading" and v.first is None]
+    own = [q for q in own if q not in read]
     found = dict.fromkeys(
         name
         for pattern in patterns
@@ -135,19 +140,29 @@ def meant(mechanism: Mechanism, patterns: Sequence[str]) -> list[Parameter]:
     return [mechanism.parameters[name] for name in names]
 
 
+def _rows(variables: Sequence[Quantity]) -> list[dict[str, str]]:
+    """For each pose of a row: what its variables are called, by their names in the first pose."""
+    second = {v.first: v.name for v in variables if v.first}
+    return [{v.name: v.name for v in variables}, *([second] if second else [])]
+
+
 def _meaning(
-    mechanism: Mechanism, effects: Sequence[Effect], x: Values, p: Values
+    mechanism: Mechanism,
+    effects: Sequence[Effect],
+    rows: Sequence[Mapping[str, str]],
+    x: Values,
+    p: Values,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """x' and p' of a row, which may hold two poses."""
     readings: dict[str, Any] = {}
     constants: dict[str, Any] = dict(p)
-    for end in _ends(mechanism):
-        row = {name.removesuffix(end): value for name, value in x.items() if name.endswith(end)}
+    for number, called in enumerate(rows):
+        row = {name: x[own] for name, own in called.items()}
         for effect in effects:
             for name, value in effect.changed(mechanism, row, constants).items():
                 if name in mechanism.quantities:
-                    row[name] = readings[name + end] = value
-                elif end:
+                    row[name] = readings[called[name]] = value
+                elif number:
                     raise InputError(
                         f"the effect {effect.name!r} changes the parameter {name!r} by pose, and "
                         "an instrument looks at two poses at once",
@@ -157,11 +172,6 @@ def _meaning(
                 else:
                     constants[name] = value
     return readings, {n: v for n, v in constants.items() if v is not p[n]}
-
-
-def _ends(mechanism: Mechanism) -> tuple[str, ...]:
-    twin = any(q + ENDS[1] in mechanism.quantities for q in mechanism.quantities)
-    return ENDS if twin else ENDS[:1]
 
 
 def _refuse_shared(effect: str, own: Mapping[str, Parameter], taken: set[str]) -> None:

@@ -11,6 +11,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import quantile
 from loopcal.estimation.accuracy import Accuracy
 from loopcal.estimation.distances import distances
 from loopcal.estimation.fit import Fit
@@ -19,14 +20,15 @@ from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import AllPoses, Result
 from loopcal.estimation.solve.solution import End
 from loopcal.estimation.solve.sweep import NEGLIGIBLE
-from loopcal.estimation.stream.pieces import Task
-from loopcal.estimation.stream.shown import Shown, joined, misfits
-from loopcal.estimation.stream.sweeps import StreamedProblem, StreamMerit
+from loopcal.estimation.stream.chunks import Chunk, joined
+from loopcal.estimation.stream.merit import StreamMerit, Task
 from loopcal.execution.executor import Crew, in_order
 from loopcal.measurements.dataset import Dataset
 
 Array = NDArray[np.float64]
 Part = TypeVar("Part")
+WORST = 100
+"""Of the poses that fit badly at most so many are shown."""
 SHOWN, _ALIKE = 10_000, 0.5
 """About so many poses are kept for figures and tests; a model error is told of where these misfit
 at least this share of what all do."""
@@ -45,7 +47,7 @@ class Parts(Generic[Part]):
 
 
 @dataclass(frozen=True, eq=False)
-class Ending:
+class LastPass:
     """The last pass: what became of every pose, at the parameters found."""
 
     task: Task
@@ -61,8 +63,8 @@ class Ending:
             for number in range(self.task.stream.count)
         ]
         accuracies = _Distances(), _Distances()
-        kept: list[Shown] = []
-        worst: Shown | None = None
+        kept: list[_Shown] = []
+        worst: _Shown | None = None
         with closing(crew(pieces)) as outcomes:
             for ended in in_order(outcomes):
                 assert isinstance(ended, _Ended)
@@ -71,19 +73,19 @@ class Ending:
                 if ended.kept:
                     kept.append(ended.kept)
                 if ended.worst:
-                    worst = joined([worst, ended.worst] if worst else [ended.worst]).worst()
+                    worst = _joined([worst, ended.worst] if worst else [ended.worst]).worst()
                 if parts:
                     parts.done(ended.part)
-        sample, equations = joined(kept), merit.equations
+        sample = _joined(kept)
         # else a few poses make chi-squared what it is
         alike = bool(sample.square.mean() > _ALIKE * self.solution.cost / poses)
-        found = self._shown(sample, equations, poses)
+        found = self._shown(sample)
         words = "figures and residuals.csv show"
         told = f"Calibrated from a stream of {poses} poses; {words} {len(found.dataset)} of them"
         discrepancy = found.model_discrepancy if alike else None
         if worst:
             # those that fit badly say nothing of all the others
-            found = self._shown(joined([sample, worst]).in_order(), equations, poses)
+            found = self._shown(_joined([sample, worst]).in_order())
             told += f", and {len(worst.number)} more that fit badly"
         before, after = (distance.accuracy() for distance in accuracies)
         return replace(
@@ -92,12 +94,10 @@ class Ending:
             notes=(f"{told}.",) if stride > 1 else (),
         )
 
-    def _shown(self, shown: Shown, equations: int, poses: int) -> Result:
+    def _shown(self, shown: _Shown) -> Result:
         """The result with the arrays of some poses."""
         problem = self.task.problem(shown.chunk)
-        own = {name: getattr(problem, name) for name in problem.__dataclass_fields__}
-        whole = StreamedProblem(**own, counted=equations, total=poses)
-        return _closed(self.task, self.fit, self.solution, whole, shown.chunk.data)
+        return _closed(self.task, self.fit, self.solution, problem, shown.chunk.data)
 
 
 def _closed(task: Task, fit: Fit, solution: End[bool], problem: Problem, data: Dataset) -> Result:
@@ -116,8 +116,8 @@ class _Ended:
     """
 
     part: Any
-    kept: Shown | None
-    worst: Shown | None
+    kept: _Shown | None
+    worst: _Shown | None
     distances: tuple[_Distances, _Distances]
 
 
@@ -146,17 +146,79 @@ class _EndPiece:
         found[0].add(problem, result.differences_before)
         found[1].add(problem, result.differences_after)
         corrections = np.array(list(result.corrections.values()))
-        square, misfit = misfits(task, problem, self.solution.parameters, corrections, self.poses)
+        square, misfit = _misfits(task, problem, self.solution.parameters, corrections, self.poses)
         number = np.arange(self.begin, self.begin + len(chunk.data))
-        shown = Shown(number, square, misfit, chunk)
+        shown = _Shown(number, square, misfit, chunk)
         every = number % self.stride == 0
         index, bad = np.flatnonzero(every), np.flatnonzero(~every & (misfit > 1.0))
         return _Ended(
             self.part_of(result) if self.part_of else None,
-            shown.at(index) if index.size else None,
-            shown.at(bad).worst() if bad.size else None,
+            shown.take(index) if index.size else None,
+            shown.take(bad).worst() if bad.size else None,
             found,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """Poses to be shown.
+
+    number: in the stream; square: the weighted square of their corrections; misfit: how badly
+    they fit (see `_misfits`).
+    """
+
+    number: NDArray[np.intp]
+    square: Array
+    misfit: Array
+    chunk: Chunk
+
+    def take(self, index: NDArray[np.intp]) -> _Shown:
+        """Some of them, in this order."""
+        chunk = self.chunk.take(index)
+        return _Shown(self.number[index], self.square[index], self.misfit[index], chunk)
+
+    def in_order(self) -> _Shown:
+        """In the order of the stream."""
+        return self.take(np.argsort(self.number, kind="stable"))
+
+    def worst(self) -> _Shown:
+        """At most WORST of them."""
+        return self.take(np.argsort(-self.misfit, kind="stable")[:WORST])
+
+
+def _joined(parts: list[_Shown]) -> _Shown:
+    """The poses of all parts."""
+    return _Shown(
+        np.concatenate([part.number for part in parts]),
+        np.concatenate([part.square for part in parts]),
+        np.concatenate([part.misfit for part in parts]),
+        joined([part.chunk for part in parts]),
+    )
+
+
+def _misfits(
+    task: Task, problem: Problem, parameters: Array, corrections: Array, poses: int
+) -> tuple[Array, Array]:
+    """The weighted squares (N,) of the corrections; and over what one of so many poses exceeds.
+
+    The scale of these is the stated one, or that of the middle pose where it is larger; the
+    method of exact sensors has no other.
+    """
+    sweeper = task.sweeper(problem)
+    sweeper.at(parameters)
+    count = len(problem.poses)
+    whole, ratio, middle = np.zeros(count), np.zeros(count), np.full(count, np.nan)
+    for pattern, block in sweeper.blocks(corrections):
+        some = block.poses
+        freedom = len(pattern.loops) - len(pattern.unmeasured)
+        if freedom > 0:
+            whole[some] = sweeper.misfit(pattern, block)
+            ratio[some] = whole[some] / quantile(1.0 / poses, freedom)
+            middle[some] = whole[some] / quantile(0.5, freedom)
+    known = np.isfinite(middle)
+    scale = float(np.median(middle[known])) if known.any() else 0.0
+    scale = scale if task.exact else max(scale, 1.0)
+    return whole, ratio / max(scale, 1e-300)
 
 
 class _Distances:

@@ -1,0 +1,199 @@
+"""The merit over a stream: the same solver over chunks that come and go.
+
+An evaluation adds up over poses, so it can take them chunk by chunk. Each piece of work reads its
+own chunk, wherever it is done, and returns sums; it depends on nothing but its number and what it
+is given. Nothing is kept of a pose between evaluations: its corrections are found again from its
+readings, which costs an evaluation or two more and needs no memory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.problem.enough import refuse_too_few
+from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.problem.starting import start_corrections
+from loopcal.estimation.problem.unreachable import refuse_unreachable
+from loopcal.estimation.solve.in_memory import cannot_close, outside_domain
+from loopcal.estimation.solve.merit import Evaluation, Failed, without_state
+from loopcal.estimation.solve.reduction import Accumulator
+from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
+from loopcal.estimation.solve.sweep import NEAR, Sweeper
+from loopcal.estimation.stream.chunks import Chunk, Stream
+from loopcal.execution.executor import Crew, in_order
+from loopcal.mechanisms.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What all pieces share.
+
+    start: nominal parameter values [SI]; exact: of the basic method; rounding: of loop values,
+    the same for all chunks (`Sweeper.rounding`).
+    """
+
+    mechanism: Mechanism
+    stream: Stream
+    start: Mapping[str, float]
+    exact: bool
+    rounding: float | None = None
+
+    def problem(self, chunk: Chunk) -> Problem:
+        """The problem of one chunk, whose poses alone need not determine the parameters."""
+        noise = None if self.exact else chunk.noise
+        return build_problem(self.mechanism, chunk.data, noise, self.start, whole=False)
+
+    def sweeper(self, problem: Problem) -> Sweeper:
+        """What sweeps over the poses of one chunk."""
+        return Sweeper(problem, exact=self.exact, rounding=self.rounding)
+
+    def settled(self, problem: Problem) -> Task:
+        """The same with the rounding that the first chunk shows, at the parameters it starts at."""
+        sweeper = self.sweeper(problem)
+        sweeper.sweep(problem.start, start_corrections(sweeper, problem.start))
+        return replace(self, rounding=sweeper.rounding)
+
+
+class StreamPiece(Protocol):
+    """The work of one chunk."""
+
+    def done(self, task: Task) -> Any:
+        """What becomes of it."""
+
+
+def do(task: Task, piece: StreamPiece) -> Any:
+    """Do a piece: the work of an executor."""
+    reuse_memory(32)
+    with one_blas_thread():
+        return piece.done(task)
+
+
+class StreamMerit:
+    """The merit over the poses of a stream, its chunks evaluated by a crew and added in order.
+
+    Its state says whether loops are closed; corrections are found anew from the readings. first:
+    the problem of the first chunk; sizes: poses of each chunk, known from the first evaluation on.
+    """
+
+    def __init__(self, task: Task, crew: Crew, first: Problem) -> None:
+        self.unknowns = first.unknowns.without_prior() if task.exact else first.unknowns
+        self.task, self.crew = task, crew
+        self.evaluations = 0
+        self.sizes: list[int] = []
+        self._units = first.units
+
+    def first(self, parameters: Array) -> Evaluation[bool]:
+        """The evaluation to begin from.
+
+        Raises InputError where a loop has no value or cannot be corrected, and for too few
+        equations.
+        """
+        found = self._evaluated(parameters, triangular=False, closing=None, first=True)
+        if found.singular:
+            raise cannot_close(found.singular)
+        refuse_too_few(found.equations, found.poses, self.unknowns)
+        return found
+
+    def evaluate(
+        self,
+        parameters: Array,
+        state: bool,
+        *,
+        triangular: bool = False,
+        closing: float | None = None,
+        contraction: float = 1.0,
+    ) -> Evaluation[bool]:
+        """The evaluation at parameters (n_all,), from the readings of every chunk.
+
+        contraction is not used: it says nothing of steps that begin anew.
+        """
+        closing = NEAR if closing is None and state else closing
+        return self._evaluated(parameters, triangular=triangular, closing=closing)
+
+    def close(
+        self, parameters: Array, state: bool, tolerance: float, contraction: float
+    ) -> bool | None:
+        """Nothing to do: the loops of a chunk are closed when its corrections are asked for."""
+        return True
+
+    def _evaluated(
+        self, parameters: Array, *, triangular: bool, closing: float | None, first: bool = False
+    ) -> Evaluation[bool]:
+        data = Accumulator(len(self.unknowns.free), triangular, self._units)
+        parts = [
+            _SweepPiece(number, parameters, triangular, closing, first)
+            for number in range(self.task.stream.count)
+        ]
+        step = contraction = rounding = surplus = 0.0
+        equations, sizes, singular, late = 0, list[int](), Failed(), Failed()
+        with contextlib.closing(self.crew(parts)) as outcomes:
+            for part in in_order(outcomes):
+                assert isinstance(part, _Swept)
+                found = part.found
+                data.add_other(found.data)
+                step, contraction = max(step, found.step), max(contraction, found.contraction)
+                rounding = found.rounding
+                singular, late = singular + found.singular, late + found.late
+                surplus += found.surplus
+                sizes.append(found.poses)
+                equations += found.equations
+                self.evaluations += part.evaluations
+        self.sizes = sizes
+        return Evaluation(
+            data,
+            state=closing is not None,
+            proposal=True,
+            step=step,
+            contraction=contraction,
+            closing=closing,
+            rounding=rounding,
+            equations=equations,
+            poses=sum(sizes),
+            singular=singular,
+            late=late,
+            surplus=surplus,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Swept:
+    """What a sweep found in one chunk, and the loop evaluations it took."""
+
+    found: Evaluation[None]
+    evaluations: int
+
+
+@dataclass(frozen=True, eq=False)
+class _SweepPiece:
+    """One sweep over the chunk of a number; first: of all, where readings are looked at."""
+
+    number: int
+    parameters: Array
+    triangular: bool
+    closing: float | None
+    first: bool
+
+    def done(self, task: Task) -> _Swept:
+        """The chunk's sums.
+
+        Raises InputError where the first sweep meets what the machine cannot have read, or, as
+        DomainError, no number.
+        """
+        problem = task.problem(task.stream.chunk(self.number))
+        if self.first:
+            refuse_unreachable(problem, problem.start)
+        sweeper = task.sweeper(problem)
+        start = start_corrections(sweeper, self.parameters)
+        wanted = NEAR if self.closing is None and start.any() else self.closing
+        found = sweeper.sweep(self.parameters, start, triangular=self.triangular, closing=wanted)
+        if self.first and not found.finite:
+            raise outside_domain(problem, self.parameters)
+        return _Swept(without_state(found), sweeper.evaluations)
