@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from loopcal.estimation.result import Result
-from loopcal.estimation.rounding import significant
-from loopcal.estimation.summary import SHOWN, columns
 from loopcal.files.result.truth_file import read_truth
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import SHOWN
+from loopcal.presentation.text_table import columns
 from loopcal.units import from_si
 from loopcal.workflow.calibration import run_calibration
 

@@ -16,15 +16,17 @@ PACKAGE = Path(__file__).resolve().parents[1] / "src" / "loopcal"
 LAYERS = (
     ("errors",),
     ("chi_squared", "expressions", "units"),
+    ("presentation",),
     ("execution",),
     ("mechanisms", "measurements"),
+    ("document",),
     ("estimation", "simulation"),
-    ("statistics", "planning", "files"),
+    ("statistics", "files"),
     ("studies",),
     ("figures",),
     ("report",),
     ("workflow",),
-    ("cli", "app"),
+    ("cli",),
 )
 HEIGHT = {name: height for height, names in enumerate(LAYERS) for name in names}
 # The public face, the package and its namespaces, may import anything, and nothing imports it;
@@ -149,6 +151,36 @@ def length_on_screen(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     return lines
 
 
+def import_cycles(modules: list[Module]) -> list[frozenset[str]]:
+    """Modules that import each other, imports for types and inside functions counted."""
+    names = {module.name.removesuffix(".__init__") for module in modules}
+    below = {
+        (name := module.name.removesuffix(".__init__")): {
+            part
+            for _, target in module.imports()
+            for part in (target.removeprefix("loopcal."), target[8:].rpartition(".")[0])
+            if target.startswith("loopcal.") and part in names and part != name
+        }
+        for module in modules
+        if module.layer not in ABOVE_ALL
+    }
+    reached = {name: _reached(name, below) for name in below}
+    cycles = {frozenset(o for o in reached[n] if n in reached[o]) for n in below if n in reached[n]}
+    return sorted(cycles, key=sorted)
+
+
+def _reached(name: str, below: dict[str, set[str]]) -> set[str]:
+    """All modules that one imports, itself only if it imports itself by others."""
+    found: set[str] = set()
+    ahead = [*below[name]]
+    while ahead:
+        other = ahead.pop()
+        if other not in found:
+            found.add(other)
+            ahead += below.get(other, ())
+    return found & set(below)
+
+
 def arguments(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     """How many a function takes, without self; *args and **kwargs count as one each."""
     own = function.args
@@ -185,6 +217,18 @@ def test_every_folder_and_module_is_a_layer() -> None:
 
 def test_imports_point_downwards_only() -> None:
     assert [line for module in MODULES for line in upward_imports(module)] == []
+
+
+def test_no_modules_import_each_other() -> None:
+    assert import_cycles(MODULES) == []
+
+
+def test_a_cycle_by_types_or_inside_a_function_is_found() -> None:
+    one = Module("estimation.a", "if TYPE_CHECKING:\n    from loopcal.estimation.b import f")
+    two = Module("estimation.b", "def f():\n    from loopcal.estimation.a import g")
+    three = Module("estimation.c", "from loopcal.estimation.a import g")
+    assert import_cycles([one, two, three]) == [{"estimation.a", "estimation.b"}]
+    assert import_cycles([one, three]) == []
 
 
 def test_only_files_touches_the_disk() -> None:

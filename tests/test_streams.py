@@ -118,7 +118,7 @@ def test_a_stream_reports_where_its_sds_come_from(folder: Path) -> None:
     encoders = PROJECT.replace('{ sd = 1e-4, unit = "rad" }', "{ encoder = { bits = 14 } }")
     read(folder, encoders)
     done = run_calibration(folder / "project.toml")
-    sources = {q: n["source"] for n in done.written.document["noise"] for q in n["quantities"]}
+    sources = {q: n.source for n in done.written.document.noise for q in n.quantities}
     assert sources == {"phi2": "datasheet", "phi3": "datasheet", "xP": "given", "yP": "given"}
 
 
@@ -133,8 +133,8 @@ def test_a_calibration_from_a_stream_is_that_from_memory(folder: Path) -> None:
         assert streamed.result.value[name] == pytest.approx(value, abs=1e-7 * sd)
     assert streamed.written.files == (*whole.written.files, "residuals/")
     document = streamed.written.document
-    assert document["data"]["used"] == 248
-    assert document["data"]["poses"] == 500
+    assert document.data.used == 248
+    assert document.data.poses == 500
     kept = pl.read_parquet(folder / "project-result" / "residuals" / "*.parquet")
     assert kept["pose"].to_list() == list(whole.result.dataset.poses)
     there = kept["phi2 correction [rad]"].to_numpy()

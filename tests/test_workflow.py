@@ -94,8 +94,8 @@ def test_readings_are_simulated_and_calibrated(lever: Path) -> None:
     assert done.result.errors is not None
     for name, error in done.result.errors.items():
         assert error == made.simulation.parameters[name] - done.result.value[name]
-    assert read_result(lever / "out" / "result.json")["title"] == "Lever"
-    assert done.written.document["inputs"]["noise"]["angle"]["sd"] == 1
+    assert read_result(lever / "out" / "result.json").title == "Lever"
+    assert done.written.document.inputs["noise"]["angle"]["sd"] == 1
 
 
 def test_readings_in_the_units_of_the_project_are_the_simulated_ones(lever: Path) -> None:
@@ -236,4 +236,4 @@ def test_infinite_sds_are_text_in_the_inputs(lever: Path) -> None:
     (lever / "lever.toml").write_text(text)
     run_simulation(lever / "lever.toml", out=lever / "poses.csv", seed=3, function=function(lever))
     done = run_calibration(lever / "lever.toml", function=function(lever))
-    assert done.written.document["inputs"]["prior"]["*"]["sd"] == str(math.inf)
+    assert done.written.document.inputs["prior"]["*"]["sd"] == str(math.inf)

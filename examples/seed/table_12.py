@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 
 import loopcal as lc
-from loopcal.estimation.rounding import rounded_by_sd, significant
-from loopcal.estimation.summary import SHOWN, columns
+from loopcal.presentation.rounding import rounded_by_sd, significant
+from loopcal.presentation.shown import SHOWN
+from loopcal.presentation.text_table import columns
 from loopcal.units import from_si
 
 PROJECTS = Path(__file__).resolve().parents[1] / "motoman"

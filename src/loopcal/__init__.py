@@ -10,19 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from loopcal import effects, instruments, machines
+    from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
+    from loopcal.document.fit import NoiseEntry
+    from loopcal.document.goodness_of_fit import ChiSquared
+    from loopcal.document.result_document import ResultDocument
     from loopcal.errors import InputError, LoopcalError
-    from loopcal.estimation.accuracy import Accuracy, Closure
+    from loopcal.estimation.accuracy import Accuracy, InstrumentAccuracy
     from loopcal.estimation.calibrate import calibrate
     from loopcal.estimation.fit import Fit
-    from loopcal.estimation.goodness_of_fit import ChiSquared
-    from loopcal.estimation.identifiability import Identifiability, Undetermined
-    from loopcal.estimation.noise.noise_entry import NoiseEntry
-    from loopcal.estimation.on_request import (
-        ComparedModel,
-        Interval,
-        ModelComparison,
-        Validation,
-    )
+    from loopcal.estimation.residuals import Closure
     from loopcal.estimation.result import Result
     from loopcal.estimation.solve.status import Status
     from loopcal.execution.cluster import Cluster
@@ -50,27 +46,32 @@ if TYPE_CHECKING:
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation, simulate
     from loopcal.statistics.check import Check, check
-    from loopcal.statistics.column_faults import ColumnFault
     from loopcal.statistics.compared import Compared
     from loopcal.statistics.comparison import compare
     from loopcal.statistics.findings import Findings, findings
-    from loopcal.statistics.intervals import intervals
-    from loopcal.statistics.models import compare_models
-    from loopcal.statistics.outliers import Outlier, Outliers, find_outliers
+    from loopcal.statistics.intervals import Interval, intervals
+    from loopcal.statistics.models import ComparedModel, ModelComparison, compare_models
+    from loopcal.statistics.outliers import Outliers, find_outliers
     from loopcal.statistics.prediction import Prediction, predict
     from loopcal.statistics.repeats import Repeats, repeated_readings
-    from loopcal.statistics.validation import MethodComparison, compare_methods, validate
+    from loopcal.statistics.validation import (
+        MethodComparison,
+        Validation,
+        compare_methods,
+        validate,
+    )
     from loopcal.workflow.calibration import write_result
 
 _HOME = {
+    "document.goodness_of_fit": ("ChiSquared",),
+    "document.findings": ("ColumnFault", "Identifiability", "Outlier", "Undetermined"),
+    "document.fit": ("NoiseEntry",),
+    "document.result_document": ("ResultDocument",),
     "errors": ("InputError", "LoopcalError"),
-    "estimation.accuracy": ("Accuracy", "Closure"),
+    "estimation.accuracy": ("Accuracy", "InstrumentAccuracy"),
+    "estimation.residuals": ("Closure",),
     "estimation.calibrate": ("calibrate",),
-    "estimation.goodness_of_fit": ("ChiSquared",),
     "estimation.fit": ("Fit",),
-    "estimation.identifiability": ("Identifiability", "Undetermined"),
-    "estimation.noise.noise_entry": ("NoiseEntry",),
-    "estimation.on_request": ("ComparedModel", "Interval", "ModelComparison", "Validation"),
     "estimation.result": ("Result",),
     "estimation.solve.status": ("Status",),
     "execution.cluster": ("Cluster",),
@@ -102,11 +103,10 @@ _HOME = {
     "statistics.check": ("Check", "check"),
     "statistics.compared": ("Compared",),
     "statistics.comparison": ("compare",),
-    "statistics.intervals": ("intervals",),
-    "statistics.validation": ("MethodComparison", "compare_methods", "validate"),
-    "statistics.column_faults": ("ColumnFault",),
-    "statistics.models": ("compare_models",),
-    "statistics.outliers": ("Outlier", "Outliers", "find_outliers"),
+    "statistics.intervals": ("Interval", "intervals"),
+    "statistics.validation": ("MethodComparison", "Validation", "compare_methods", "validate"),
+    "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
+    "statistics.outliers": ("Outliers", "find_outliers"),
     "statistics.findings": ("Findings", "findings"),
     "statistics.prediction": ("Prediction", "predict"),
     "statistics.repeats": ("Repeats", "repeated_readings"),
@@ -130,6 +130,7 @@ __all__ = [
     "Identifiability",
     "InputError",
     "Instrument",
+    "InstrumentAccuracy",
     "Interval",
     "Joint",
     "LoadedData",
@@ -151,6 +152,7 @@ __all__ = [
     "Project",
     "Repeats",
     "Result",
+    "ResultDocument",
     "Simulation",
     "Status",
     "Threads",

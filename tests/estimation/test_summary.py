@@ -8,12 +8,13 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
+from loopcal.document.tables import parameter_table
 from loopcal.estimation.accuracy import Accuracy
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.result import Result
-from loopcal.estimation.summary import columns, parameter_table, summary
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.prior import Prior
+from loopcal.presentation.text_table import columns
 from tests.reference.four_bars import passive
 from tests.reference.simulated import planar_arm
 
@@ -39,13 +40,13 @@ def result() -> Result:
 
 
 def test_every_parameter_has_value_change_and_sd_rounded_by_the_sd(result: Result) -> None:
-    assert "\n".join(parameter_table(result)) == PARAMETERS
+    assert "\n".join(parameter_table(result.document.parameters)) == PARAMETERS
 
 
 def test_the_whole_says_method_state_fit_accuracy_and_parameters(result: Result) -> None:
-    text = summary(result)
+    text = str(result)
     lines = text.splitlines()
-    assert str(result) == text
+    assert str(result.document) == text
     assert lines[0] == "planar two-link arm: implicit loop (all sensors uncertain)"
     assert lines[2] == f"converged in {result.status.iterations} iterations on 40 poses"
     assert lines[3] == ("chi-squared 65.039 at 76 degrees of freedom (per degree 0.856, p = 0.81)")
@@ -63,12 +64,13 @@ def test_the_whole_says_method_state_fit_accuracy_and_parameters(result: Result)
 
 
 def test_it_stays_within_a_terminal(result: Result) -> None:
-    assert max(len(line) for line in summary(result).splitlines()) <= 100
+    assert max(len(line) for line in str(result).splitlines()) <= 100
 
 
 def test_known_errors_stand_beside_the_sds(result: Result) -> None:
     errors = dict.fromkeys(result.value, 0.0) | {"xA": 1.23e-4, "phi20": -1e-4}
-    table = parameter_table(replace(result, errors=MappingProxyType(errors)))
+    known = replace(result, errors=MappingProxyType(errors))
+    table = parameter_table(known.document.parameters)
     assert table[0].split() == ["parameter", "value", "change", "sd", "error", "unit"]
     assert table[1].split() == ["xA", "19.946", "-0.054", "0.055", "+0.123", "mm"]
     assert table[5].split()[-2:] == ["-0.0057", "deg"]
@@ -79,7 +81,7 @@ def test_a_fit_that_did_not_converge_says_so_first() -> None:
     data = simulated.read(SDS, seed=1)
     start = simulated.off(0.05, 0.1)
     stopped = calibrate(start, data, noise=Noise(SDS), max_iterations=1)
-    lines = summary(stopped).splitlines()
+    lines = str(stopped).splitlines()
     assert lines[2] == "NOT CONVERGED (max_iterations) in 1 iteration on 40 poses"
     assert lines[3].strip() == stopped.status.message
 
@@ -87,7 +89,7 @@ def test_a_fit_that_did_not_converge_says_so_first() -> None:
 def test_least_squares_has_no_chi_squared() -> None:
     simulated = planar_arm(40)
     basic = calibrate(simulated.truth, simulated.read(SDS, seed=1), method="least-squares")
-    text = summary(basic)
+    text = str(basic)
     assert text.startswith("planar two-link arm: least squares (sensors taken as exact)")
     assert "chi-squared" not in text
     assert "closed by correcting" not in text
@@ -102,7 +104,7 @@ def test_an_undetermined_parameter_has_an_unknown_sd_and_a_warning() -> None:
     loose = planar_arm(40)
     poses = loose.read(SDS, seed=1).take([0] * 6)
     one = calibrate(loose.truth, poses, noise=Noise(SDS))
-    text = summary(one)
+    text = str(one)
     assert "unknown" in text
     assert "WARNING  Not identifiable:" in text
     assert "of 6 parameters determined" in text
@@ -114,8 +116,8 @@ def test_wrong_sds_are_called_wrong_in_either_direction() -> None:
     for factor, words in ((0.1, "these sds cannot be right"), (10.0, "which are too large")):
         noise = Noise({q: factor * sd for q, sd in SDS.items()})
         fitted = calibrate(simulated.truth, data, noise=noise)
-        assert words in summary(fitted)
-    assert "WARNING" not in summary(calibrate(simulated.truth, data, noise=Noise(SDS)))
+        assert words in str(fitted)
+    assert "WARNING" not in str(calibrate(simulated.truth, data, noise=Noise(SDS)))
 
 
 def test_a_loop_without_outputs_has_no_accuracy_to_speak_of() -> None:
@@ -123,14 +125,14 @@ def test_a_loop_without_outputs_has_no_accuracy_to_speak_of() -> None:
     noise = Noise({"crank": 1e-3, "rocker": 1e-3, "coupler": np.inf})
     fitted = calibrate(simulated.truth, simulated.read(), noise=noise)
     assert fitted.accuracy_after is None
-    assert "accuracy: the mechanism names no outputs that a model could predict" in summary(fitted)
+    assert "accuracy: the mechanism names no outputs that a model could predict" in str(fitted)
 
 
 def test_poses_left_out_are_counted() -> None:
     simulated = planar_arm(40)
     data = simulated.read(SDS, seed=1).exclude(["3", "7"])
     fitted = calibrate(simulated.truth, data, noise=Noise(SDS))
-    assert "on 38 of 40 poses" in summary(fitted)
+    assert "on 38 of 40 poses" in str(fitted)
 
 
 def test_accuracy_is_of_distances_where_both_points_are_there() -> None:

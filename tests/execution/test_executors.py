@@ -6,7 +6,6 @@ import pickle
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import pytest
 from threadpoolctl import threadpool_info
 
 import loopcal as lc
+from loopcal.document.result_document import ResultDocument
 from loopcal.errors import UsageError
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution import local
@@ -211,7 +211,7 @@ def test_a_calibration_is_the_same_whoever_does_its_pieces(tmp_path: Path) -> No
     told: list[tuple[str, int, int]] = []
     shared: list[Executor] = []
 
-    def calibrated(name: str, executor: Executor | None) -> Mapping[str, Any]:
+    def calibrated(name: str, executor: Executor | None) -> ResultDocument:
         done = run_calibration(
             project,
             Request(folds=5, profile=["l?"]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +103,74 @@ def test_coefficients_are_recovered_from_a_project_with_a_column_in_celsius(tmp_
     result = lc.calibrate(lc.read_project(project).mechanism, read.dataset, noise=read.noise)
     for name, true in TRUTH.items():
         assert abs(result.value[name] - true) < 4 * (result.sd[name] or 0.0), name
+
+
+def test_celsius_taken_as_kelvin_is_refused_before_the_fit(tmp_path: Path) -> None:
+    project, data = tmp_path / "project.toml", tmp_path / "poses.csv"
+    project.write_text(PROJECT)
+    run("simulate", str(project), "--out", str(data), "--seed", "4")
+    project.write_text(PROJECT.replace('{ column = "T", unit = "degC" }', '"T"'))
+    with pytest.raises(InputError, match="look like degC") as refused:
+        lc.load_dataset(lc.read_project(project))
+    assert refused.value.code == "implausible-unit"
+    project.write_text(PROJECT.replace('unit = "degC" }\n[noise]', "check = false }\n[noise]"))
+    assert lc.load_dataset(lc.read_project(project)).dataset["temperature"].max() < 40
+
+
+CHAIN = """
+schema = 1
+[mechanism]
+type = "urdf"
+joint = [
+    { name = "q1", xyz = [0, 0, 0.4], axis = [0, 0, 1] },
+    { name = "q2", xyz = [0.15, 0, 0], axis = [0, 1, 0] },
+    { name = "q3", xyz = [0.6, 0, 0], axis = [0, 1, 0] },
+]
+[[mechanism.effect]]
+type = "thermal"
+changing = ["q3_x", "q2_ry"]
+[data]
+file = "poses.csv"
+[data.columns]
+q1 = "q1"
+q2 = "q2"
+q3 = "q3"
+x = "x"
+y = "y"
+z = "z"
+temperature = { column = "T", unit = "degC" }
+[noise]
+"q*" = 1e-5
+xyz = 1e-5
+[parameters]
+tool_x = 0.4
+tool_y = 0.05
+[simulation]
+poses = 100
+truth = { q3_x_thermal = 12e-6, q2_ry_thermal = 20e-6 }
+[simulation.ranges]
+q1 = { from = -2, to = 2 }
+q2 = { from = -1, to = 1 }
+q3 = { from = 0.3, to = 2 }
+temperature = { from = 15, to = 35, unit = "degC" }
+"""
+
+
+def test_a_link_and_a_zero_of_a_chain_are_recovered_and_predicted_from(tmp_path: Path) -> None:
+    (tmp_path / "project.toml").write_text(CHAIN)
+    run("simulate", "project.toml", "--out", "poses.csv", "--seed", "1", cwd=tmp_path)
+    done = run("calibrate", "project.toml", "--no-report", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    document = json.loads((tmp_path / "out" / "result.json").read_text())
+    found = {p["name"]: p for p in document["parameters"]}
+    for name, true in {"q3_x_thermal": 12e-6, "q2_ry_thermal": 20e-6}.items():
+        assert found[name]["sd"] < 1e-6
+        assert abs(found[name]["value"] - true) < 4 * found[name]["sd"], name
+    told = run("predict", "out", "poses.csv", cwd=tmp_path)
+    assert told.returncode == 0, told.stderr
+    x = [float(line.split(",")[1]) for line in told.stdout.splitlines()[1:]]
+    read = lc.load_dataset(lc.read_project(tmp_path / "project.toml")).dataset["x"]
+    assert np.abs(np.array(x) - read).max() < 1e-4
 
 
 def test_it_is_written_again_bit_for_bit(tmp_path: Path) -> None:

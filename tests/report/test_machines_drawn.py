@@ -7,7 +7,6 @@ import pytest
 
 import loopcal as lc
 from analyses.machines import CASES
-from loopcal.files.result.result_file import result_document
 from loopcal.report.drawn import figures
 from loopcal.report.source import source_of
 
@@ -31,7 +30,7 @@ def test_points_are_drawn_beside_the_machine_and_angles_are_not_lengths(
     poses = lc.random_poses(case.driven, 40, seed=1)
     made = lc.simulate(mechanism, poses, noise=noise, seed=1)
     result = lc.calibrate(mechanism, made.dataset, noise=noise)
-    drawn = figures(source_of(result, result_document(result), "out"))
+    drawn = figures(source_of(result, result.document, "out"))
     machine = next(t for t in drawn["arrows"].data if t["name"].startswith("machine"))
     assert machine["type"] == trace
     assert sum(value is None for value in machine["x"]) == lines - 1

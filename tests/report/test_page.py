@@ -2,28 +2,38 @@
 
 from __future__ import annotations
 
-import copy
-import json
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from loopcal.files.result.result_columns import ResultColumns
+from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, Undetermined
+from loopcal.document.result_document import ResultDocument
+from loopcal.files.result.pose_table import PoseTable
+from loopcal.files.result.result_file import read_result
 from loopcal.report.page import MOST, report_html
 from loopcal.report.source import read_source
-from loopcal.report.tables import accuracy_table, comparison_table, parameter_table
+from loopcal.report.tables import accuracy_tables, comparison_table, parameter_table
 from loopcal.report.verdict import verdict
 from tests.golden_files import page_text
 from tests.refusals import refused
 
 
-def document_of(folder: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / "result.json").read_text("utf-8"))
-    return found
+def document_of(folder: Path) -> ResultDocument:
+    return read_result(folder / "result.json")
+
+
+def changed(value: Any, path: str, new: Any) -> Any:
+    """The same document with something else at a path of fields."""
+    name, _, rest = path.partition(".")
+    return replace(value, **{name: changed(getattr(value, name), rest, new) if rest else new})
+
+
+def outlier(pose: str) -> Outlier:
+    return Outlier(pose, None, 30.0, 1e-6, 30.0, None, None)
 
 
 def test_a_page_made_again_from_the_files_is_the_same(planar: Path, six_axis: Path) -> None:
@@ -36,15 +46,17 @@ def test_a_page_made_again_from_the_files_is_the_same(planar: Path, six_axis: Pa
 def test_its_accuracy_is_that_of_the_columns_and_of_result_json(planar: Path) -> None:
     source = read_source(planar)
     for when in ("before", "after"):
-        lengths = np.linalg.norm(list(source.columns.differences(when).values()), axis=0)
-        told = source.document["accuracy"][when]
-        assert told["rms"] == pytest.approx(np.sqrt(np.mean(lengths**2)), rel=1e-12)
-        assert told["max"] == pytest.approx(lengths.max(), rel=1e-12)
-    table = accuracy_table(source.document)
-    assert table is not None
+        differences = getattr(source.table, f"differences_{when}")
+        lengths = np.linalg.norm(list(differences.values()), axis=0)
+        told = getattr(source.document.accuracy, when)
+        assert told.rms == pytest.approx(np.sqrt(np.mean(lengths**2)), rel=1e-12)
+        assert told.max == pytest.approx(lengths.max(), rel=1e-12)
+    (table,) = accuracy_tables(source.document)
     assert [row[0] for row in table.rows] == ["nominal", "calibrated", "on poses not used"]
-    validated = source.document["validation"]["accuracy"]["rms"]
-    assert float(table.rows[2][2]) == pytest.approx(1e3 * validated, rel=1e-3)
+    validated = source.document.validation
+    assert validated is not None
+    assert validated.accuracy is not None
+    assert float(table.rows[2][2]) == pytest.approx(1e3 * validated.accuracy.rms, rel=1e-3)
 
 
 def test_it_holds_everything_and_is_small(six_axis: Path) -> None:
@@ -58,9 +70,13 @@ def test_it_holds_everything_and_is_small(six_axis: Path) -> None:
 def test_a_hundred_thousand_poses_are_thinned_in_the_figures_only(planar: Path) -> None:
     source = read_source(planar)
     times = 1000
-    columns = {name: np.tile(values, times) for name, values in source.columns.columns.items()}
-    ids = tuple(str(i) for i in range(times * len(source.columns.poses)))
-    page = report_html([replace(source, columns=ResultColumns(ids, columns))])
+    parts = {field.name: getattr(source.table, field.name) for field in fields(PoseTable)}
+    ids = tuple(str(i) for i in range(times * len(parts.pop("poses"))))
+    longer = {
+        name: {key: np.tile(values, times) for key, values in part.items()}
+        for name, part in parts.items()
+    }
+    page = report_html([replace(source, table=PoseTable(ids, **longer))])
     assert len(page.encode()) < 7_000_000
     text = page_text(page)
     assert "of 100,000 poses" in text
@@ -103,72 +119,66 @@ def test_a_good_result_is_called_good(planar: Path) -> None:
         ("chi_squared.p_value", 1e-6, "care", "larger than the stated sds"),
         ("validation.accuracy.rms", 9.0, "care", "much worse"),
         ("accuracy.after.rms", 9.0, "care", "did not improve"),
-        ("method", "least-squares", "care", "taken as exact"),
+        ("noise", (), "care", "taken as exact"),
         (
             "identifiability.not_identifiable",
-            [{"combination": {"l2": 1.0}, "words": "l2"}],
+            (Undetermined({"l2": 1.0}, "l2"),),
             "care",
             "do not determine l2",
         ),
         (
             "column_faults",
-            [{"quantities": ["xP"], "words": "xP is in another unit", "before": 1, "after": 0}],
+            (ColumnFault(("xP",), "xP is in another unit", 1.0, 0.0),),
             "bad",
             "another unit",
         ),
-        ("outliers", [{"pose": "17"}], "care", "1 pose does not fit the others (17)"),
+        ("outliers", (outlier("17"),), "care", "1 pose does not fit the others (17)"),
         (
             "outliers",
-            [{"pose": "17"}, {"pose": "9"}, {"pose": "17"}],
+            (outlier("17"), outlier("9"), outlier("17")),
             "care",
             "2 poses do not fit the others (17, 9, worst first)",
         ),
     ],
 )
 def test_every_doubt_is_told(planar: Path, path: str, value: Any, grade: str, words: str) -> None:
-    document = copy.deepcopy(document_of(planar))
-    *parents, last = path.split(".")
-    inner = document
-    for key in parents:
-        inner = inner[key]
-    inner[last] = value
-    told = verdict(document)
+    told = verdict(changed(document_of(planar), path, value))
     assert told.grade == grade
     assert words in f"{told.headline} {told.paragraph}"
 
 
 def test_parameters_stand_with_change_and_share_of_the_prior(planar: Path) -> None:
     document = document_of(planar)
-    entry = document["parameters"][2]
-    entry["prior_sd"] = 2.0 * entry["sd"]
-    document["parameters"][3] |= {"fixed": True, "sd": None}
-    rows = {row[0]: row for row in parameter_table(document).rows}
-    row = rows[entry["name"]]
+    entry = document.parameters[2]
+    assert entry.sd is not None
+    other = replace(document.parameters[3], fixed=True, sd=None)
+    known = replace(entry, prior_sd=2.0 * entry.sd)
+    parameters = (*document.parameters[:2], known, other, *document.parameters[4:])
+    rows = {row[0]: row for row in parameter_table(replace(document, parameters=parameters)).rows}
+    row = rows[entry.name]
     assert row[-1] == "25%"
-    assert float(row[-2]) == pytest.approx(
-        (entry["value"] - entry["nominal"]) / entry["sd"], abs=0.05
-    )
-    assert "fixed" in rows[document["parameters"][3]["name"]]
+    assert float(row[-2]) == pytest.approx((entry.value - entry.nominal) / entry.sd, abs=0.05)
+    assert "fixed" in rows[other.name]
 
 
 def test_a_column_at_fault_is_the_verdict_and_another_optimum_a_doubt(planar: Path) -> None:
     document = document_of(planar)
-    other = {"parameters": {"l2": 0.6}, "chi_squared": 250.0, "words": "another optimum: l2 600 mm"}
-    told = verdict({**document, "other_optima": [other]})
+    other = OtherOptimum({"l2": 0.6}, 250.0, "another optimum: l2 600 mm")
+    told = verdict(replace(document, other_optima=(other,)))
     assert told.grade == "care"
     assert "another optimum: l2 600 mm" in told.paragraph
     words = "the columns of phi2 and phi3 are exchanged"
-    fault = {"quantities": ["phi2", "phi3"], "words": words, "before": 0.1, "after": 1e-4}
-    told = verdict({**document, "column_faults": [fault]})
+    fault = ColumnFault(("phi2", "phi3"), words, 0.1, 1e-4)
+    told = verdict(replace(document, column_faults=(fault,)))
     assert told.grade == "bad"
     assert words in told.paragraph
 
 
 def test_what_the_machine_model_lacks_is_part_of_the_verdict(planar: Path) -> None:
     document = document_of(planar)
-    model = {**document["noise"][0], "quantities": ["model_x"], "unit": "m", "sd": 1.37e-3}
-    told = verdict({**document, "noise": [*document["noise"], model]})
+    model = replace(document.noise[0], quantities=("model_x",), unit="m", sd=1.37e-3)
+    told = verdict(replace(document, noise=(*document.noise, model)))
     assert told.grade == "care"
     assert "the model of the machine is off by an sd of 1.37 mm" in told.paragraph
-    nothing = verdict({**document, "noise": [*document["noise"], {**model, "sd": 0.0}]})
+    nothing = verdict(replace(document, noise=(*document.noise, replace(model, sd=0.0))))
     assert nothing == verdict(document)

@@ -27,6 +27,7 @@ def test_exchanged_angles_of_a_tracker_are_found() -> None:
     angles = {"T_azimuth": "T_elevation", "T_elevation": "T_azimuth"}
     (fault,) = column_faults(problem(setup("six-axis spherical"), 30, **angles))
     assert fault.words == "the columns of T_azimuth and T_elevation are exchanged"
+    assert fault.before is not None
     assert fault.after < 0.01 * fault.before
 
 

@@ -10,8 +10,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.errors import InputError
-from loopcal.estimation.on_request import Interval
-from loopcal.statistics.intervals import covariance_interval, intervals
+from loopcal.statistics.intervals import Interval, covariance_interval, intervals, with_intervals
 from tests.reference.simulated import planar_arm
 from tests.refusals import refused
 
@@ -136,16 +135,25 @@ def test_what_nothing_bounds_has_no_interval() -> None:
 
 
 def test_the_summary_and_the_document_tell_it() -> None:
-    from dataclasses import replace
-
-    from loopcal.files.result.result_file import result_document
-
     result = lc.calibrate(exponential(), {"t": T, "y": Y}, noise=LINE)
-    result = replace(result, intervals=intervals(result))
-    assert "differs" in str(result)
-    entry = result_document(result)["parameters"][0]["interval"]
-    assert entry["differs"] is True
-    assert entry["covariance"][0] < result.value["k"] < entry["profile"][1]
+    document = with_intervals(result.document, intervals(result))
+    assert "differs" in str(document)
+    entry = document.parameters[0].interval
+    assert entry is not None
+    assert entry.differs is True
+    low, high = entry.covariance[0], entry.profile[1]
+    assert low is not None
+    assert high is not None
+    assert low < result.value["k"] < high
+
+
+def test_what_nothing_bounds_is_shown_without_ends() -> None:
+    result = lc.calibrate(exponential(), {"t": T, "y": Y}, noise=LINE)
+    document = with_intervals(result.document, {"k": None})
+    entry = document.parameters[0].interval
+    assert entry is not None
+    assert entry.covariance == entry.profile == (None, None)
+    assert "unbounded" in str(document)
 
 
 def test_what_cannot_be_profiled_is_refused() -> None:

@@ -11,7 +11,6 @@ import pytest
 
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
-from loopcal.estimation.on_request import ComparedModel
 from loopcal.estimation.result import Result
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
@@ -25,7 +24,7 @@ from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
 from loopcal.statistics import validation
 from loopcal.statistics.folds import folds, grouped
-from loopcal.statistics.models import compare_models, recommended
+from loopcal.statistics.models import ComparedModel, compare_models, recommended
 from tests.refusals import refused
 
 NOISE = Noise({"?P": 1e-4, "phi?": 2e-4})

@@ -28,9 +28,10 @@ def test_the_exchanged_links_are_found_and_fit_worse(seed: int) -> None:
     # a negative link is the same link turned round
     assert abs(other.parameters["l2"]) == pytest.approx(0.6, abs=0.01)
     assert abs(other.parameters["l3"]) == pytest.approx(0.8, abs=0.01)
+    assert other.of_result is not None
     assert other.of_result < other.chi_squared < 2.0 * other.of_result
     assert "another optimum" in lc.findings(result).words()
-    assert lc.findings(result).document()["other_optima"] == [other.document()]
+    assert lc.findings(result).added_to(result.document).other_optima == (other,)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -45,6 +46,7 @@ def test_a_start_at_the_exchange_is_told_that_it_is_not_the_best() -> None:
     result = fitted(WEAK, {"*": np.inf}, 0, start=start)
     assert result.value["l2"] == pytest.approx(0.6, abs=0.01)
     (other,) = other_optima(result)
+    assert other.of_result is not None
     assert other.chi_squared < other.of_result
     assert "fits better" in str(other)
 

@@ -233,6 +233,7 @@ def test_what_happened_to_a_column_is_named(change, words) -> None:
     found = outliers(change, method="least-squares", max_iterations=20)
     assert len(found.columns) == 1
     assert words in str(found)
+    assert found.columns[0].before is not None
     assert found.columns[0].after < 0.1 * found.columns[0].before
 
 
@@ -310,11 +311,11 @@ def test_a_loop_in_the_plane_tells_what_cannot_be_told_apart() -> None:
     assert "xP" in (found[0].quantity, *found[0].indistinct)
 
 
-def test_the_document_is_plain() -> None:
-    document = outliers(negative).document()
-    assert document["outliers"][0]["pose"] == "8"
-    assert document["outlier_tests"]["level"] == 0.05
-    assert document["column_faults"] == []
+def test_the_document_says_how_the_poses_were_tested() -> None:
+    found = outliers(negative)
+    assert found.found[0].pose == "8"
+    assert found.tests.level == 0.05
+    assert found.columns == ()
 
 
 @pytest.mark.parametrize("wrong", [{"level": 0.0}, {"level": 1.0}, {"scale": "guess"}])

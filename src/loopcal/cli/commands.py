@@ -163,8 +163,8 @@ def calibrate(
         print_json(done.written.document)
         log(where)
     else:
-        title, told = done.written.document["title"], done.findings.words()
-        print_out(f"{title}\n{done.result}\n\n{told}\n\n{where}")
+        document = done.written.document
+        print_out(f"{document.title}\n{document}\n\n{done.findings.words()}\n\n{where}")
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
 

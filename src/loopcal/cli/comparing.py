@@ -34,7 +34,7 @@ def run_comparison(
     at = None
     if poses is not None:
         document = read_result_folder(a, function=loops).document
-        at = read_new_readings(poses, document["inputs"], first.mechanism)
+        at = read_new_readings(poses, document.inputs, first.mechanism)
     try:
         return compare(first, second, poses=at, align=align)
     except InputError as error:

@@ -65,9 +65,14 @@ def _print(text: str) -> None:
 
 
 def print_json(document: Any) -> None:
-    """Print exactly one JSON document; what steers a terminal is in JSON's own escapes."""
+    """Print typed values or plain data as exactly one JSON document.
+
+    What steers a terminal is in JSON's own escapes.
+    """
+    from loopcal.document.plain import plain
+
     utf8 = (getattr(sys.stdout, "encoding", None) or "").lower().startswith("utf")
-    text = json.dumps(document, indent=1, ensure_ascii=not utf8, allow_nan=False)
+    text = json.dumps(plain(document), indent=1, ensure_ascii=not utf8, allow_nan=False)
     _print(_STEERING.sub(lambda found: json.dumps(found[0])[1:-1], text))
 
 

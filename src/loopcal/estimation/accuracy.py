@@ -1,36 +1,34 @@
-"""How far outputs and loops are off: distances and loop values, summed up."""
+"""How far computed outputs are from measured ones, as positions and orientations by instrument."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.accuracy import (
+    AccuracyEntry,
+    Deviation,
+    Distances,
+    InstrumentDeviation,
+    InstrumentDistances,
+)
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.outputs import POLAR, Seen, cartesian, seen_outputs
+
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Closure:
-    """Size of the loop equations' values [SI] over all poses."""
-
-    rms: float
-    max: float
-
-    @classmethod
-    def of(cls, residuals: Mapping[str, Array]) -> Closure:
-        """From the values of the loops that hold, loop -> (N,)."""
-        values = np.array(list(residuals.values()))
-        values = values[np.isfinite(values)]
-        return cls(float(np.sqrt(np.square(values).mean())), float(np.abs(values).max()))
 
 
 @dataclass(frozen=True)
 class Accuracy:
     """Distances between computed and measured outputs [unit] where both are there.
 
-    The computed output comes from the other readings alone, without corrections.
+    The computed output comes from the other readings alone, without corrections. orientation: the
+    same of the angles [rad] between computed and measured orientations, None where none is measured
+    or nothing else is; by: the accuracy as each instrument sees it.
     """
 
     unit: str
@@ -39,6 +37,8 @@ class Accuracy:
     p95: float
     max: float
     poses: int
+    orientation: Accuracy | None = None
+    by: tuple[InstrumentAccuracy, ...] = ()
 
     @classmethod
     def of(cls, distances: Array, unit: str) -> Accuracy | None:
@@ -54,3 +54,152 @@ class Accuracy:
             float(distances.max()),
             int(distances.size),
         )
+
+    @property
+    def distances(self) -> Distances:
+        """As a document holds it."""
+        return Distances(self.mean, self.rms, self.p95, self.max, self.poses)
+
+
+@dataclass(frozen=True)
+class InstrumentAccuracy:
+    """The accuracy as one instrument sees it; station: where it stands, if anything says so."""
+
+    instrument: str
+    station: str | None
+    position: Accuracy | None
+    orientation: Accuracy | None
+
+    @property
+    def entry(self) -> InstrumentDistances:
+        """As a document holds it."""
+        return InstrumentDistances(
+            self.instrument,
+            self.station,
+            None if self.position is None else self.position.distances,
+            None if self.orientation is None else self.orientation.distances,
+        )
+
+
+def accuracy_entry(before: Accuracy | None, after: Accuracy | None) -> AccuracyEntry | None:
+    """Both as a document holds them."""
+    if before is None or after is None:
+        return None
+    return AccuracyEntry(
+        before.unit,
+        before.distances,
+        after.distances,
+        _deviation(before.orientation, after.orientation),
+        tuple(
+            InstrumentDeviation(
+                one.instrument,
+                one.station,
+                _deviation(one.position, other.position),
+                _deviation(one.orientation, other.orientation),
+            )
+            for one, other in zip(before.by, after.by, strict=True)
+        ),
+    )
+
+
+def _deviation(before: Accuracy | None, after: Accuracy | None) -> Deviation | None:
+    if before is None or after is None:
+        return None
+    return Deviation(before.unit, before.distances, after.distances)
+
+
+@dataclass(frozen=True, eq=False)
+class Apart:
+    """Distances (N,) of what one instrument sees, NaN where one of the two is missing.
+
+    position: [unit of `seen`]; angle: of the rotation from measured to computed [rad]; None where
+    it sees no such thing.
+    """
+
+    seen: Seen
+    position: Array | None
+    angle: Array | None
+
+
+def deviations(mechanism: Mechanism, measured: Array, differences: Array) -> tuple[Apart, ...]:
+    """By instrument, from measured (c, N) and computed minus measured (c, N) [SI].
+
+    Rows are `mechanism.compared`. Coordinates of one point make one distance, and so do range,
+    azimuth and elevation, whose points are compared.
+    """
+    return tuple(_apart(mechanism, seen, measured, differences) for seen in seen_outputs(mechanism))
+
+
+def _apart(mechanism: Mechanism, seen: Seen, measured: Array, differences: Array) -> Apart:
+    names = mechanism.compared
+    position = angle = None
+    if seen.position:
+        index = [names.index(q) for q in seen.position]
+        gap = differences[index]
+        if seen.form in POLAR:
+            gap = cartesian(measured[index] + gap) - cartesian(measured[index])
+        position = np.sqrt(np.square(gap).sum(axis=0))
+    if seen.turns:
+        off = differences[[names.index(q) for q in seen.turns]]
+        if not seen.small:
+            off = off - math.tau * np.round(off / math.tau)
+        size = np.sqrt(np.square(off).sum(axis=0))
+        angle = 2.0 * np.arctan(0.5 * size) if seen.small else size
+    return Apart(seen, position, angle)
+
+
+def main_unit(apart: Sequence[Apart]) -> str | None:
+    """SI unit of the accuracy as a whole: of positions where any is seen, else of angles."""
+    units = [one.seen.unit for one in apart if one.position is not None]
+    if not units:
+        return "rad" if any(one.angle is not None for one in apart) else None
+    return "m" if "m" in units else units[0]
+
+
+def main_distances(apart: Sequence[Apart]) -> Array | None:
+    """Distances (i, N) that the accuracy as a whole sums up."""
+    unit = main_unit(apart)
+    if unit is None:
+        return None
+    if unit == "rad":
+        return np.array([one.angle for one in apart if one.angle is not None])
+    return np.array(
+        [one.position for one in apart if one.seen.unit == unit and one.position is not None]
+    )
+
+
+def by_pose(apart: Sequence[Apart]) -> Array | None:
+    """(N,) root mean square of the distances over the instruments that read the pose."""
+    values = main_distances(apart)
+    if values is None:
+        return None
+    there = np.isfinite(values)
+    squares = np.where(there, np.square(values), 0.0).sum(axis=0)
+    count = there.sum(axis=0)
+    return np.where(count > 0, np.sqrt(squares / np.maximum(count, 1)), np.nan)
+
+
+def accuracy(apart: Sequence[Apart]) -> Accuracy | None:
+    """The distances of all poses summed up; None where there are none."""
+    unit, values = main_unit(apart), main_distances(apart)
+    if unit is None or values is None:
+        return None
+    angles = [one.angle for one in apart if one.angle is not None]
+    turned = Accuracy.of(np.array(angles), "rad") if angles and unit != "rad" else None
+    by = [
+        InstrumentAccuracy(
+            one.seen.instrument,
+            one.seen.station,
+            None if one.position is None else Accuracy.of(one.position, one.seen.unit),
+            None if one.angle is None else Accuracy.of(one.angle, "rad"),
+        )
+        for one in apart
+    ]
+    return together(Accuracy.of(values, unit), turned, by)
+
+
+def together(
+    overall: Accuracy | None, orientation: Accuracy | None, by: Sequence[InstrumentAccuracy]
+) -> Accuracy | None:
+    """The accuracy as a whole with its parts."""
+    return overall and replace(overall, orientation=orientation, by=tuple(by))

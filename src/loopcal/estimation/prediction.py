@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.patterns import held_loops
 from loopcal.estimation.problem.problem import BLOCK, Problem
 from loopcal.estimation.solve.kernel import eliminate
-from loopcal.expressions.engine import engine_for
+from loopcal.expressions.engine import Stage, engine_for
 from loopcal.expressions.tape import Tape
 from loopcal.mechanisms.mechanism import Mechanism
 
@@ -65,22 +65,25 @@ def found_from_loops(
 def output_differences(
     problem: Problem, parameters: Array, corrections: Array | None = None
 ) -> Array:
-    """Computed minus measured outputs (o, N) [SI]; NaN where nothing can be compared.
+    """Computed minus measured (c, N) [SI], rows `mechanism.compared`; NaN: nothing to compare.
 
     Computed from the other readings as they are; unmeasured quantities come from the loops,
-    beginning at their corrections.
+    beginning at their corrections. Turns from measured to computed orientations are the values of
+    their own loops there.
     """
     mechanism = problem.mechanism
-    rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
-    differences = np.full((len(rows), len(problem.poses)), np.nan)
+    quantities = mechanism.tape.quantities
+    compared = [quantities.index(q) for q in mechanism.compared]
+    outputs = compared[: len(mechanism.outputs)]
+    differences = np.full((len(compared), len(problem.poses)), np.nan)
     predicting = set(mechanism.predicting().tape.loops)
     for pattern in problem.patterns:
         loops = tuple(i for i in pattern.loops if mechanism.tape.loops[i] in predicting)
         tape = held_loops(mechanism.tape, loops)
         inputs = frozenset().union(*tape.depends_on()) if loops else frozenset()
-        there = [row for row in rows if row not in pattern.absent]
+        there = [row for row in outputs if row not in pattern.absent]
         measured = [row for row in there if row not in pattern.unmeasured]
-        found_too = [i for i in pattern.unmeasured if tape.quantities[i] in inputs]
+        found_too = [i for i in pattern.unmeasured if quantities[i] in inputs]
         unknown = list(dict.fromkeys([*there, *found_too]))
         if not measured or len(unknown) > len(loops):
             continue  # nothing to compare with, or the other readings do not say where they are
@@ -92,5 +95,24 @@ def output_differences(
         found = found_from_loops(tape, unknown, parameters, x, known)
         for row in measured:
             computed = found[row] - problem.readings[row, pattern.poses]
-            differences[rows.index(row), pattern.poses] = computed
+            differences[compared.index(row), pattern.poses] = computed
+        turns = [i for i in pattern.loops if mechanism.tape.loops[i] in mechanism.turns]
+        if turns:
+            values = _loop_values(
+                held_loops(mechanism.tape, tuple(turns)), parameters, found, known
+            )
+            for loop, value in zip(turns, values, strict=True):
+                row = mechanism.compared.index(mechanism.tape.loops[loop])
+                differences[row, pattern.poses] = value
     return differences
+
+
+def _loop_values(tape: Tape, parameters: Array, readings: Array, known: Array) -> Array:
+    """f(x, p) (m, N) at readings (k, N)."""
+    engine = engine_for(tape, (), min(BLOCK, max(readings.shape[1], 1)), ())
+    engine.at(parameters)
+    out = np.empty((len(tape.loops), readings.shape[1]))
+    for begin in range(0, readings.shape[1], BLOCK):
+        part = slice(begin, begin + BLOCK)
+        out[:, part] = engine.evaluate(readings[:, part], known[:, part], Stage.VALUES).f
+    return out

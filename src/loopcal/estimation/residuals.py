@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.fit import ClosureSize
+from loopcal.document.plain import known
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage
@@ -32,6 +36,28 @@ def residuals(
         for row, loop in enumerate(pattern.loops):
             out[loop, block.poses] = found.f[row]
     return by_name(loops, out)
+
+
+@dataclass(frozen=True)
+class Closure:
+    """Size of the loop equations' values [SI] over all poses; NaN where no loop has one."""
+
+    rms: float
+    max: float
+
+    @classmethod
+    def of(cls, residuals: Mapping[str, Array]) -> Closure:
+        """From the values of the loops that hold, loop -> (N,)."""
+        values = np.array(list(residuals.values()))
+        values = values[np.isfinite(values)]
+        if not values.size:
+            return cls(math.nan, math.nan)
+        return cls(float(np.sqrt(np.square(values).mean())), float(np.abs(values).max()))
+
+    @property
+    def entry(self) -> ClosureSize:
+        """As a document holds it."""
+        return ClosureSize(known(self.rms), known(self.max))
 
 
 def by_name(names: tuple[str, ...], rows: Array) -> Mapping[str, Array]:

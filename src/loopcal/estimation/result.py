@@ -4,27 +4,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.findings import Identifiability
+from loopcal.document.fit import ClosureEntry, NoiseEntry
+from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
 from loopcal.errors import InputError
-from loopcal.estimation.accuracy import Accuracy, Closure
-from loopcal.estimation.distances import distances
+from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
+from loopcal.estimation.document_parts import (
+    covariance_entry,
+    data_entry,
+    noise_entries,
+    parameter_entry,
+    status_entry,
+)
 from loopcal.estimation.fit import Fit
-from loopcal.estimation.goodness_of_fit import ChiSquared
-from loopcal.estimation.identifiability import Identifiability
+from loopcal.estimation.identifiability import identifiability
 from loopcal.estimation.noise.discrepancy import model_discrepancy
 from loopcal.estimation.noise.estimation import NoiseEstimate
 from loopcal.estimation.noise.learning import entries, words
-from loopcal.estimation.noise.noise_entry import NoiseEntry
-from loopcal.estimation.on_request import Interval, ModelComparison, Validation
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.residuals import by_name, residuals
+from loopcal.estimation.residuals import Closure, by_name, residuals
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
 from loopcal.estimation.solve.robust import robust_covariance
 from loopcal.estimation.solve.solution import Solution
@@ -66,12 +73,6 @@ class Result:
     """Whether covariance and sds were multiplied by the variance factor, on request."""
     errors: Mapping[str, float] | None = None
     """True minus estimated value of the parameters whose truth is known."""
-    validation: Validation | None = None
-    """Accuracy on poses that were not used, where it was asked for."""
-    models: ModelComparison | None = None
-    """Models this one was chosen from, where it was asked for."""
-    intervals: Mapping[str, Interval | None] = field(default_factory=dict)
-    """Confidence intervals of the parameters that were asked for."""
 
     @property
     def method(self) -> str:
@@ -182,7 +183,9 @@ class Result:
 
     @cached_property
     def differences_before(self) -> Mapping[str, Array]:
-        """Output -> (N,) computed minus measured at the nominal parameters.
+        """What is compared -> (N,) computed minus measured at the nominal parameters.
+
+        The outputs, and the small turns from measured to computed orientations.
 
         Computed from the readings of the rest; quantities that no sensor reads come from the loops.
         """
@@ -190,36 +193,38 @@ class Result:
 
     @cached_property
     def differences_after(self) -> Mapping[str, Array]:
-        """Output -> (N,) computed minus measured at the calibrated parameters."""
+        """What is compared -> (N,) computed minus measured at the calibrated parameters."""
         return self._differences(self.solution.parameters, self.solution.corrections)
 
     def _differences(
         self, parameters: Array, corrections: Array | None = None
     ) -> Mapping[str, Array]:
-        outputs = self.mechanism.outputs
-        if not outputs:
+        names = self.mechanism.compared
+        if not names:
             return MappingProxyType({})
-        return by_name(outputs, output_differences(self.problem, parameters, corrections))
+        return by_name(names, output_differences(self.problem, parameters, corrections))
 
     @cached_property
     def accuracy_before(self) -> Accuracy | None:
-        """Of the nominal machine; None without outputs, or with outputs of several units."""
+        """Of the nominal machine; None without outputs, or where no pose tells."""
         if self.all_poses is not None:
             return self.all_poses.accuracy_before
-        return self._accuracy(self.differences_before)
+        return accuracy(self.deviations(self.differences_before))
 
     @cached_property
     def accuracy_after(self) -> Accuracy | None:
         """Of the calibrated machine."""
         if self.all_poses is not None:
             return self.all_poses.accuracy_after
-        return self._accuracy(self.differences_after)
+        return accuracy(self.deviations(self.differences_after))
 
-    def _accuracy(self, differences: Mapping[str, Array]) -> Accuracy | None:
-        rows = [self.mechanism.tape.quantities.index(q) for q in self.mechanism.outputs]
-        readings, off = self.problem.readings[rows], np.array(list(differences.values()))
-        found = distances(self.mechanism, readings, off)
-        return None if found is None else Accuracy.of(found.values, found.unit)
+    def deviations(self, differences: Mapping[str, Array]) -> tuple[Apart, ...]:
+        """Distances by instrument and pose of computed minus measured values."""
+        if not differences:
+            return ()
+        rows = [self.mechanism.tape.quantities.index(q) for q in differences]
+        off = np.array(list(differences.values()))
+        return deviations(self.mechanism, self.problem.readings[rows], off)
 
     @property
     def closure_before(self) -> Closure:
@@ -234,7 +239,7 @@ class Result:
     @cached_property
     def identifiability(self) -> Identifiability:
         """What the poses determine."""
-        return Identifiability.of(self.problem, self.solution)
+        return identifiability(self.problem, self.solution)
 
     @cached_property
     def model_discrepancy(self) -> float | None:
@@ -269,8 +274,6 @@ class Result:
                 self.chi_squared_shares,
                 self.problem.mechanism.disturbances,
             )
-        if self.validation is not None:
-            found += self.validation.warnings
         return (*found, *self.notes)
 
     def noted(self, *notes: str) -> Result:
@@ -319,10 +322,45 @@ class Result:
         """The mechanism with the calibrated values as its nominal ones."""
         return self.mechanism.with_nominal(self.value)
 
-    def __str__(self) -> str:
-        from loopcal.estimation.summary import summary
+    @cached_property
+    def document(self) -> ResultDocument:
+        """The result as result.json holds it, without what further statistics add."""
+        errors = self.errors or {}
+        loose = self.identifiability.loose
+        return ResultDocument(
+            schema=SCHEMA,
+            loopcal="",
+            title=None,
+            mechanism=MechanismEntry.of(self.mechanism),
+            method=self.method,
+            method_label=self.fit.method.label,
+            loss=self.loss,
+            status=status_entry(self.status),
+            parameters=tuple(
+                parameter_entry(p, self.value[p.name], self.sd[p.name], errors.get(p.name))
+                for p in self.mechanism.parameters
+            ),
+            covariance=covariance_entry(self.estimated, self.covariance, loose),
+            noise=noise_entries(self.noise, self.chi_squared_shares),
+            model_discrepancy=self.model_discrepancy,
+            variance_factor_applied=self.variance_factor_applied,
+            restricted_criterion=self.restricted_criterion,
+            chi_squared=self.chi_squared,
+            closure=ClosureEntry(self.closure_before.entry, self.closure_after.entry),
+            accuracy=accuracy_entry(self.accuracy_before, self.accuracy_after),
+            validation=None,
+            identifiability=self.identifiability,
+            observability=None,
+            prediction=None,
+            outliers=None,
+            data=data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities]),
+            warnings=self.warnings,
+            inputs={},
+            versions={},
+        )
 
-        return summary(self)
+    def __str__(self) -> str:
+        return str(self.document)
 
     def _repr_html_(self) -> str:
         from html import escape

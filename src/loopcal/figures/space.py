@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.estimation.rounding import significant
 from loopcal.figures.figure import Array, Figure, axis, layout, numbers
 from loopcal.figures.thinning import thinned
+from loopcal.presentation.rounding import significant
 
 ARROWS = 800
 SHADES = ("#3b6fb5", "#2a9d8f", "#c9a227", "#e07b39", "#c8304b")

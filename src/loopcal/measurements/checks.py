@@ -25,6 +25,8 @@ from loopcal.units import convertible, from_si, unit
 
 # SI unit -> (bound, share of the readings beyond it that stops), the widest bound first.
 _BOUNDS = {"rad": ((4 * math.pi, 0.1), (7.0, 0.5)), "m": ((100.0, 0.1),)}
+_COLDEST = 150.0
+"""Temperature [K] below which no machine stands in a workshop."""
 _LIKELY = {"rad": ("deg", "degrees"), "m": ("mm", "millimetres")}
 
 
@@ -64,9 +66,11 @@ def check_dataset(
     for quantity, si in suspects.items():
         _stop_if_all_missing(dataset, quantity)
         _stop_if_far(dataset, quantity, si)
+        _stop_if_cold(dataset, quantity, si)
     for point in points:
         if len(point) > 1 and all(q in suspects for q in point):
-            refuse_lost(dataset, point, np.all(_zeros(dataset, point), axis=0))
+            right = f"if the point is right, set check = false for {point[0]!r}"
+            refuse_lost(dataset, point, np.all(_zeros(dataset, point), axis=0), right)
     return (
         *_repeated_poses(dataset),
         *_empty_poses(dataset, [q for q in quantities if q in dataset.readings]),
@@ -92,8 +96,13 @@ def check_units(dataset: Dataset, quantities: Mapping[str, str]) -> None:
             )
 
 
-def refuse_lost(dataset: Dataset, names: Sequence[str], lost: NDArray[np.bool_]) -> None:
-    """Raise InputError for poses (N,) in which these quantities read 0 for a lost reflector."""
+def refuse_lost(
+    dataset: Dataset, names: Sequence[str], lost: NDArray[np.bool_], otherwise: str
+) -> None:
+    """Raise InputError for poses (N,) in which these quantities read 0 for a lost reflector.
+
+    otherwise: what else to do.
+    """
     where = np.flatnonzero(lost)
     if where.size:
         raise InputError(
@@ -102,8 +111,7 @@ def refuse_lost(dataset: Dataset, names: Sequence[str], lost: NDArray[np.bool_])
             "was lost",
             code="lost-reflector",
             place=dataset.place(int(where[0]), names[0]),
-            remedy=f"leave these cells blank; if the point is right, set check = false for "
-            f"{names[0]!r}",
+            remedy=f"leave these cells blank; {otherwise}",
         )
 
 
@@ -155,6 +163,20 @@ def _stop_if_far(dataset: Dataset, quantity: str, si: str) -> None:
             place=_value(dataset, index, quantity),
             remedy=f'state unit = "{likely}"; if {si} is right, say check = false for {quantity!r}',
         )
+
+
+def _stop_if_cold(dataset: Dataset, quantity: str, si: str) -> None:
+    """Raise InputError for temperatures in K that look like degC: their zero would be 273 K off."""
+    values = dataset.readings[quantity]
+    if si != "K" or _stated(dataset, quantity, si) != "K" or not np.nanmax(values) < _COLDEST:
+        return
+    index = int(np.nanargmax(values))
+    raise InputError(
+        f"{quantity!r} reads at most {values[index]:.6g} K: these look like degC",
+        code="implausible-unit",
+        place=_value(dataset, index, quantity),
+        remedy=f'state unit = "degC"; if K is right, set check = false for {quantity!r}',
+    )
 
 
 def _repeated_poses(dataset: Dataset) -> Iterator[DataWarning]:

@@ -198,6 +198,16 @@ class Mechanism:
         return replace(self, tape=self.tape.only(kept), families=())
 
     @property
+    def turns(self) -> tuple[str, ...]:
+        """The small turns from a measured to the computed orientation, three for each."""
+        return tuple(turn for o in self.orientations for turn in o.turns)
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """What can be compared with what was measured: outputs, and turns of orientations."""
+        return (*self.outputs, *self.turns)
+
+    @property
     def unused(self) -> frozenset[str]:
         """Quantities and known constants that are in no loop."""
         used = frozenset().union(*self.tape.depends_on())

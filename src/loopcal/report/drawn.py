@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.distances import distances, point_outputs, points
-from loopcal.estimation.methods.registry import method_named
+from loopcal.document.result_document import ResultDocument
+from loopcal.estimation.accuracy import deviations, main_distances
 from loopcal.figures.accuracy import distance_histogram, over_poses
 from loopcal.figures.correlations import correlations
 from loopcal.figures.figure import Figure
 from loopcal.figures.sensors import drift, normalised
 from loopcal.figures.space import arrows
+from loopcal.mechanisms.outputs import point_outputs, points
 from loopcal.mechanisms.skeleton import skeleton
+from loopcal.presentation.shown import factor, unit_shown
 from loopcal.report.source import Source
-from loopcal.report.words import factor, unit_shown
 
 Array = NDArray[np.float64]
 
@@ -26,25 +26,25 @@ def figures(source: Source) -> dict[str, Figure]:
     """By key, those that the result has the numbers for."""
     sensors = {
         quantity: values
-        for quantity in source.document["data"]["quantities"]
-        if (values := source.columns.normalised(quantity)) is not None
+        for quantity in source.document.data.quantities
+        if (values := source.table.normalised.get(quantity)) is not None
     }
     found = [
         *_of_outputs(source),
         _residuals(source),
         normalised(sensors),
-        drift(sensors, source.columns.poses),
+        drift(sensors, source.table.poses),
         _correlations(source.document),
     ]
     return {figure.key: figure for figure in found if figure is not None}
 
 
 def _of_outputs(source: Source) -> list[Figure | None]:
-    accuracy = source.document["accuracy"]
-    before, after = (source.columns.differences(when) for when in ("before", "after"))
+    accuracy = source.document.accuracy
+    before, after = source.table.differences_before, source.table.differences_after
     if accuracy is None or not after:
         return []
-    unit = accuracy["unit"]
+    unit = accuracy.unit
     scale = factor(unit)
     lengths = [_lengths(source, differences) / scale for differences in (before, after)]
     found = [distance_histogram(lengths[0], lengths[1], unit_shown(unit))]
@@ -57,53 +57,53 @@ def _of_outputs(source: Source) -> list[Figure | None]:
 
 def _points(source: Source, differences: Mapping[str, Array]) -> tuple[Array, Array] | None:
     """Points (d, N) [m] that one instrument measured, and computed minus measured ones."""
+    readings = source.table.readings
     families = source.mechanism.families if source.mechanism else ()
     # the machine is drawn where the first instrument sees it whose place is known
     for family in sorted(families, key=lambda f: f.placement is None):
         names = point_outputs(source.mechanism, family) if source.mechanism else ()
-        read = {n: v for n in names if (v := source.columns.reading(n)) is not None}
-        if names and len(read) == len(names) and differences.keys() >= read.keys():
-            at = np.array(list(read.values()))
-            computed = at + np.array([differences[n] for n in names])
+        if names and all(name in readings and name in differences for name in names):
+            at = np.array([readings[name] for name in names])
+            computed = at + np.array([differences[name] for name in names])
             return points(family, at), points(family, computed) - points(family, at)
-    everything = [source.columns.reading(name) for name in differences]
-    if families or len(everything) not in (2, 3) or any(v is None for v in everything):
+    if families or len(differences) not in (2, 3) or not differences.keys() <= readings.keys():
         return None
-    return np.array(everything), np.array(list(differences.values()))
+    return np.array([readings[name] for name in differences]), np.array([*differences.values()])
 
 
 def _residuals(source: Source) -> Figure | None:
-    accuracy = source.document["accuracy"]
-    before, after = (source.columns.differences(when) for when in ("before", "after"))
+    accuracy, table = source.document.accuracy, source.table
+    before, after = table.differences_before, table.differences_after
     if accuracy is not None and after:
-        scale, unit = factor(accuracy["unit"]), unit_shown(accuracy["unit"])
-        alike = [n for n in after if _unit(source, n) in (None, accuracy["unit"])]
+        scale, unit = factor(accuracy.unit), unit_shown(accuracy.unit)
+        alike = [n for n in after if _unit(source, n) in (None, accuracy.unit)]
         scaled = [{n: d[n] / scale for n in alike} for d in (before, after)]
-        return over_poses(
-            scaled[0], scaled[1], source.columns.poses, unit, "Computed minus measured"
-        )
+        return over_poses(scaled[0], scaled[1], table.poses, unit, "Computed minus measured")
     # without outputs the loops are all there is; that corrected readings close them says nothing
-    told = method_named(source.document["method"]).exact
-    loops = source.columns.residuals("after") if told else {}
-    what = "Values of the loop equations"
-    return over_poses(source.columns.residuals("before"), loops, source.columns.poses, "SI", what)
+    loops = table.residuals_after if source.document.sensors_exact else {}
+    return over_poses(
+        table.residuals_before, loops, table.poses, "SI", "Values of the loop equations"
+    )
 
 
 def _unit(source: Source, quantity: str) -> str | None:
     """SI unit of a quantity, None where the mechanism is not known."""
-    return None if source.mechanism is None else source.mechanism.quantities.get(quantity)
+    known = source.document.mechanism or source.mechanism
+    return None if known is None else known.quantities.get(quantity)
 
 
 def _lengths(source: Source, differences: Mapping[str, Array]) -> Array:
     """Distances of computed from measured outputs, of every instrument and pose."""
-    given = np.array(list(differences.values()))
-    found: Array = np.linalg.norm(given, axis=0)
-    if source.mechanism is not None and tuple(differences) == source.mechanism.outputs:
+    if source.mechanism is not None and tuple(differences) == source.mechanism.compared:
+        given = np.array([*differences.values()])
         lost = np.full(given.shape[1], np.nan)
-        read = [source.columns.reading(name) for name in differences]
-        measured = np.array([lost if row is None else row for row in read])
-        told = distances(source.mechanism, measured, given)
-        found = found if told is None else told.values.ravel()
+        measured = np.array([source.table.readings.get(name, lost) for name in differences])
+        told = main_distances(deviations(source.mechanism, measured, given))
+        if told is not None:
+            return told.ravel()
+    unit = source.document.accuracy and source.document.accuracy.unit
+    alike = [d for name, d in differences.items() if _unit(source, name) in (None, unit)]
+    found: Array = np.linalg.norm(np.array(alike), axis=0)
     return found
 
 
@@ -113,8 +113,8 @@ def _skeleton(source: Source, points: Array) -> Array | None:
         return None
     middle = np.nanmedian(points, axis=1, keepdims=True)
     away = np.square(points - middle).sum(axis=0)
-    names = source.document["data"]["quantities"]
-    columns = {q: v for q in names if (v := source.columns.reading(q)) is not None}
+    names = source.document.data.quantities
+    columns = {q: source.table.readings[q] for q in names if q in source.table.readings}
     readings = {q: v for q, v in columns.items() if np.isfinite(v).any()}
     away = away + sum(0.0 * values for values in readings.values())
     if not np.isfinite(away).any():
@@ -126,8 +126,8 @@ def _skeleton(source: Source, points: Array) -> Array | None:
         return None  # a joint that was never read
 
 
-def _correlations(document: Mapping[str, Any]) -> Figure | None:
-    covariance = document["covariance"]
-    names = covariance["names"]
-    matrix = np.array(covariance["matrix"], dtype=float).reshape((len(names),) * 2)
+def _correlations(document: ResultDocument) -> Figure | None:
+    covariance = document.covariance
+    names = covariance.names
+    matrix = np.array(covariance.matrix, dtype=float).reshape((len(names),) * 2)
     return correlations(matrix, names)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from loopcal.document.plain import plain
+from loopcal.document.result_document import ResultDocument
 from loopcal.errors import UsageError
 from loopcal.estimation.methods.registry import method_named
 from loopcal.estimation.result import Result
@@ -60,7 +62,7 @@ def report_html(sources: Sequence[Source]) -> str:
     )
 
 
-def page_of(result: Result, folder: str | Path) -> Callable[[Mapping[str, Any]], str]:
+def page_of(result: Result, folder: str | Path) -> Callable[[ResultDocument], str]:
     """Makes the report of a result from its document, before both are written to a folder."""
     return lambda document: report_html([source_of(result, document, folder)])
 
@@ -76,26 +78,26 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "document": document,
         "verdict": verdict(document),
         "figures": drawn,
-        "accuracy": tables.accuracy_table(document),
+        "accuracy": tables.accuracy_tables(document),
         "models": tables.model_table(document),
         "sensors": tables.sensor_table(source),
         "parameters": tables.parameter_table(document),
         "outliers": tables.outlier_table(document),
         "facts": tables.facts_table(document),
         "identifiability": identifiability_words(document),
-        "method": method_named(document["method"]).description,
-        "inputs": json.dumps(document["inputs"], indent=1, ensure_ascii=False),
+        "method": method_named(document.method).description,
+        "inputs": json.dumps(plain(document.inputs), indent=1, ensure_ascii=False),
     }
 
 
-def identifiability_words(document: Any) -> list[str]:
+def identifiability_words(document: ResultDocument) -> list[str]:
     """Which directions the poses determine, which hardly, which not at all."""
-    found = document["identifiability"]
-    words = [f"{found['rank']} of {found['parameters']} parameters are determined."]
-    words += [f"Not determined: {entry['words']}" for entry in found["not_identifiable"]]
-    words += [entry["words"] for entry in found["weak_directions"] or []]
-    told = found["data_versus_prior"] or []
-    words += [entry["words"] for entry in told if entry["ratio"] > LITTLE]
+    found = document.identifiability
+    words = [f"{found.rank} of {found.parameters} parameters are determined."]
+    words += [f"Not determined: {entry.words}" for entry in found.not_identifiable]
+    words += [entry.words for entry in found.weak_directions or ()]
+    learned = found.data_versus_prior or ()
+    words += [entry.words for entry in learned if entry.ratio > LITTLE]
     return words
 
 

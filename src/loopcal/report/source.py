@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from loopcal.document.result_document import MechanismEntry, ResultDocument
 from loopcal.estimation.result import Result
 from loopcal.files.machines.mechanism_file import read_arm
-from loopcal.files.result.result_columns import ResultColumns, read_result_columns
+from loopcal.files.result.pose_table import PoseTable, pose_table, read_pose_table
 from loopcal.files.result.result_file import read_result
 from loopcal.mechanisms.mechanism import Mechanism
 
@@ -18,24 +17,24 @@ from loopcal.mechanisms.mechanism import Mechanism
 class Source:
     """One result.
 
-    name: what tells it from others; document: of result.json; columns: of residuals.csv;
+    name: what distinguishes it from others; document: of result.json; table: of residuals.csv;
     mechanism: the calibrated one, None where only its author's code has it.
     """
 
     name: str
-    document: Mapping[str, Any]
-    columns: ResultColumns
+    document: ResultDocument
+    table: PoseTable
     mechanism: Mechanism | None
 
     @property
     def title(self) -> str:
         """Title of the project, or the name of the result."""
-        return str(self.document["title"] or self.name)
+        return self.document.title or self.name
 
 
-def source_of(result: Result, document: Mapping[str, Any], folder: str | Path) -> Source:
+def source_of(result: Result, document: ResultDocument, folder: str | Path) -> Source:
     """Of a result and its document, about to be written to a folder."""
-    return Source(Path(folder).name, document, ResultColumns.of(result), result.calibrated)
+    return Source(Path(folder).name, document, pose_table(result), result.calibrated)
 
 
 def read_source(path: str | Path) -> Source:
@@ -47,6 +46,9 @@ def read_source(path: str | Path) -> Source:
     if path.name != "result.json":
         path = path / "result.json"
     document = read_result(path)
-    columns = read_result_columns(path.with_name("residuals.csv"))
     mechanism = read_arm(path.with_name("mechanism.toml"))
-    return Source(path.absolute().parent.name, document, columns, mechanism)
+    names = document.mechanism
+    if names is None and mechanism is not None:
+        names = MechanismEntry.of(mechanism)
+    table = read_pose_table(path.with_name("residuals.csv"), names)
+    return Source(path.absolute().parent.name, document, table, mechanism)

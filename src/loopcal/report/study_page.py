@@ -15,9 +15,9 @@ from loopcal.figures.figure import Figure, plotly_javascript
 from loopcal.figures.space import arrows
 from loopcal.files.atomic import write_files
 from loopcal.files.versions import version
+from loopcal.presentation.shown import in_unit, size, unit_shown
 from loopcal.report.page import environment, part, sha256
 from loopcal.report.tables import Table
-from loopcal.report.words import in_unit, size, unit_shown
 from loopcal.studies.example import first_draw
 from loopcal.studies.paired import Paired
 from loopcal.studies.run import StudyDone

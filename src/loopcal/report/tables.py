@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from loopcal.document.accuracy import Distances
+from loopcal.document.fit import ParameterEntry
+from loopcal.document.result_document import ResultDocument
+from loopcal.document.tables import Stage, accuracy_stages, distances_shown
+from loopcal.presentation.shown import NONE, by_sd, chance, percent, size, unit_shown, with_unit
 from loopcal.report.source import Source
-from loopcal.report.words import NONE, by_sd, chance, percent, size, unit_shown
 
 
 @dataclass(frozen=True)
@@ -21,43 +24,53 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
 
 
-def accuracy_table(document: Mapping[str, Any]) -> Table | None:
-    """Mean, rms, 95 % and largest distance, before, after, and on poses not used."""
-    accuracy = document["accuracy"]
+def accuracy_tables(document: ResultDocument) -> list[Table]:
+    """Mean, rms, 95 % and largest distance, before, after, and on poses not used.
+
+    One table of positions and one of orientations, with a line per instrument where there are
+    several.
+    """
+    accuracy, validation = document.accuracy, document.validation
     if accuracy is None:
-        return None
-    shown = {"nominal": accuracy["before"], "calibrated": accuracy["after"]}
-    validation = document["validation"]
-    if validation is not None and validation["accuracy"] is not None:
-        shown["on poses not used"] = validation["accuracy"]
-    unit = accuracy["unit"]
+        return []
+    caption = "Distance between computed and measured point, the readings not corrected"
+    stages = accuracy_stages(accuracy, validation)
+    tables = [_distances("accuracy", caption, accuracy.unit, stages.position)]
+    if accuracy.orientation is not None:
+        caption = "Angle between computed and measured orientation, the readings not corrected"
+        unit = accuracy.orientation.unit
+        tables.append(_distances("orientation", caption, unit, stages.orientation))
+    return tables
+
+
+def _distances(what: str, caption: str, unit: str, stages: Sequence[Stage]) -> Table:
     rows = [
-        (name, *(size(values[key], unit) for key in ("mean", "rms", "p95", "max")))
-        for name, values in shown.items()
+        (
+            s.name if not s.instrument else f"{s.name}, {s.instrument}",
+            *distances_shown(s.distances, unit),
+        )
+        for s in stages
     ]
-    return Table(
-        "Distance between computed and measured point, the readings not corrected",
-        ("accuracy", *(f"{key} [{unit_shown(unit)}]" for key in ("mean", "rms", "95 %", "max"))),
-        tuple(rows),
-    )
+    head = (what, *(f"{key} [{unit_shown(unit)}]" for key in ("mean", "rms", "95 %", "max")))
+    return Table(caption, head, tuple(rows))
 
 
-def model_table(document: Mapping[str, Any]) -> Table | None:
+def model_table(document: ResultDocument) -> Table | None:
     """Models compared on the same poses, none of them used for the fit that predicted them."""
-    entries = document.get("models")
+    entries = document.models
     if not entries:
         return None
-    unit = document["accuracy"]["unit"] if document["accuracy"] else "1"
+    unit = document.accuracy.unit if document.accuracy else "1"
     rows = []
     for m in entries:
-        likely, behind, sd = m["log_likelihood"], m["behind"], m["sd_of_behind"]
+        likely, behind, sd = m.log_likelihood, m.behind, m.sd_of_behind
         rows.append(
             (
-                m["name"] + (" (recommended)" if m["recommended"] else ""),
-                ", ".join(m["effects"]) or "none",
-                str(m["parameters"]),
-                NONE if m["accuracy"] is None else size(m["accuracy"]["rms"], unit),
-                m["failed"] or NONE if likely is None else f"{likely:.1f}",
+                m.name + (" (recommended)" if m.recommended else ""),
+                ", ".join(m.effects) or "none",
+                str(m.parameters),
+                NONE if m.accuracy is None else size(m.accuracy.rms, unit),
+                m.failed or NONE if likely is None else f"{likely:.1f}",
                 NONE if behind is None else "best" if behind == 0.0 else f"{behind:.1f}",
                 NONE if not behind or sd is None else f"{sd:.1f}",
             )
@@ -70,21 +83,21 @@ def model_table(document: Mapping[str, Any]) -> Table | None:
 def sensor_table(source: Source) -> Table | None:
     """The sds that the readings were given, and how large their corrections are beside them."""
     rows = []
-    for entry in source.document["noise"]:
-        unit = entry["unit"]
-        parts = [source.columns.normalised(q) for q in entry["quantities"]]
+    for entry in source.document.noise:
+        unit = entry.unit
+        parts = [source.table.normalised.get(q) for q in entry.quantities]
         used = [part[np.isfinite(part)] for part in parts if part is not None]
         values = np.concatenate(used) if used else np.empty(0)
         rms = f"{np.sqrt(np.square(values).mean()):.2f}" if values.size else NONE
         mean = f"{round(float(values.mean()), 2) + 0.0:+.2f}" if values.size else NONE
         rows.append(
             (
-                ", ".join(entry["quantities"]),
-                size(entry["sd"], unit, 3, fine=True),
-                size(entry["sd_of_sd"], unit, 2, fine=True),
-                size(entry["upper"], unit, 2, fine=True),
+                ", ".join(entry.quantities),
+                size(entry.sd, unit, 3, fine=True),
+                size(entry.sd_of_sd, unit, 2, fine=True),
+                size(entry.upper, unit, 2, fine=True),
                 unit_shown(unit, fine=True),
-                entry["source"],
+                entry.source,
                 rms,
                 mean,
             )
@@ -95,24 +108,24 @@ def sensor_table(source: Source) -> Table | None:
     return Table("Sds of the sensors, and corrections over them", head, tuple(rows))
 
 
-def parameter_table(document: Mapping[str, Any]) -> Table:
+def parameter_table(document: ResultDocument) -> Table:
     """Nominal and calibrated value, sd, change in sds, and how much of it the prior says."""
-    with_error = any(entry["error"] is not None for entry in document["parameters"])
+    with_error = any(entry.error is not None for entry in document.parameters)
     head = ["parameter", "nominal", "value", "change", "sd", "unit", "change/sd", "prior's share"]
-    rows = [_parameter(entry, with_error) for entry in document["parameters"]]
+    rows = [_parameter(entry, with_error) for entry in document.parameters]
     if with_error:
         head.append("error")
     caption = "Parameters; the prior's share is (sd / prior sd)², 0 % where the data alone decide"
     return Table(caption, tuple(head), tuple(rows))
 
 
-def _parameter(entry: Mapping[str, Any], with_error: bool) -> tuple[str, ...]:
-    unit, sd, change = entry["unit"], entry["sd"], entry["value"] - entry["nominal"]
-    cells = [entry["name"], by_sd(entry["nominal"], sd, unit), by_sd(entry["value"], sd, unit)]
-    if entry["fixed"]:
+def _parameter(entry: ParameterEntry, with_error: bool) -> tuple[str, ...]:
+    unit, sd, change = entry.unit, entry.sd, entry.value - entry.nominal
+    cells = [entry.name, by_sd(entry.nominal, sd, unit), by_sd(entry.value, sd, unit)]
+    if entry.fixed:
         cells += [NONE, "fixed", unit_shown(unit), NONE, NONE]
     else:
-        prior = entry["prior_sd"]
+        prior = entry.prior_sd
         share = None if sd is None else 0.0 if not prior else min((sd / prior) ** 2, 1.0)
         cells += [
             by_sd(change, sd, unit, sign=True),
@@ -122,27 +135,24 @@ def _parameter(entry: Mapping[str, Any], with_error: bool) -> tuple[str, ...]:
             percent(share),
         ]
     if with_error:
-        error = entry["error"]
+        error = entry.error
         cells.append(NONE if error is None else by_sd(error, sd, unit, sign=True))
     return tuple(cells)
 
 
-def outlier_table(document: Mapping[str, Any]) -> Table | None:
+def outlier_table(document: ResultDocument) -> Table | None:
     """Poses that do not fit the others, the worst first."""
-    entries = document["outliers"]
+    entries = document.outliers
     if not entries:
         return None
     rows = [
         (
-            entry["pose"],
-            entry["quantity"] or "the whole pose",
-            size(entry["statistic"], "1", 3),
-            chance(entry["p_value"]),
-            NONE
-            if entry["size"] is None
-            else f"{size(entry['size'], entry['unit'] or '1', 3)} "
-            f"{unit_shown(entry['unit'] or '1')}",
-            (entry["cause"] or NONE) + (" (verified)" if entry["verified"] else ""),
+            entry.pose,
+            entry.quantity or "the whole pose",
+            size(entry.statistic, "1", 3),
+            chance(entry.p_value),
+            NONE if entry.size is None else with_unit(entry.size, entry.unit or "1"),
+            (entry.cause or NONE) + (" (verified)" if entry.verified else ""),
         )
         for entry in entries
     ]
@@ -150,23 +160,23 @@ def outlier_table(document: Mapping[str, Any]) -> Table | None:
     return Table("Poses that do not fit the others", head, tuple(rows))
 
 
-def facts_table(document: Mapping[str, Any]) -> Table:
+def facts_table(document: ResultDocument) -> Table:
     """Poses, chi-squared, closure and observability."""
-    chi, closure, data = document["chi_squared"], document["closure"], document["data"]
+    chi, closure, data = document.chi_squared, document.closure, document.data
     rows = [
-        ("poses used", f"{data['used']:,} of {data['poses']:,}"),
-        ("poses left out", ", ".join(data["excluded"]) or "none"),
-        ("loop equations, rms before", size(closure["before"]["rms"], "1", 3)),
-        ("loop equations, rms after (no accuracy)", size(closure["after"]["rms"], "1", 3)),
+        ("poses used", f"{data.used:,} of {data.poses:,}"),
+        ("poses left out", ", ".join(data.excluded) or "none"),
+        ("loop equations, rms before", size(closure.before.rms, "1", 3)),
+        ("loop equations, rms after (no accuracy)", size(closure.after.rms, "1", 3)),
     ]
-    if data["every"] > 1:
-        rows.append(("thinning", f"one row of {data['every']}"))
+    if data.every > 1:
+        rows.append(("thinning", f"one row of {data.every}"))
     if chi is not None:
         rows += [
-            ("chi-squared", size(chi["value"], "1", 5)),
-            ("degrees of freedom", str(chi["degrees_of_freedom"])),
-            ("chi-squared per degree", size(chi["variance_factor"], "1", 3)),
-            ("p-value", chance(chi["p_value"])),
+            ("chi-squared", size(chi.value, "1", 5)),
+            ("degrees of freedom", str(chi.degrees_of_freedom)),
+            ("chi-squared per degree", size(chi.variance_factor, "1", 3)),
+            ("p-value", chance(chi.p_value)),
         ]
     return Table("Fit", ("fact", "value"), tuple(rows))
 
@@ -175,33 +185,33 @@ def comparison_table(sources: Sequence[Source]) -> Table:
     """Several results side by side: what matters of each, and their parameters."""
     documents = [source.document for source in sources]
     rows = [
-        ("converged", *("yes" if d["status"]["converged"] else "no" for d in documents)),
-        ("method", *(d["method"] for d in documents)),
-        ("poses used", *(f"{d['data']['used']:,}" for d in documents)),
+        ("converged", *("yes" if d.status.converged else "no" for d in documents)),
+        ("method", *(d.method for d in documents)),
+        ("poses used", *(f"{d.data.used:,}" for d in documents)),
     ]
-    for when in ("before", "after"):
-        parts = [d["accuracy"] and d["accuracy"][when] for d in documents]
-        rows.append((f"rms {when}", *map(_rms, documents, parts)))
-    parts = [d["validation"] and d["validation"]["accuracy"] for d in documents]
-    rows.append(("rms on poses not used", *map(_rms, documents, parts)))
-    names = dict.fromkeys(entry["name"] for d in documents for entry in d["parameters"])
-    entries = [{entry["name"]: entry for entry in d["parameters"]} for d in documents]
+    before = [None if d.accuracy is None else d.accuracy.before for d in documents]
+    rows.append(("rms before", *map(_rms, documents, before)))
+    after = [None if d.accuracy is None else d.accuracy.after for d in documents]
+    rows.append(("rms after", *map(_rms, documents, after)))
+    unseen = [None if d.validation is None else d.validation.accuracy for d in documents]
+    rows.append(("rms on poses not used", *map(_rms, documents, unseen)))
+    names = dict.fromkeys(entry.name for d in documents for entry in d.parameters)
+    entries = [{entry.name: entry for entry in d.parameters} for d in documents]
     for name in names:
         rows.append((name, *(_value(its.get(name)) for its in entries)))
     head = ("result", *(source.name for source in sources))
     return Table("Results side by side: value ± sd", head, tuple(rows))
 
 
-def _rms(document: Mapping[str, Any], found: Mapping[str, Any] | None) -> str:
-    if not found:
+def _rms(document: ResultDocument, found: Distances | None) -> str:
+    if found is None or document.accuracy is None:
         return NONE
-    unit = document["accuracy"]["unit"]
-    return f"{size(found['rms'], unit)} {unit_shown(unit)}"
+    return with_unit(found.rms, document.accuracy.unit, 4)
 
 
-def _value(entry: Mapping[str, Any] | None) -> str:
+def _value(entry: ParameterEntry | None) -> str:
     if entry is None:
         return NONE
-    unit, sd = entry["unit"], entry["sd"]
+    unit, sd = entry.unit, entry.sd
     spread = "" if sd is None else f" ± {size(sd, unit, 2)}"
-    return f"{by_sd(entry['value'], sd, unit)}{spread} {unit_shown(unit)}"
+    return f"{by_sd(entry.value, sd, unit)}{spread} {unit_shown(unit)}"

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
-from loopcal.estimation.methods.registry import method_named
-from loopcal.report.words import chance, size, unit_shown
+from loopcal.document.result_document import ResultDocument
+from loopcal.presentation.shown import chance, size, unit_shown
 
 REJECTED = 0.01
 """p-value of chi-squared below which stated sds and corrections do not go together."""
@@ -24,12 +22,12 @@ class Verdict:
     paragraph: str
 
 
-def verdict(document: Mapping[str, Any]) -> Verdict:
+def verdict(document: ResultDocument) -> Verdict:
     """What result.json amounts to."""
-    status = document["status"]
-    steps = f"{status['iterations']} iteration" + ("" if status["iterations"] == 1 else "s")
-    used = document["data"]["used"]
-    faults = "; ".join(fault["words"] for fault in document["column_faults"] or [])
+    status = document.status
+    steps = f"{status.iterations} iteration" + ("" if status.iterations == 1 else "s")
+    used = document.data.used
+    faults = "; ".join(fault.words for fault in document.column_faults or [])
     if faults:
         return Verdict(
             "bad",
@@ -38,12 +36,12 @@ def verdict(document: Mapping[str, Any]) -> Verdict:
             "the readings far better. Next: correct the file, or the columns in the project, and "
             "calibrate again.",
         )
-    if not status["converged"]:
+    if not status.converged:
         return Verdict(
             "bad",
             "Not converged: do not use this result",
             f"The fit of {used:,} poses stopped after {steps} without an optimum "
-            f"({status['reason']}). {status['message']}",
+            f"({status.reason}). {status.message}",
         )
     doubts = _doubts(document)
     sentences = [f"The fit converged in {steps} on {used:,} poses.", *_accuracy(document)]
@@ -57,31 +55,31 @@ def verdict(document: Mapping[str, Any]) -> Verdict:
     return Verdict("good", "Converged and trustworthy", " ".join(sentences))
 
 
-def _accuracy(document: Mapping[str, Any]) -> list[str]:
-    accuracy = document["accuracy"]
+def _accuracy(document: ResultDocument) -> list[str]:
+    accuracy = document.accuracy
     if accuracy is None:
         return ["Its accuracy is not known, for there are no outputs that it could predict."]
-    unit = accuracy["unit"]
-    before, after = (size(accuracy[when]["rms"], unit) for when in ("before", "after"))
+    unit = accuracy.unit
+    before, after = (size(d.rms, unit) for d in (accuracy.before, accuracy.after))
     told = (
         f"On these poses the model predicted the measured point to {before} {unit_shown(unit)} rms "
         f"before and to {after} {unit_shown(unit)} rms after"
     )
-    validation = document["validation"]
-    if validation is None or validation["accuracy"] is None:
+    validation = document.validation
+    if validation is None or validation.accuracy is None:
         return [f"{told}; on poses not used it was not tried."]
-    unseen = size(validation["accuracy"]["rms"], unit)
+    unseen = size(validation.accuracy.rms, unit)
     return [f"{told}, and to {unseen} {unit_shown(unit)} rms on poses that the fit had not seen."]
 
 
-def _doubts(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _doubts(document: ResultDocument) -> list[tuple[str, str]]:
     """Reasons for care, each with what to do about it."""
     return [*_of_data(document), *_of_model(document), *_of_validation(document)]
 
 
-def _of_data(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _of_data(document: ResultDocument) -> list[tuple[str, str]]:
     found = []
-    poses = list(dict.fromkeys(entry["pose"] for entry in document["outliers"] or []))
+    poses = list(dict.fromkeys(entry.pose for entry in document.outliers or []))
     if poses:
         named = ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")
         count = f"{len(poses)} pose{'s do' if len(poses) > 1 else ' does'} not fit the others"
@@ -92,46 +90,46 @@ def _of_data(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     return found
 
 
-def _of_model(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _of_model(document: ResultDocument) -> list[tuple[str, str]]:
     found = []
-    for entry in document["noise"]:
-        first = entry["quantities"][0]  # a disturbance is no quantity of the data
-        of_model = first.startswith("model_") and first not in document["data"]["quantities"]
-        if of_model and entry["sd"]:
-            unit = entry["unit"]
+    for entry in document.noise:
+        first = entry.quantities[0]  # a disturbance is no quantity of the data
+        of_model = first.startswith("model_") and first not in document.data.quantities
+        if of_model and entry.sd:
+            unit = entry.unit
             found.append(
                 (
                     "apart from every sensor, the model of the machine is off by an sd of "
-                    f"{size(entry['sd'], unit, 3)} {unit_shown(unit)}",
+                    f"{size(entry.sd, unit, 3)} {unit_shown(unit)}",
                     "look for what the model lacks (compliance, eccentric gears, drift)",
                 )
             )
-    for other in document["other_optima"] or []:
-        found.append((other["words"], "say by a prior what the drawing says"))
-    loose = document["identifiability"]["not_identifiable"]
+    for other in document.other_optima or []:
+        found.append((other.words, "say by a prior what the drawing says"))
+    loose = document.identifiability.not_identifiable
     if loose:
-        names = sorted({name for entry in loose for name in entry["combination"]})
+        names = sorted({name for entry in loose for name in entry.combination})
         found.append(
             (
                 f"these poses do not determine {', '.join(names)}",
                 "fix or give a prior to what is not determined, or measure other poses",
             )
         )
-    chi = document["chi_squared"]
-    if chi is not None and chi["p_value"] is not None and chi["p_value"] < REJECTED:
+    chi = document.chi_squared
+    if chi is not None and chi.p_value is not None and chi.p_value < REJECTED:
         more = ""
-        extra = document["model_discrepancy"]
-        if extra is not None and document["accuracy"]:
-            unit = document["accuracy"]["unit"]
+        extra = document.model_discrepancy
+        if extra is not None and document.accuracy:
+            unit = document.accuracy.unit
             more = f"; a model error of {size(extra, unit, 3)} {unit_shown(unit)} would explain it"
         found.append(
             (
                 "the corrections are larger than the stated sds allow "
-                f"(p = {chance(chi['p_value'])}{more}), so the sds of the parameters are too small",
+                f"(p = {chance(chi.p_value)}{more}), so the sds of the parameters are too small",
                 "check the sds of the sensors, estimate them, or allow for an error of the model",
             )
         )
-    if method_named(document["method"]).exact:
+    if document.sensors_exact:
         found.append(
             (
                 "all sensors but the output were taken as exact",
@@ -141,10 +139,10 @@ def _of_model(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     return found
 
 
-def _of_validation(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    accuracy, validation = document["accuracy"], document["validation"]
+def _of_validation(document: ResultDocument) -> list[tuple[str, str]]:
+    accuracy, validation = document.accuracy, document.validation
     found = []
-    if accuracy is not None and accuracy["after"]["rms"] >= accuracy["before"]["rms"]:
+    if accuracy is not None and accuracy.after.rms >= accuracy.before.rms:
         found.append(("the calibration did not improve the accuracy", "look at the residuals"))
     if accuracy is not None and validation is None:
         found.append(
@@ -154,8 +152,8 @@ def _of_validation(document: Mapping[str, Any]) -> list[tuple[str, str]]:
             )
         )
         return found
-    unseen = validation and validation["accuracy"]
-    if accuracy is not None and unseen and unseen["rms"] > WORSE * accuracy["after"]["rms"]:
+    unseen = validation and validation.accuracy
+    if accuracy is not None and unseen and unseen.rms > WORSE * accuracy.after.rms:
         found.append(
             (
                 "poses not used are predicted much worse than those used",

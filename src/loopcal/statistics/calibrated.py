@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.methods.registry import method_named
+from loopcal.document.result_document import ResultDocument
 from loopcal.estimation.result import Result
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
@@ -59,35 +57,35 @@ class Calibrated:
 
     @classmethod
     def from_document(
-        cls, document: Mapping[str, Any], mechanism: Mechanism, poses: Dataset | None, name: str
+        cls, document: ResultDocument, mechanism: Mechanism, poses: Dataset | None, name: str
     ) -> Calibrated:
         """From the content of result.json and the calibrated mechanism beside it."""
         names = mechanism.parameters.names
-        entries = {entry["name"]: entry for entry in document["parameters"]}
-        estimated = document["covariance"]["names"]
+        entries = {entry.name: entry for entry in document.parameters}
+        estimated = document.covariance.names
         free = np.array([names.index(n) for n in estimated], dtype=np.intp)
-        matrix = np.array(document["covariance"]["matrix"], dtype=float).reshape((len(free),) * 2)
-        known = document.get("prediction") or {}
-        if known.get("covariance") is not None:
-            covariance = np.array(known["covariance"], dtype=float)
-            loose = np.array(known["undetermined"], dtype=float).reshape(-1, len(free)).T
+        matrix = np.array(document.covariance.matrix, dtype=float).reshape((len(free),) * 2)
+        stored = document.prediction
+        if stored is not None and stored.covariance is not None:
+            covariance = np.array(stored.covariance, dtype=float)
+            loose = np.array(stored.undetermined, dtype=float).reshape(-1, len(free)).T
         else:
             # a parameter without covariance is one that nothing limits
             open_ = np.isnan(np.diag(matrix))
             covariance, loose = np.nan_to_num(matrix), np.eye(len(free))[:, open_]
-        prior = [entries[n]["prior_sd"] for n in names]
-        exact = method_named(document["method"]).exact
-        chi = document["chi_squared"]
+        prior = [entries[n].prior_sd for n in names]
+        exact = document.sensors_exact
+        chi = document.chi_squared
         return cls(
             name,
-            mechanism.with_nominal({n: entries[n]["value"] for n in names}),
+            mechanism.with_nominal({n: entries[n].value for n in names}),
             _spread(covariance, free, len(names)),
             _rows(loose, free, len(names)),
-            np.array([entries[n]["nominal"] for n in names]),
+            np.array([entries[n].nominal for n in names]),
             np.array([math.inf if exact or sd is None else sd for sd in prior]),
             poses,
-            document["data"]["sha256"],
-            chi and chi["p_value"],
+            document.data.sha256,
+            None if chi is None else chi.p_value,
         )
 
 

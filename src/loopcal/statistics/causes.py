@@ -15,9 +15,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.distances import measured_points
 from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.outputs import measured_points
 from loopcal.statistics.pose_tests import Fit, try_rows
 from loopcal.units import from_si, to_si
 

@@ -15,28 +15,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.findings import Observability, UsualSd
+from loopcal.document.plain import plain
 from loopcal.estimation.calibrate import started
 from loopcal.estimation.fit import Fit, Start
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
-from loopcal.estimation.rounding import significant
 from loopcal.estimation.solve.reduction import Spectrum, spectrum, undetermined
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
-from loopcal.estimation.summary import SHOWN, columns
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.prior import PriorLike
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import SHOWN
+from loopcal.presentation.text_table import columns
 from loopcal.statistics.identifiability import (
     SCHROER,
     WhatDataSay,
     calibration_index,
     what_data_say,
 )
-from loopcal.statistics.observability import Observability, observability
-from loopcal.statistics.predictor import predictor_at
+from loopcal.statistics.observability import observability
+from loopcal.statistics.predictor import largest_by_unit, predictor_at, usual_words
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]
@@ -63,8 +66,8 @@ class Check:
     verdict: "good", "weak" (poses alike, or few) or "undetermined" (a direction that neither
     readings nor prior limit); words: the verdict and its remedy. expected_sd: of every parameter
     [SI], None where fixed or where no sds of sensors are stated, inf where undetermined;
-    expected_at_poses: SI unit of outputs -> sd that the parameters cause in a predicted end point
-    at 95 % of the poses.
+    expected_at_poses: sd that the parameters cause in what each instrument sees, at 95 % of the
+    poses.
     """
 
     mechanism: Mechanism
@@ -73,7 +76,7 @@ class Check:
     identifiability: WhatDataSay
     observability: Observability
     expected_sd: Mapping[str, float | None]
-    expected_at_poses: Mapping[str, float]
+    expected_at_poses: tuple[UsualSd, ...]
     verdict: str
     words: str
 
@@ -105,9 +108,17 @@ class Check:
                 }
                 for p in self.mechanism.parameters
             ],
-            "identifiability": self.identifiability.document(),
-            "observability": self.observability.document(),
-            "prediction": {"sd_at_poses": dict(self.expected_at_poses)},
+            "identifiability": {
+                "data_condition_number": self.identifiability.condition_number,
+                "data_versus_prior": plain(self.identifiability.learned),
+                "weak_directions": plain(self.identifiability.weak),
+                "calibration_index": plain(self.identifiability.index),
+            },
+            "observability": plain(self.observability),
+            "prediction": {
+                "sd_at_poses": largest_by_unit(self.expected_at_poses),
+                "by": plain(self.expected_at_poses),
+            },
             "remarks": list(self.mechanism.remarks),
         }
 
@@ -117,11 +128,10 @@ class Check:
         if condition is not None:
             lines.append(f"condition number of the poses {significant(condition, 3)}")
         lines += [self.observability.words(), self.identifiability.index.words()]
-        for unit, sd in self.expected_at_poses.items():
-            lines.append(
-                f"sd to expect of a predicted end point, from the parameters: up to "
-                f"{_in(sd, SHOWN.get(unit, unit))} at 95 % of these poses"
-            )
+        lines += [
+            f"prediction to expect: {words} at 95 % of these poses"
+            for words in usual_words(self.expected_at_poses)
+        ]
         lines += self.identifiability.words()
         if self.mechanism.remarks:
             lines += ["", *self.mechanism.remarks]
@@ -157,7 +167,7 @@ def check(
         system = spectrum(information, np.zeros(len(problem.free)), problem.prior_sd)
         loose = {n for d in undetermined(system, problem.names) for n in d}
         sds = _expected(problem, system, loose, stated=told is not None)
-        usual: Mapping[str, float] = {}
+        usual: tuple[UsualSd, ...] = ()
         if mechanism.outputs and told is not None:
             x = problem.readings + corrections
             usual = predictor_at(

@@ -12,13 +12,14 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.findings import ColumnFault
+from loopcal.document.plain import known
 from loopcal.errors import InputError
-from loopcal.estimation.distances import distances
+from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.prediction import output_differences, predict_outputs
 from loopcal.estimation.problem.alignment import align, can_be_placed, placed
 from loopcal.estimation.problem.problem import Problem, taken
@@ -37,41 +38,6 @@ GROSS = 10.0
 PARKED = 0.01
 """A quantity stands still if its readings spread over no more than this share of their size."""
 _SAMPLE, _MOST, _ROUNDS = 120, 3, 4
-
-
-@dataclass(frozen=True)
-class ColumnFault:
-    """A fault of whole columns.
-
-    quantities: concerned; words: what it is, alternatives that the readings cannot tell apart
-    joined by "or"; before, after: misfit as read, and with the fault put right: the rms distance
-    of the half of the poses where the nominal machine, placed as well as can be, is nearest to the
-    readings [SI]; of a machine that cannot be placed (`placed` False), the rms of the loop values
-    after a fit.
-    """
-
-    quantities: tuple[str, ...]
-    words: str
-    before: float
-    after: float
-    placed: bool = True
-
-    def document(self) -> dict[str, Any]:
-        """Its entry in result.json."""
-        return {
-            "quantities": list(self.quantities),
-            "words": self.words,
-            "before": self.before if math.isfinite(self.before) else None,
-            "after": self.after,
-        }
-
-    def __str__(self) -> str:
-        meets = "the nominal machine meets the readings" if self.placed else "the loops fit"
-        unit = " m" if self.placed else ""
-        return (
-            f"{self.words}: put right, {meets} to {self.after:.3g}{unit} rms "
-            f"instead of {self.before:.3g}{unit}"
-        )
 
 
 @dataclass(frozen=True)
@@ -128,7 +94,7 @@ def _gravest(problem: Problem) -> tuple[_Repair, ColumnFault] | None:
     quantities = tuple(dict.fromkeys(name for repair in alike for name in repair.quantities))
     words = " or ".join(repair.words for repair in alike)
     whole = _misfit(problem).size
-    return best, ColumnFault(quantities, words, whole, after.size, placeable)
+    return best, ColumnFault(quantities, words, known(whole), after.size, placeable)
 
 
 def _compared(problem: Problem) -> float:
@@ -183,7 +149,7 @@ def _misfit(problem: Problem) -> _Misfit:
 def _seen(problem: Problem) -> _Misfit:
     """The same by whatever instruments see the machine, each placed by itself."""
     mechanism = problem.mechanism
-    rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
+    rows = [mechanism.tape.quantities.index(q) for q in mechanism.compared]
     half = every = np.ones(len(problem.poses), dtype=bool)
     try:
         for _ in range(_ROUNDS):
@@ -191,8 +157,9 @@ def _seen(problem: Problem) -> _Misfit:
             differences = output_differences(
                 problem, np.array([p.nominal for p in moved.parameters])
             )
-            seen = distances(mechanism, problem.readings[rows], differences)
-            away = np.full(len(every), np.nan) if seen is None else seen.by_pose
+            apart = deviations(mechanism, problem.readings[rows], differences)
+            seen = by_pose(apart)
+            away = np.full(len(every), np.nan) if seen is None else seen
             if not np.isfinite(away).any():
                 return _Misfit(math.inf, every)
             middle = float(np.nanmedian(away))

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.chi_squared import quantile, tail
-from loopcal.estimation.rounding import rounded_by_sd, significant
-from loopcal.estimation.summary import SHOWN, columns
+from loopcal.presentation.rounding import rounded_by_sd, significant
+from loopcal.presentation.shown import SHOWN
+from loopcal.presentation.text_table import columns
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
+from loopcal.document.findings import Observability, OtherOptimum
+from loopcal.document.result_document import ResultDocument
 from loopcal.estimation.result import Result
-from loopcal.estimation.rounding import significant
-from loopcal.estimation.summary import SHOWN
 from loopcal.statistics.identifiability import WhatDataSay, calibration_index, what_data_say
-from loopcal.statistics.observability import Observability, data_spectrum, observability
-from loopcal.statistics.optima import OtherOptimum, other_optima
+from loopcal.statistics.observability import data_spectrum, observability
+from loopcal.statistics.optima import other_optima
 from loopcal.statistics.outliers import Outliers, find_outliers
-from loopcal.statistics.predictor import Predictor, predictor
-from loopcal.units import from_si
+from loopcal.statistics.predictor import Predictor, predictor, usual_words
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,27 +26,27 @@ class Findings:
     outliers: Outliers
     optima: tuple[OtherOptimum, ...]
 
-    def document(self) -> dict[str, Any]:
-        """The fields of result.json that these figures fill or add to."""
-        return {
-            "identifiability": self.identifiability.document(),
-            "observability": self.observability.document(),
-            "prediction": self.predictor and self.predictor.document(),
-            **self.outliers.document(),
-            "other_optima": [optimum.document() for optimum in self.optima],
-        }
+    def added_to(self, document: ResultDocument) -> ResultDocument:
+        """The document of the result with these figures."""
+        return replace(
+            document,
+            identifiability=self.identifiability.added_to(document.identifiability),
+            observability=self.observability,
+            prediction=None if self.predictor is None else self.predictor.entry,
+            outliers=self.outliers.found,
+            outlier_tests=self.outliers.tests,
+            column_faults=self.outliers.columns,
+            other_optima=self.optima,
+        )
 
     def words(self) -> str:
         """For the summary: one line each."""
         lines = [self.observability.words(), self.identifiability.index.words()]
         if self.predictor is not None:
-            for unit, sd in self.predictor.usual.items():
-                shown = SHOWN.get(unit, unit)
-                size = significant(float(from_si(sd, shown)), 3)
-                lines.append(
-                    f"prediction: the parameters cause an sd of up to {size} {shown} at 95 % of "
-                    "these poses"
-                )
+            lines += [
+                f"prediction: {words} at 95 % of these poses"
+                for words in usual_words(self.predictor.usual)
+            ]
         lines += self.identifiability.words() + self.outliers.lines()
         return "\n".join(lines + [str(optimum) for optimum in self.optima])
 

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.findings import CalibrationIndex, Identifiability, Learned, WeakDirection
+from loopcal.document.plain import known
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.rounding import significant
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum, undetermined
-from loopcal.estimation.summary import SHOWN
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import SHOWN
 from loopcal.statistics.observability import data_spectrum
 from loopcal.units import from_si
 
@@ -31,90 +32,26 @@ _LEADING, _MOST_NAMED = 0.3, 4
 
 
 @dataclass(frozen=True)
-class Learned:
-    """One parameter with a prior: its sd before and after [SI unit], and their ratio.
-
-    A ratio near 1 means that the value is the drawing's, not the data's.
-    """
-
-    parameter: str
-    unit: str
-    prior_sd: float
-    sd: float
-    ratio: float
-    words: str
-
-
-@dataclass(frozen=True)
-class WeakDirection:
-    """A combination of parameters that these poses hardly show, or not at all.
-
-    combination: {parameter: share}, of the leading ones, in scaled units, the largest 1;
-    one_sd: {parameter: change [SI]} that the data allow along it within one sd, empty where
-    nothing limits it; condition: the largest singular value over this direction's, inf if none.
-    """
-
-    combination: Mapping[str, float]
-    one_sd: Mapping[str, float]
-    condition: float
-    words: str
-
-
-@dataclass(frozen=True)
-class CalibrationIndex:
-    """C = sum over poses of (S - M), S the quantities sensed, M the mobility of the mechanism.
-
-    With k quantities and m independent loop equations a pose has the mobility M = k - m; with u
-    of the quantities unmeasured it senses S = k - u; so it yields S - M = m - u equations.
-    Hollerbach and Wampler (1996). value: C; needed: parameters without prior knowledge.
-    """
-
-    value: int
-    sensed: int
-    mobility: int
-    poses: int
-    parameters: int
-    needed: int
-
-    def words(self) -> str:
-        """One line."""
-        return (
-            f"calibration index {self.value} (sensed {self.sensed} - mobility {self.mobility}, "
-            f"over {self.poses} poses) for {self.parameters} parameters"
-        )
-
-
-@dataclass(frozen=True)
 class WhatDataSay:
-    """condition_number: of the data alone, column-scaled; None where singular."""
+    """condition_number: of the data alone, column-scaled; None where singular.
+
+    learned: of parameters with a prior; weak: directions, the worst first.
+    """
 
     condition_number: float | None
     learned: tuple[Learned, ...]
     weak: tuple[WeakDirection, ...]
     index: CalibrationIndex
 
-    def document(self) -> dict[str, object]:
-        """As the identifiability of result.json holds it."""
-        return {
-            "data_condition_number": self.condition_number,
-            "data_versus_prior": [
-                {"parameter": e.parameter, "ratio": e.ratio, "words": e.words} for e in self.learned
-            ],
-            "weak_directions": [
-                {
-                    "combination": dict(d.combination),
-                    "one_sd": dict(d.one_sd),
-                    "condition": d.condition if math.isfinite(d.condition) else None,
-                    "words": d.words,
-                }
-                for d in self.weak
-            ],
-            "calibration_index": {
-                "value": self.index.value,
-                "sensed": self.index.sensed,
-                "mobility": self.index.mobility,
-            },
-        }
+    def added_to(self, found: Identifiability) -> Identifiability:
+        """What a fit says of its poses, with this."""
+        return replace(
+            found,
+            data_condition_number=self.condition_number,
+            data_versus_prior=self.learned,
+            weak_directions=self.weak,
+            calibration_index=self.index,
+        )
 
     def words(self, most: int = 3) -> list[str]:
         """What a reader must know: the worst directions, and parameters the data left alone."""
@@ -163,7 +100,6 @@ def calibration_index(problem: Problem, poses: int, equations: int) -> Calibrati
         mobility,
         poses,
         len(problem.free),
-        int(np.isinf(problem.prior_sd).sum()),
     )
 
 
@@ -185,7 +121,7 @@ def _learned(
             verdict = f"the data say nothing about {name!r}"
         elif ratio > SAYS_LITTLE:
             verdict = f"the data say little about {name!r}"
-        entries.append(Learned(name, unit, prior, sd, ratio, f"{verdict}: {both}"))
+        entries.append(Learned(name, ratio, f"{verdict}: {both}"))
     return tuple(entries)
 
 
@@ -200,7 +136,7 @@ def _undetermined(problem: Problem, system: Spectrum) -> list[WeakDirection]:
             words = f"these poses say nothing about {_list(names)}"
         if any(prior[name] for name in names):
             words += "; only what was known beforehand holds " + ("them" if names[1:] else "it")
-        found.append(WeakDirection(MappingProxyType(combination), {}, math.inf, words))
+        found.append(WeakDirection(dict(combination), {}, None, words))
     return found
 
 
@@ -246,7 +182,7 @@ def _weak_direction(
             for i, u in zip(leading, shown, strict=True)
         ]
         words += f"; one sd along it: {', '.join(told)}"
-    return WeakDirection(MappingProxyType(shares), MappingProxyType(steps), condition, words + ")")
+    return WeakDirection(shares, steps, known(condition), words + ")")
 
 
 def _in(value: float, unit: str, *, sign: bool = False) -> str:

@@ -21,9 +21,10 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.fit import IntervalEntry
+from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.estimation.methods.registry import names_where
-from loopcal.estimation.on_request import Interval
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import Result
@@ -41,6 +42,43 @@ _CLOSE = 1e-3
 _MOST = 30
 _FARTHEST = 1e3
 """Sds out to which a profile is followed."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Confidence interval of a parameter [SI] at a level, from the covariance and by profile.
+
+    profile_low, profile_high: where chi-squared, minimised over all other parameters, has risen
+    to its limit; None where it never does. differs: whether an end of the two differs by more
+    than a tenth of the half width: the parameter acts nonlinearly within its own uncertainty.
+    """
+
+    level: float
+    low: float
+    high: float
+    profile_low: float | None
+    profile_high: float | None
+    differs: bool
+
+    @property
+    def entry(self) -> IntervalEntry:
+        """As a document holds it."""
+        ends = (self.low, self.high), (self.profile_low, self.profile_high)
+        return IntervalEntry(self.level, *ends, self.differs)
+
+
+def with_intervals(
+    document: ResultDocument, intervals: Mapping[str, Interval | None]
+) -> ResultDocument:
+    """The document of a result with the intervals of its parameters; None: nothing bounds one."""
+    level = next((i.level for i in intervals.values() if i is not None), 0.95)
+    unbounded = IntervalEntry(level, (None, None), (None, None), differs=False)
+    entries = {name: unbounded if i is None else i.entry for name, i in intervals.items()}
+    parameters = tuple(
+        replace(p, interval=entries[p.name]) if p.name in entries else p
+        for p in document.parameters
+    )
+    return replace(document, parameters=parameters)
 
 
 def covariance_interval(result: Result, name: str, level: float = 0.95) -> Interval | None:

@@ -16,16 +16,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.accuracy import ModelEntry
+from loopcal.document.plain import known as finite
+from loopcal.document.result_document import ResultDocument
+from loopcal.document.tables import model_table, recommendation
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.fit import Fit
-from loopcal.estimation.on_request import ComparedModel, ModelComparison, Validation
 from loopcal.estimation.result import Result
 from loopcal.execution.executor import Executor, Progress
 from loopcal.measurements.dataset import Dataset
@@ -33,13 +36,87 @@ from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.effects.model import Model, with_only
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.folds import Scheme, grouped
-from loopcal.statistics.validation import Asked, Case, ValidationOptions, validated
+from loopcal.statistics.validation import Asked, Case, Validation, ValidationOptions, validated
 
 Array = NDArray[np.float64]
 GEOMETRIC = "geometric"
 """The model without effects, always among those compared."""
 ERRORS, LEAST = 2.0, 4.0
 """A model is refused that is behind by more than so many standard errors and by more than this."""
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedModel:
+    """One of several models of the same readings, judged by poses that it has not seen.
+
+    effects: those beyond geometry that are switched on; fixed: parameters by names or globs that
+    it does not estimate; parameters: how many it does; validation: None where a fit did not
+    converge, with the reason in `failed`; behind: by how much its predictive log-likelihood is
+    less than the best one's; sd: of that difference, from its scatter over the poses.
+    """
+
+    name: str
+    effects: tuple[str, ...]
+    fixed: tuple[str, ...]
+    parameters: int
+    validation: Validation | None
+    behind: float | None = None
+    sd: float | None = None
+    failed: str = ""
+
+    def entry(self, *, recommended: bool) -> ModelEntry:
+        """As a document holds it; recommended: whether it is the one to take."""
+        found = self.validation
+        accuracy = None if found is None else found.accuracy
+        return ModelEntry(
+            self.name,
+            self.effects,
+            self.fixed,
+            self.parameters,
+            None if accuracy is None else accuracy.distances,
+            None if found is None else found.log_likelihood,
+            self.behind,
+            finite(self.sd),
+            recommended,
+            self.failed or None,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ModelComparison:
+    """Models compared on the same poses; recommended: the simplest that the data do not refuse.
+
+    result: the calibration of all poses with the recommended model.
+    """
+
+    models: tuple[ComparedModel, ...]
+    recommended: str
+    result: Result
+
+    @property
+    def entries(self) -> tuple[ModelEntry, ...]:
+        """As a document holds them."""
+        return tuple(m.entry(recommended=m.name == self.recommended) for m in self.models)
+
+    @property
+    def validation(self) -> Validation | None:
+        """That of the recommended model."""
+        return next(m.validation for m in self.models if m.name == self.recommended)
+
+    @property
+    def words(self) -> str:
+        """Why this model."""
+        return recommendation(self.entries)
+
+    def added_to(self, document: ResultDocument) -> ResultDocument:
+        """The document of the result with the recommended model, with this."""
+        document = replace(document, models=self.entries)
+        return self.validation.added_to(document) if self.validation else document
+
+    def __str__(self) -> str:
+        found = self.validation
+        unit = found.accuracy.unit if found and found.accuracy else ""
+        return "\n".join(model_table(self.entries, unit, found.words if found else ""))
 
 
 def compare_models(

@@ -8,46 +8,13 @@ knowledge is left out; they speak of the poses alone.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.rounding import significant
+from loopcal.document.findings import Observability
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum, spectrum
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Observability:
-    """The observability indices of a set of poses, without unit; larger is better.
-
-    sigma_1 >= ... >= sigma_n are the singular values of the column-scaled, whitened Jacobian of
-    N poses. Columns have the length 1, so that sigma_1^2 + ... + sigma_n^2 = n whatever N is; N
-    enters O1 alone, which therefore compares sets of equally many poses only. All are zero where
-    a direction is not determined.
-    """
-
-    O1: float
-    """(sigma_1 ... sigma_n)^(1/n) / sqrt(N). Borm and Menq (1991)."""
-    O2: float
-    """sigma_n / sigma_1, the inverse condition number. Driels and Pathre (1990)."""
-    O3: float
-    """sigma_n. Nahvi, Hollerbach and Hayward (1994)."""
-    O4: float
-    """sigma_n^2 / sigma_1. Nahvi and Hollerbach (1996)."""
-    O5: float
-    """1 / (1/sigma_1 + ... + 1/sigma_n). Sun and Hollerbach (2008)."""
-
-    def document(self) -> dict[str, float]:
-        """As result.json holds it."""
-        return asdict(self)
-
-    def words(self) -> str:
-        """One line."""
-        numbers = ", ".join(f"{k} {significant(v, 3)}" for k, v in self.document().items())
-        return f"observability {numbers}"
 
 
 def data_spectrum(information: Accumulator) -> Spectrum:

@@ -9,20 +9,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.findings import OtherOptimum
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
-from loopcal.estimation.rounding import significant
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import solve
-from loopcal.estimation.summary import SHOWN
-from loopcal.units import from_si
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import with_unit
 
 Array = NDArray[np.float64]
 VAGUE = 0.02
@@ -35,41 +34,6 @@ LIKE_SIZE = 1 / 3
 """Two parameters of more different size are no two links that could stand for each other."""
 _MOST = 30
 _SAME = 1e-6
-
-
-@dataclass(frozen=True)
-class OtherOptimum:
-    """Another optimum: its parameters [SI] that differ, and its chi-squared beside the result's."""
-
-    parameters: dict[str, float]
-    units: dict[str, str]
-    chi_squared: float
-    of_result: float
-
-    def document(self) -> dict[str, Any]:
-        """Its entry in result.json."""
-        return {
-            "parameters": self.parameters,
-            "chi_squared": self.chi_squared,
-            "words": str(self),
-        }
-
-    def __str__(self) -> str:
-        told = []
-        for name, value in self.parameters.items():
-            unit = SHOWN.get(self.units[name], self.units[name])
-            told.append(f"{name} {significant(float(from_si(value, unit)), 4)} {unit}")
-        values = ", ".join(told)
-        mine, its = (significant(v, 4) for v in (self.of_result, self.chi_squared))
-        if self.chi_squared < self.of_result:
-            verdict = "it fits better: start there (fit.start), or state prior sds"
-        else:
-            times = significant(math.sqrt(self.chi_squared / max(self.of_result, 1e-300)), 3)
-            verdict = (
-                f"it would fit as well with sds {times} times as large: make sure, by the drawing "
-                "or a prior, which one is meant"
-            )
-        return f"another optimum: {values}, chi-squared {its} beside {mine}; {verdict}"
 
 
 def other_optima(result: Result) -> tuple[OtherOptimum, ...]:
@@ -131,6 +95,19 @@ def _told(result: Result, parameters: Array, chi_squared: float) -> OtherOptimum
         for name in result.estimated
         if abs(values[name] - result.value[name]) > 3.0 * (result.sd[name] or 0.0)
     }
-    units = {name: result.mechanism.parameters[name].unit for name in moved}
     assert result.chi_squared is not None
-    return OtherOptimum(moved, units, chi_squared, result.chi_squared.value)
+    best = result.chi_squared.value
+    told = ", ".join(
+        f"{name} {with_unit(value, result.mechanism.parameters[name].unit, 4)}"
+        for name, value in moved.items()
+    )
+    verdict = "it fits better: start there (fit.start), or state prior sds"
+    if chi_squared >= best:
+        times = significant(math.sqrt(chi_squared / max(best, 1e-300)), 3)
+        verdict = (
+            f"it would fit as well with sds {times} times as large: make sure, by the drawing or a "
+            "prior, which one is meant"
+        )
+    numbers = f"chi-squared {significant(chi_squared, 4)} beside {significant(best, 4)}"
+    words = f"another optimum: {told}, {numbers}; {verdict}"
+    return OtherOptimum(moved, chi_squared, words, best)

@@ -9,19 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.findings import ColumnFault, Outlier, OutlierTests
+from loopcal.document.plain import known
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
-from loopcal.estimation.rounding import significant
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.summary import SHOWN
+from loopcal.presentation.rounding import significant
 from loopcal.statistics.causes import Cause, Suspect, find_causes
-from loopcal.statistics.column_faults import ColumnFault, column_faults
+from loopcal.statistics.column_faults import column_faults
 from loopcal.statistics.outlier_search import Search
 from loopcal.statistics.pose_tests import (
     Fit,
@@ -30,66 +30,12 @@ from loopcal.statistics.pose_tests import (
     tail,
     try_rows,
 )
-from loopcal.units import from_si
 
 Array = NDArray[np.float64]
 SCALES = ("auto", "stated", "residual")
 UNREMARKABLE = 0.001
 """A pose whose statistic has at least this probability is explained."""
 _ROUND = 24
-
-
-@dataclass(frozen=True)
-class Outlier:
-    """One pose that does not fit.
-
-    quantity: the reading to blame, None where no single one explains the pose; indistinct: other
-    readings that would explain it as well; statistic: normal deviate of the reading, or chi-squared
-    of the pose where quantity is None; p_value: probability of one at least so large by chance;
-    pose_statistic: chi-squared of the pose; size: reading minus its true value as the rest of the
-    data has it [SI unit]; cause: what probably happened, in words; verified: whether putting it
-    right made the pose unremarkable.
-    """
-
-    pose: str
-    quantity: str | None
-    statistic: float
-    p_value: float
-    pose_statistic: float
-    size: float | None
-    unit: str | None
-    indistinct: tuple[str, ...] = ()
-    cause: str | None = None
-    verified: bool = False
-
-    def document(self) -> dict[str, Any]:
-        """Its entry in result.json."""
-        return {
-            "pose": self.pose,
-            "quantity": self.quantity,
-            "statistic": finite(self.statistic),
-            "p_value": self.p_value,
-            "pose_statistic": finite(self.pose_statistic),
-            "size": self.size,
-            "unit": self.unit,
-            "indistinct": list(self.indistinct),
-            "cause": self.cause,
-            "verified": self.verified,
-        }
-
-    def __str__(self) -> str:
-        who = "no single reading explains it"
-        if self.quantity is not None and self.size is not None and self.unit is not None:
-            unit = SHOWN.get(self.unit, self.unit)
-            off = significant(from_si(self.size, unit), 3)
-            who = f"{self.quantity} is off by {off} {unit}"
-            if self.indistinct:
-                who += f" (or else {', '.join(self.indistinct)})"
-        text = f"pose {self.pose}: {who}, {significant(abs(self.statistic), 3)}"
-        text += " sds" if self.quantity is not None else " chi-squared"
-        if self.cause:
-            text += f"; {self.cause}" + (" (tried: it then fits)" if self.verified else "")
-        return text
 
 
 @dataclass(frozen=True)
@@ -112,18 +58,10 @@ class Outliers:
     def __len__(self) -> int:
         return len(self.found)
 
-    def document(self) -> dict[str, Any]:
-        """The fields of result.json: the outliers, how they were tested, faults of columns."""
-        return {
-            "outliers": [outlier.document() for outlier in self.found],
-            "outlier_tests": {
-                "level": self.level,
-                "poses": self.tested,
-                "scale": self.scale,
-                "by_residuals": self.by_residuals,
-            },
-            "column_faults": [fault.document() for fault in self.columns],
-        }
+    @property
+    def tests(self) -> OutlierTests:
+        """How the poses were tested."""
+        return OutlierTests(self.level, self.tested, self.scale, self.by_residuals)
 
     def __str__(self) -> str:
         return "\n".join(self.lines())
@@ -143,11 +81,6 @@ class Outliers:
         if len(self.found) > most:
             lines.append(f"  and {len(self.found) - most} more")
         return lines
-
-
-def finite(value: float) -> float | None:
-    """None for what JSON cannot say."""
-    return value if np.isfinite(value) else None
 
 
 def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -> Outliers:
@@ -276,14 +209,15 @@ def _outlier(problem: Problem, suspect: Suspect, cause: Cause | None) -> Outlier
         order.remove(cause.quantity)
         order.insert(0, cause.quantity)
     words, verified = (None, False) if cause is None else (cause.words, cause.verified)
+    whole = known(suspect.t)
     if not order or (cause is not None and cause.quantity is None):
         p = float(tail(np.array([suspect.t]), np.array([suspect.freedom]))[0])
         size = unit = None
-        return Outlier(pose, None, suspect.t, p, suspect.t, size, unit, (), words, verified)
+        return Outlier(pose, None, whole, p, whole, size, unit, (), words, verified)
     j = order[0]
     size, left = suspect.explained[j]
     w = float(np.copysign(np.sqrt(max(suspect.t - left, 0.0)), size))
     p = float(tail(np.array([w * w]), np.array([1]))[0])
     others = tuple(names[i] for i in order[1:])
     unit = problem.mechanism.quantities[names[j]]
-    return Outlier(pose, names[j], w, p, suspect.t, size, unit, others, words, verified)
+    return Outlier(pose, names[j], known(w), p, whole, size, unit, others, words, verified)

@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.result import Result
-from loopcal.estimation.rounding import significant
-from loopcal.estimation.summary import SHOWN
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.outputs import OutputGroup, output_groups
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import with_unit
 from loopcal.statistics.predictor import Predictor, by_parameters, predictor, trace_sd
 from loopcal.statistics.sensitivity import output_sensitivity
-from loopcal.units import from_si
 
 Array = NDArray[np.float64]
 ALARM = 3.0
@@ -43,7 +43,8 @@ class Prediction:
     from_parameters, from_readings: (N, o, o), the latter None where the sds of the readings are
     not known; inf where an undetermined direction moves the outputs, NaN where no loop closes.
     ratio: (N,) the parameters' part of the sd over the usual at the calibration poses (the
-    largest over the units of outputs); NaN where that is not known.
+    largest over instruments and units); NaN where that is not known. groups: outputs whose sds
+    belong together: those of one unit that one instrument reads.
     """
 
     poses: tuple[str, ...]
@@ -52,6 +53,7 @@ class Prediction:
     from_parameters: Array
     from_readings: Array | None
     ratio: Array
+    groups: tuple[OutputGroup, ...]
 
     @property
     def covariance(self) -> Array:
@@ -74,7 +76,7 @@ class Prediction:
         return beyond
 
     def columns(self) -> dict[str, Array | tuple[str, ...]]:
-        """As a table, one row per pose: outputs, their sds, sd of all, covariance, alarm."""
+        """As a table, one row per pose: outputs, their sds, sd by instrument, covariance, alarm."""
         table: dict[str, Array | tuple[str, ...]] = {"pose": self.poses}
         for name, values in self.outputs.items():
             table[f"{name} [{self.units[name]}]"] = values
@@ -84,8 +86,8 @@ class Prediction:
         if self.from_readings is not None:
             parts["sd from readings"] = self.from_readings
         for name, covariance in parts.items():
-            for unit in dict.fromkeys(self.units.values()):
-                table[f"{name} [{unit}]"] = _finite(trace_sd(covariance, self.units, unit))
+            for group, of in zip(self.groups, self._named(), strict=True):
+                table[f"{name}{of} [{group.unit}]"] = _finite(trace_sd(covariance, group))
         names = list(self.outputs)
         for i, a in enumerate(names):
             for j, b in enumerate(names[: i + 1]):
@@ -97,6 +99,10 @@ class Prediction:
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""
         outputs, sds = list(self.outputs.items()), self.sd
+        by = [
+            (group, trace_sd(self.covariance, group), trace_sd(self.from_parameters, group))
+            for group in self.groups
+        ]
         poses = [
             {
                 "pose": pose,
@@ -105,6 +111,16 @@ class Prediction:
                 "covariance": [[_plain(v) for v in row] for row in self.covariance[i]],
                 "covariance_from_parameters": [
                     [_plain(v) for v in row] for row in self.from_parameters[i]
+                ],
+                "by": [
+                    {
+                        "instrument": group.instrument,
+                        "station": group.station,
+                        "unit": group.unit,
+                        "sd": _plain(sizes[i]),
+                        "sd_from_parameters": _plain(parts[i]),
+                    }
+                    for group, sizes, parts in by
                 ],
                 "ratio": _plain(self.ratio[i]),
                 "extrapolated": bool(self.extrapolated[i]),
@@ -129,9 +145,14 @@ class Prediction:
             if covariance is None:
                 lines.append("sd caused by readings: not known, for no sds of readings are")
                 continue
-            for unit in dict.fromkeys(self.units.values()):
-                lines.append(f"sd caused by {name}: {_spread(covariance, self.units, unit)}")
+            for group, of in zip(self.groups, self._named(), strict=True):
+                lines.append(f"sd{of} caused by {name}: {_spread(covariance, group)}")
         return "\n".join(lines + self._alarm())
+
+    def _named(self) -> list[str]:
+        """What tells the groups of several instruments apart."""
+        several = len({group.instrument for group in self.groups}) > 1
+        return [f" of {group.instrument}" if several else "" for group in self.groups]
 
     def _alarm(self) -> list[str]:
         beyond = self.extrapolated
@@ -154,16 +175,13 @@ def _plain(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _spread(covariance: Array, units: Mapping[str, str], unit: str) -> str:
-    sizes = trace_sd(covariance, units, unit)
+def _spread(covariance: Array, group: OutputGroup) -> str:
+    sizes = trace_sd(covariance, group)
     sizes = sizes[~np.isnan(sizes)]
     if not sizes.size:
         return "unknown"
-    shown = SHOWN.get(unit, unit)
-    middle, most = (
-        significant(float(from_si(v, shown)), 3) for v in (np.median(sizes), sizes.max())
-    )
-    return f"median {middle} {shown}, largest {most} {shown}"
+    middle, most = (with_unit(float(v), group.unit) for v in (np.median(sizes), sizes.max()))
+    return f"median {middle}, largest {most}"
 
 
 def predict(
@@ -209,6 +227,7 @@ def predict(
         from_parameters,
         _by_readings(known, found, data, told, S.by_reading[:, :o]),
         _ratio(from_parameters, known),
+        output_groups(known.mechanism),
     )
 
 
@@ -259,8 +278,10 @@ def _by_readings(
 
 
 def _ratio(from_parameters: Array, known: Predictor) -> Array:
+    usual = {(one.instrument, one.unit): one.sd for one in known.usual}
     ratios = [
-        trace_sd(from_parameters, known.units, unit) / max(usual, 1e-300)
-        for unit, usual in known.usual.items()
+        trace_sd(from_parameters, group) / max(usual[group.instrument, group.unit], 1e-300)
+        for group in output_groups(known.mechanism)
+        if (group.instrument, group.unit) in usual
     ]
     return np.max(ratios, axis=0) if ratios else np.full(len(from_parameters), np.nan)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.findings import PredictionEntry, UsualSd
+from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem.patterns import Pattern
@@ -18,6 +19,8 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import disturbances, with_model_error
+from loopcal.mechanisms.outputs import OutputGroup, output_groups
+from loopcal.presentation.shown import with_unit
 from loopcal.statistics.sensitivity import output_sensitivity
 
 Array = NDArray[np.float64]
@@ -34,9 +37,8 @@ class Predictor:
     mechanism: with the calibrated values; names (n,) and covariance (n, n) [SI] of the estimated
     parameters, over the directions that are determined; undetermined: (n, d) steps [SI] that
     neither data nor prior limit; sds: quantity -> sd of a reading [SI], empty where not known;
-    usual: SI unit of outputs -> the sd that parameters alone cause, for all outputs of that unit
-    together (root of the trace), not exceeded at 95 % of the calibration poses; typical: quantity
-    -> a reading [SI] to start the search for outputs from.
+    usual: by instrument, the sd that parameters alone cause; typical: quantity -> a reading [SI] to
+    start the search for outputs from.
     """
 
     mechanism: Mechanism
@@ -44,7 +46,7 @@ class Predictor:
     covariance: Array
     undetermined: Array
     sds: Mapping[str, float] = field(default_factory=dict)
-    usual: Mapping[str, float] = field(default_factory=dict)
+    usual: tuple[UsualSd, ...] = ()
     typical: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -52,43 +54,67 @@ class Predictor:
         """Output -> SI unit."""
         return {q: self.mechanism.quantities[q] for q in self.mechanism.outputs}
 
-    def document(self) -> dict[str, Any]:
-        """As result.json holds it; the covariance only where the result's is not the same."""
+    @property
+    def entry(self) -> PredictionEntry:
+        """As a document holds it; the covariance only where the result's is not the same."""
         loose = self.undetermined.shape[1] > 0
-        return {
-            "sd_at_poses": dict(self.usual),
-            "typical": dict(self.typical),
-            "covariance": self.covariance.tolist() if loose else None,
-            "undetermined": self.undetermined.T.tolist(),
-        }
+        return PredictionEntry(
+            largest_by_unit(self.usual),
+            dict(self.typical),
+            tuple(map(tuple, self.covariance.tolist())) if loose else None,
+            tuple(map(tuple, self.undetermined.T.tolist())),
+            self.usual,
+        )
 
 
-def predictor_of(document: Mapping[str, Any], mechanism: Mechanism) -> Predictor:
-    """The predictor from the content of result.json and the mechanism it is of.
+def largest_by_unit(usual: Sequence[UsualSd]) -> dict[str, float]:
+    """SI unit -> the largest sd of any instrument."""
+    largest: dict[str, float] = {}
+    for one in usual:
+        largest[one.unit] = max(one.sd, largest.get(one.unit, 0.0))
+    return largest
 
-    Raises InputError where the document lacks what predictions need, or is of another mechanism.
+
+def usual_words(usual: Sequence[UsualSd]) -> list[str]:
+    """The sd that the parameters cause, a phrase per instrument and unit."""
+    several = len({one.instrument for one in usual}) > 1
+    return [
+        f"the parameters cause an sd of up to {with_unit(one.sd, one.unit)}"
+        + (f" as {one.instrument} sees it" if several else "")
+        for one in usual
+    ]
+
+
+def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
+    """The predictor from a document and the mechanism it is of.
+
+    Raises InputError where the document lacks what predictions need.
     """
-    stored, names = document["prediction"], tuple(document["covariance"]["names"])
+    stored, names = document.prediction, document.covariance.names
     if stored is None:
         raise InputError(
             f"{mechanism.name!r} has no outputs to predict: no instrument measures it",
             code="no-outputs",
             remedy="add the instrument whose readings are to be predicted, and calibrate again",
         )
-    sds = {q: entry["sd"] for entry in document["noise"] for q in entry["quantities"]}
+    sds = {q: entry.sd for entry in document.noise for q in entry.quantities}
     if any(q in sds and q not in mechanism.quantities for q in disturbances(mechanism)):
         mechanism = with_model_error(mechanism)
-    values = {p["name"]: p["value"] for p in document["parameters"]}
-    matrix = stored["covariance"] or document["covariance"]["matrix"]
-    steps = np.array(stored["undetermined"], dtype=float).reshape(-1, len(names)).T
+    usual = stored.by or tuple(
+        UsualSd(group.instrument, group.station, group.unit, stored.sd_at_poses[group.unit])
+        for group in output_groups(mechanism)
+        if group.unit in stored.sd_at_poses
+    )
+    matrix = stored.covariance or document.covariance.matrix
+    steps = np.array(stored.undetermined, dtype=float).reshape(-1, len(names)).T
     return Predictor(
-        mechanism.with_nominal(values),
+        mechanism.with_nominal({p.name: p.value for p in document.parameters}),
         names,
         np.array(matrix, dtype=float).reshape(len(names), len(names)),
         steps,
         sds,
-        stored["sd_at_poses"],
-        stored["typical"],
+        usual,
+        stored.typical,
     )
 
 
@@ -125,8 +151,8 @@ def predictor_at(
     return replace(bare, usual=_usual(bare, problem, x))
 
 
-def _usual(bare: Predictor, problem: Problem, x: Array) -> dict[str, float]:
-    """Unit -> the sd that parameters cause, not exceeded at 95 % of some thousand poses."""
+def _usual(bare: Predictor, problem: Problem, x: Array) -> tuple[UsualSd, ...]:
+    """By instrument, the sd that parameters cause, not exceeded at 95 % of some 2000 poses."""
     mechanism = bare.mechanism
     values = np.array([p.nominal for p in mechanism.parameters])
     outputs = {mechanism.tape.quantities.index(q) for q in mechanism.outputs}
@@ -145,15 +171,16 @@ def _usual(bare: Predictor, problem: Problem, x: Array) -> dict[str, float]:
         S = output_sensitivity(mechanism, values, bare.names, at, known, pattern.unmeasured)
         gathered.append(by_parameters(bare, S.by_parameter))
     if not gathered:
-        return {}
+        return ()
     covariance = np.concatenate(gathered)
-    usual = {}
-    for unit in dict.fromkeys(bare.units.values()):
-        sizes = trace_sd(covariance, bare.units, unit)
+    usual = []
+    for group in output_groups(mechanism):
+        sizes = trace_sd(covariance, group)
         sizes = sizes[np.isfinite(sizes)]
         if sizes.size:
-            usual[unit] = float(np.percentile(sizes, 95))
-    return usual
+            sd = float(np.percentile(sizes, 95))
+            usual.append(UsualSd(group.instrument, group.station, group.unit, sd))
+    return tuple(usual)
 
 
 def _some(pattern: Pattern, total: int) -> NDArray[np.intp]:
@@ -174,8 +201,7 @@ def by_parameters(known: Predictor, S: Array) -> Array:
     return covariance
 
 
-def trace_sd(covariance: Array, units: Mapping[str, str], unit: str) -> Array:
-    """(N,) root of the trace over the outputs of one unit [that unit]."""
-    rows = [i for i, u in enumerate(units.values()) if u == unit]
-    size: Array = np.sqrt(np.einsum("noo->no", covariance)[:, rows].sum(axis=1))
+def trace_sd(covariance: Array, group: OutputGroup) -> Array:
+    """(N,) root of the trace over the outputs of a group [its unit]."""
+    size: Array = np.sqrt(np.einsum("noo->no", covariance)[:, list(group.rows)].sum(axis=1))
     return size

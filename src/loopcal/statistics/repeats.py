@@ -153,7 +153,7 @@ def repeated_readings(series: Dataset | Sequence[Dataset]) -> Repeats:
                 remedy="name the columns that all of them have",
             )
     for one in every:
-        refuse_lost(one, *lost_rows(one))
+        refuse_lost(one, *lost_rows(one), "or delete the rows")
     sensors = tuple(_sensor(name, every) for name in names)
     labels = tuple((s.source.name or f"series {i}", len(s)) for i, s in enumerate(every, 1))
     return Repeats(labels, sensors, _correlations(every, [s for s in sensors if s.about_mean.sd]))

@@ -18,12 +18,13 @@ from typing import Any, Unpack, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.accuracy import FailedPart, ValidationEntry
+from loopcal.document.result_document import ResultDocument
+from loopcal.document.tables import validation_table
 from loopcal.errors import InputError, NoTrustworthyResult
-from loopcal.estimation.accuracy import Accuracy
+from loopcal.estimation.accuracy import Accuracy, accuracy, by_pose, deviations
 from loopcal.estimation.calibrate import calibrate
-from loopcal.estimation.distances import distances
 from loopcal.estimation.fit import Fit, FitOptions
-from loopcal.estimation.on_request import FailedPart, Validation
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
@@ -35,6 +36,60 @@ from loopcal.statistics.folds import Index, Scheme, SchemeOptions, parts_of
 from loopcal.statistics.predictive import held_problem, log_densities, taken
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """How well poses were predicted that took no part in the fit.
+
+    scheme: what was left out, as asked; words: the same for the reader; accuracy: of the outputs
+    computed from the other readings, over all poses left out, None where no pose has both;
+    log_likelihood: sum over these poses of log N(misclosure; 0, W + D Cov_p D^T) in the units of
+    the loop equations, None where the method has no distribution for it; by_pose: (N,) its
+    terms, distances: (N,) between computed and measured outputs, both in the order of `poses`;
+    parts: how many parts were to be predicted; failed: those whose fit failed, which do not count.
+    """
+
+    scheme: Mapping[str, Any]
+    words: str
+    accuracy: Accuracy | None
+    log_likelihood: float | None
+    poses: tuple[str, ...] = ()
+    distances: Array | None = None
+    by_pose: Array | None = None
+    parts: int = 1
+    failed: tuple[FailedPart, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Which parts could not be predicted, and why."""
+        return tuple(
+            f"Fold {part.number} of {self.parts} ({part.poses} poses) is not validated: "
+            f"{part.reason}."
+            for part in self.failed
+        )
+
+    @property
+    def entry(self) -> ValidationEntry:
+        """As a document holds it."""
+        found = self.accuracy
+        turned = None if found is None else found.orientation
+        return ValidationEntry(
+            dict(self.scheme),
+            self.words,
+            len(self.poses),
+            None if found is None else found.distances,
+            self.log_likelihood,
+            None if turned is None else turned.distances,
+            () if found is None else tuple(one.entry for one in found.by),
+            self.parts,
+            self.failed,
+        )
+
+    def added_to(self, document: ResultDocument) -> ResultDocument:
+        """The document of the result that was validated, with this."""
+        warnings = (*document.warnings, *self.warnings)
+        return replace(document, validation=self.entry, warnings=warnings)
 
 
 class ValidationOptions(FitOptions, SchemeOptions, total=False):
@@ -113,7 +168,7 @@ class Asked:
 class _Predicted:
     """Poses that a fit has not seen, n of them, at these positions.
 
-    measured, differences (o, n) [SI]: their outputs, and computed minus measured ones; terms
+    measured, differences (c, n) [SI]: what is compared, and computed minus measured ones; terms
     (n,): their log densities, None where there are none.
     """
 
@@ -187,7 +242,7 @@ def _left_out(begun: _Begun, index: Index) -> _Predicted | _Failed:
 
 def _predicted(fit: Result, data: Dataset, noise: Noise | None, index: Index) -> _Predicted:
     held = held_problem(fit, data, noise)
-    rows = [fit.mechanism.tape.quantities.index(q) for q in fit.mechanism.outputs]
+    rows = [fit.mechanism.tape.quantities.index(q) for q in fit.mechanism.compared]
     differences = output_differences(held.problem, held.problem.start, held.corrections)
     return _Predicted(index, held.problem.readings[rows], differences, log_densities(fit, held))
 
@@ -214,7 +269,7 @@ def _pooled(
         )
     if failed:
         words += f"; {len(parts)} of {len(made)} folds predicted"
-    measured, differences = np.full((2, len(mechanism.outputs), len(data)), np.nan)
+    measured, differences = np.full((2, len(mechanism.compared), len(data)), np.nan)
     terms: Array | None = np.full(len(data), np.nan)
     for part in parts:
         measured[:, part.index] = part.measured
@@ -223,15 +278,16 @@ def _pooled(
             terms = None
         else:
             terms[part.index] = part.terms
-    apart = distances(mechanism, measured, differences)
+    apart = deviations(mechanism, measured, differences)
+    off = by_pose(apart)
     predicted = np.unique(np.concatenate([part.index for part in parts]))
     return Validation(
         MappingProxyType(dict(stated)),
         words,
-        None if apart is None else Accuracy.of(apart.values, apart.unit),
+        accuracy(apart),
         None if terms is None else float(terms[predicted].sum()),
         tuple(data.poses[i] for i in predicted),
-        None if apart is None else apart.by_pose[predicted],
+        None if off is None else off[predicted],
         None if terms is None else terms[predicted],
         len(made),
         failed,
@@ -245,9 +301,9 @@ class MethodComparison:
     validations: Mapping[str, Validation]
 
     def __str__(self) -> str:
-        from loopcal.estimation.summary import validation_table
-
-        return "\n".join(validation_table(self.validations))
+        units = [v.accuracy.unit for v in self.validations.values() if v.accuracy is not None]
+        entries = {name: found.entry for name, found in self.validations.items()}
+        return "\n".join(validation_table(entries, units[0] if units else ""))
 
 
 def compare_methods(

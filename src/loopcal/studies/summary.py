@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from loopcal.estimation.rounding import significant
-from loopcal.estimation.summary import FINE, columns
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import FINE
+from loopcal.presentation.text_table import columns
 from loopcal.studies.paired import Paired
 from loopcal.studies.tables import END_POINT, MethodTable, ScenarioTable, Spread, StudyTables
 from loopcal.units import from_si

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit import Fit
@@ -25,10 +26,13 @@ from loopcal.files.result import result_file
 from loopcal.files.result.residual_parts import NAME as RESIDUALS
 from loopcal.files.result.result_file import WrittenResult
 from loopcal.files.result.truth_file import read_truth
+from loopcal.files.versions import versions as known_versions
 from loopcal.measurements.checks import DataWarning
 from loopcal.statistics.findings import Findings, findings
 from loopcal.workflow.projects import named_project
 
+Addition = Callable[[ResultDocument], ResultDocument]
+"""Adds to the document of a result what was asked for beside the fit."""
 Pieces = Callable[[str, int, int], None]
 """Called with what is done in pieces, how many of them are done, and how many there are."""
 _UNCONVERGED = "the fit of all poses did not converge"
@@ -123,6 +127,14 @@ def run_calibration(
 
 
 @dataclass(frozen=True, eq=False)
+class _Done:
+    """A calibration, and what is added to its document."""
+
+    result: Result
+    add: tuple[Addition, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
 class _Run:
     """One run: a project, what is asked of it, where results go, who works and who is told."""
 
@@ -173,15 +185,12 @@ class _Run:
         loaded = load_dataset(self.project)
         self._warn(loaded.warnings)
         try:
-            if self.request.compare:
-                result = self._compared(loaded)
-            else:
-                result = self._calibrated(loaded)
+            done = self._compared(loaded) if self.request.compare else self._calibrated(loaded)
             if self.patterns:
-                result = self._profiled(result)
+                done = self._profiled(done)
         except InputError as error:
             raise error.at(self.project.name) from None
-        return self._written(result, loaded.warnings)
+        return self._written(done, loaded.warnings)
 
     def streamed(self, stream: ParquetStream) -> Calibration:
         """Calibrate from poses that come as a stream."""
@@ -205,7 +214,7 @@ class _Run:
             notice=self.listeners.notice,
         )
         try:
-            done = self._written(run.result, stream.warnings)
+            done = self._written(_Done(run.result), stream.warnings)
             run.finish()
         except BaseException:
             run.undo()
@@ -228,25 +237,35 @@ class _Run:
         pieces = self.listeners.pieces
         return {"executor": self.executor, "progress": pieces and partial(pieces, what)}
 
-    def _calibrated(self, loaded: LoadedData) -> Result:
-        project, data = self.project, loaded.dataset
-        given: dict[str, Any] = {"noise": loaded.noise, "fit": self.fit}
-        progress = self.listeners.progress
-        result = calibrate(project.mechanism, data, **given, progress=progress)
+    def _calibrated(self, loaded: LoadedData) -> _Done:
+        result = calibrate(
+            self.project.mechanism,
+            loaded.dataset,
+            noise=loaded.noise,
+            fit=self.fit,
+            progress=self.listeners.progress,
+        )
         if self.validation is None:
-            return result
+            return _Done(result)
         if not result.status.converged:
-            return result.noted(f"Not validated: {_UNCONVERGED}.")
+            return _Done(result.noted(f"Not validated: {_UNCONVERGED}."))
+        return self._validated(result, loaded)
+
+    def _validated(self, result: Result, loaded: LoadedData) -> _Done:
+        """The calibration of all poses, with its validation."""
         from loopcal.statistics.validation import validate
 
-        given |= validation_arguments(project, self.validation, data.poses) | self._shared("folds")
+        assert self.validation is not None
+        given: dict[str, Any] = {"noise": loaded.noise, "fit": self.fit}
+        poses = loaded.dataset.poses
+        given |= validation_arguments(self.project, self.validation, poses) | self._shared("folds")
         try:
-            found = validate(project.mechanism, data, **given, full=result)
+            found = validate(self.project.mechanism, loaded.dataset, **given, full=result)
         except NoTrustworthyResult as error:
-            return result.noted(f"Not validated: {error}")
-        return replace(result, validation=found)
+            return _Done(result.noted(f"Not validated: {error}"))
+        return _Done(result, (found.added_to,))
 
-    def _compared(self, loaded: LoadedData) -> Result:
+    def _compared(self, loaded: LoadedData) -> _Done:
         """The calibration with the recommended one of the project's models."""
         from loopcal.statistics.models import compare_models
 
@@ -256,19 +275,19 @@ class _Run:
         given |= validation_arguments(project, asked, loaded.dataset.poses)
         given |= self._shared("folds")
         found = compare_models(project.mechanism, loaded.dataset, project.compare, **given)
-        chosen = next(m for m in found.models if m.name == found.recommended)
-        return replace(found.result, models=found, validation=chosen.validation)
+        return _Done(found.result, (found.added_to,))
 
-    def _profiled(self, result: Result) -> Result:
-        from loopcal.statistics.intervals import intervals
+    def _profiled(self, done: _Done) -> _Done:
+        from loopcal.statistics.intervals import intervals, with_intervals
 
-        if not result.status.converged:
-            return result.noted(f"No profile intervals: {_UNCONVERGED}.")
-        found = intervals(result, self.patterns, **self._shared("intervals"))
-        return replace(result, intervals=found)
+        if not done.result.status.converged:
+            return replace(done, result=done.result.noted(f"No profile intervals: {_UNCONVERGED}."))
+        found = intervals(done.result, self.patterns, **self._shared("intervals"))
+        return replace(done, add=(*done.add, partial(with_intervals, intervals=found)))
 
-    def _written(self, result: Result, warnings: Sequence[DataWarning]) -> Calibration:
+    def _written(self, done: _Done, warnings: Sequence[DataWarning]) -> Calibration:
         """The result as its files tell it."""
+        result = done.result
         if self.project.fit.apply_variance_factor:
             try:
                 result = result.with_variance_factor()
@@ -278,6 +297,9 @@ class _Run:
             errors = {name: value - result.value[name] for name, value in self.truth.items()}
             result = replace(result, errors=MappingProxyType(errors))
         told = findings(result)
+        document = told.added_to(result.document)
+        for addition in done.add:
+            document = addition(document)
         words = tuple(str(warning) for warning in warnings)
         written = write_result(
             result,
@@ -285,7 +307,7 @@ class _Run:
             title=self.project.title,
             inputs=self.project.inputs,
             warnings=words,
-            found=told,
+            document=document,
             report=self.request.report,
         )
         asked = self.request.require_identifiable or self.project.fit.require_identifiable
@@ -299,24 +321,32 @@ def write_result(
     title: str | None = None,
     inputs: Mapping[str, Any] | None = None,
     warnings: tuple[str, ...] = (),
-    found: Findings | None = None,
+    document: ResultDocument | None = None,
     report: bool = False,
 ) -> WrittenResult:
     """Write result.json, residuals.csv and mechanism.toml (calibrated), all or none.
 
-    The folder is made if need be; title, inputs (the project as it was read) and warnings go to
-    result.json, with what `findings` tells, or `found`; report: whether report.html comes with
-    them. Raises InputError, naming the file, the reason and a remedy, where they cannot be written.
+    The folder is made if need be. title, inputs (the project as it was read) and warnings go to
+    result.json; document: that of the result with what was added to it, by default its `findings`;
+    report: whether report.html comes with them. Raises InputError, naming the file, the reason and
+    a remedy, where they cannot be written.
     """
-    fields = (found or findings(result)).document()
+    told = document or findings(result).added_to(result.document)
+    versions = known_versions()
+    told = replace(
+        told,
+        loopcal=versions["loopcal"],
+        title=title,
+        warnings=(*warnings, *told.warnings),
+        inputs=result_file.finite_only(inputs or {}),
+        versions=versions,
+    )
     page = None
     if report:
         from loopcal.report.page import page_of
 
         page = page_of(result, folder)
-    return result_file.write_result(
-        result, folder, title=title, inputs=inputs, warnings=warnings, findings=fields, report=page
-    )
+    return result_file.write_result(result, told, folder, report=page)
 
 
 def default_folder(project: Project) -> Path:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_files
@@ -17,10 +16,6 @@ from loopcal.measurements.noise import Noise
 from loopcal.statistics.check import Check, check
 from loopcal.statistics.prediction import Prediction, predict
 from loopcal.statistics.predictor import predictor_of
-
-if TYPE_CHECKING:
-    pass
-
 from loopcal.workflow.projects import named_project
 
 
@@ -66,7 +61,7 @@ def run_prediction(
         known = predictor_of(read.document, read.mechanism)
     except InputError as error:
         raise error.at(str(read.path)) from None
-    data = read_new_readings(readings, read.document["inputs"], read.mechanism)
+    data = read_new_readings(readings, read.document.inputs, read.mechanism)
     done = predict(known, data)
     if out is not None:
         path = Path(out)

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from loopcal.files.machines.registry import MODELS
 from loopcal.mechanisms.effects.gravity import Load
 from loopcal.mechanisms.effects.registry import EFFECTS
 from loopcal.mechanisms.exponentials import ScrewJoint
@@ -26,7 +27,13 @@ from loopcal.mechanisms.serial import Joint
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "reference" / "mechanism-file.md"
 PARTS = {"load": Load, "joint": Joint, "link-joint": LinkJoint, "mimic": Mimic}
-MAKERS = {**INSTRUMENTS, **EFFECTS, **PARALLEL, **PARTS, "screw-joint": ScrewJoint}
+MAKERS: dict[str, Callable[..., Any]] = {
+    **INSTRUMENTS,
+    **EFFECTS,
+    **PARALLEL,
+    **PARTS,
+    "screw-joint": ScrewJoint,
+}
 
 
 def shown(default: Any) -> str:
@@ -63,3 +70,11 @@ def test_the_keys_of_each_type_are_those_of_its_row(kind: str) -> None:
 def test_every_table_of_the_page_is_of_a_type() -> None:
     named = re.findall(r"<!-- keys: (\S+) -->", PAGE.read_text("utf-8"))
     assert sorted(named) == sorted(MAKERS)
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_every_key_of_a_machine_is_named(kind: str) -> None:
+    text = PAGE.read_text("utf-8")
+    assert re.search(rf"`{kind}`|\"{kind}\"", text)
+    missing = [key for key in MODELS[kind].model_fields if not re.search(rf"\b{key}\b", text)]
+    assert missing == []

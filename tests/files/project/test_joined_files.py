@@ -164,7 +164,7 @@ def test_a_simulation_writes_the_files_that_the_project_reads(tmp_path: Path) ->
     assert sd is not None
     assert abs(done.result.value["a_1"] - 0.401) < 4 * sd
     document = done.written.document
-    assert [part["file"] for part in document["data"]["joined"]] == ["tracker.csv"]
+    assert [part.file for part in document.data.joined] == ["tracker.csv"]
 
 
 def by_row(text: str) -> str:

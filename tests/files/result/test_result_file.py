@@ -14,18 +14,17 @@ import jsonschema
 import numpy as np
 import pytest
 
+from loopcal.document.plain import plain
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.result import Result
 from loopcal.files.machines.mechanism_file import read_mechanism
-from loopcal.files.result.residuals_file import residuals_csv
+from loopcal.files.result.pose_table import residuals_csv
 from loopcal.files.result.result_file import (
     finite_only,
     read_result,
-    result_document,
     result_json,
     result_schema,
-    write_result,
 )
 from loopcal.files.result.truth_file import read_truth, truth_json
 from loopcal.files.tables.writer import LARGE, table_bytes
@@ -36,6 +35,7 @@ from loopcal.mechanisms.planar import planar_two_link
 from loopcal.mechanisms.prior import Prior
 from loopcal.simulation.poses import grid_poses
 from loopcal.simulation.simulate import simulate
+from loopcal.workflow.calibration import write_result
 from tests.refusals import refused
 
 NOISE = Noise({"?P": 1e-4, "phi?": 1e-3})
@@ -90,15 +90,16 @@ def test_every_result_keeps_to_the_published_schema_and_reads_back(
     assert "Infinity" not in text
     document = json.loads(text)
     jsonschema.Draft202012Validator(result_schema()).validate(document)
-    assert read_result(tmp_path / "result.json") == document == written.document
+    assert document == plain(written.document)
+    assert read_result(tmp_path / "result.json") == written.document
     assert document["inputs"]["prior"]["*"]["sd"] == "inf"
     assert document["warnings"][0] == "odd"
-    assert result_json(document) == text
+    assert result_json(written.document) == text
 
 
 def test_floats_are_the_same_bits() -> None:
     result = RESULTS["implicit loop"]()
-    document = json.loads(result_json(result_document(result)))
+    document = json.loads(result_json(result.document))
     assert [p["value"] for p in document["parameters"]] == list(result.value.values())
     assert [p["sd"] for p in document["parameters"]] == list(result.sd.values())
     np.testing.assert_array_equal(document["covariance"]["matrix"], result.covariance)
@@ -106,7 +107,7 @@ def test_floats_are_the_same_bits() -> None:
 
 def test_what_is_unknown_is_null() -> None:
     result = loose()
-    document = result_document(result)
+    document = plain(result.document)
     by_name = {p["name"]: p for p in document["parameters"]}
     assert by_name["c"]["sd"] is None
     assert by_name["c"]["identifiable"] is False
@@ -127,14 +128,14 @@ def test_what_is_unknown_is_null() -> None:
 
 
 def test_the_basic_method_knows_neither_noise_nor_chi_squared() -> None:
-    document = result_document(RESULTS["least squares"]())
+    document = plain(RESULTS["least squares"]().document)
     assert document["noise"] == []
     assert document["chi_squared"] is None
 
 
 def test_the_poses_left_out_are_listed() -> None:
     data = MADE.dataset.thin(2).exclude(["1", "5"])
-    document = result_document(calibrate(planar_two_link(), data, noise=NOISE))
+    document = plain(calibrate(planar_two_link(), data, noise=NOISE).document)
     told = document["data"]
     assert told["used"] == len(data) == 30
     assert told["poses"] == 64
@@ -176,7 +177,7 @@ def test_the_three_files_are_written_and_the_mechanism_reads_back(tmp_path: Path
 
 
 def document_with(**changes: Any) -> dict[str, Any]:
-    return {**result_document(RESULTS["implicit loop"]()), **changes}
+    return {**plain(RESULTS["implicit loop"]().document), **changes}
 
 
 @pytest.mark.parametrize(
@@ -191,6 +192,11 @@ def document_with(**changes: Any) -> dict[str, Any]:
         (json.dumps(document_with(methd="x")), "did you mean 'method'"),
         (json.dumps(document_with(method=3)), "method"),
         (json.dumps(document_with(status={"converged": "yes"})), "status"),
+        (json.dumps(document_with(title="\\ud800")).replace("\\\\", "\\"), "not valid JSON"),
+        (json.dumps(document_with(model_discrepancy="0.1")), "model_discrepancy: '0.1' is given"),
+        (json.dumps(document_with(model_discrepancy=-1.0)), "model_discrepancy: -1.0 is given"),
+        (json.dumps(document_with(closure=[])), "closure: [] is given, where a table is needed"),
+        (json.dumps(document_with(parameters=[{}])), "parameters[1]: 'name' is missing"),
         ("[" * 100_000, "JSON"),
         (b"\xff\xfe\x00", "JSON"),
     ],
@@ -240,7 +246,7 @@ def test_tables_hold_the_same_bits(rows: int, ending: str) -> None:
 
 def test_errors_of_the_parameters_are_kept() -> None:
     result = replace(RESULTS["implicit loop"](), errors={"l2": 1e-5})
-    by_name = {p["name"]: p["error"] for p in result_document(result)["parameters"]}
+    by_name = {p["name"]: p["error"] for p in plain(result.document)["parameters"]}
     assert by_name["l2"] == 1e-5
     assert by_name["l3"] is None
     lines = str(result).splitlines()

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from loopcal.document.fit import NoiseEntry
 from loopcal.errors import InputError
 from loopcal.estimation.noise.estimation import EstimatedSd, NoiseEstimate
-from loopcal.estimation.noise.noise_entry import NoiseEntry
 from loopcal.estimation.noise.variance_components import Component
 from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset

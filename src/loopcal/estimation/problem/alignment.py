@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.distances import POLAR, point_outputs, points
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.unclosed import open_loops
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
+from loopcal.mechanisms.outputs import POLAR, point_outputs, points
 
 Array = NDArray[np.float64]
 ASIDE = 10.0

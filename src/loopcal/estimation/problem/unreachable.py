@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.problem.alignment import seen_points
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.rounding import significant
+from loopcal.presentation.rounding import significant
 
 Array = NDArray[np.float64]
 _FAR, _LONG, _FEW, _NAMED = 30.0, 10.0, 0.1, 5

@@ -142,7 +142,8 @@ class _Poses:
 
     def _linearise(self, y: Array) -> _Local:
         values = self.first.evaluate(self.readings + self._corrections(y), self.known)
-        A = values.by_quantity.transpose(2, 1, 0) @ self.T
+        with np.errstate(invalid="ignore", over="ignore"):  # such poses are set aside below
+            A = values.by_quantity.transpose(2, 1, 0) @ self.T
         f = values.f.T.copy()
         good = np.isfinite(A).all(axis=(1, 2)) & np.isfinite(f).all(axis=1)
         A[~good] = 0.0

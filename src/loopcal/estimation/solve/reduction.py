@@ -58,6 +58,12 @@ class Accumulator:
             self.total += other.total
 
     @property
+    def lengths(self) -> Array:
+        """Lengths of the columns of D, (n,): the effect of each parameter in sds per unit [SI]."""
+        squares = np.square(self.total).sum(axis=0) if self.triangular else np.diag(self.total)
+        return np.asarray(np.sqrt(squares[:-1]))
+
+    @property
     def chi_squared(self) -> float:
         """|E|^2 over all poses."""
         last = self.total[:, -1]

@@ -2,24 +2,29 @@
 
 It minimises a merit Phi(p) (`loopcal.estimation.solve.merit`), whose gradient is
 -2 (sum D^T E - prior), exact where the loops are closed. A step is tried in full. It is damped
-(Levenberg 1944, Marquardt 1963) only if Phi does not fall as predicted, so that near the solution
-this is the seed's iteration (3.24) to (3.30). Far from the solution, a trial is linearised where
-the readings stand, because closing the loops of every trial would be wasted work. Its loops are
-closed only when that estimate rejects the step. The end point always has closed loops.
+only if Phi does not fall as predicted, so that near the solution this is the iteration of the
+thesis, (3.24) to (3.30). Where a step may raise Phi (`loopcal.estimation.solve.course`), the lowest
+point is kept. The search returns to it if it finds no lower one in time, so Phi never ends higher
+than it began.
+
+Far from the solution, a trial is linearised where the readings stand, because closing the loops of
+every trial would be wasted work. Its loops are closed only when that estimate rejects the step.
+The end point always has closed loops.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Generic
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.solve.checkpoint import Checkpoint, Place
+from loopcal.estimation.solve.checkpoint import Checkpoint, Point
+from loopcal.estimation.solve.course import MOST_DAMPING, Course
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import (
@@ -32,13 +37,12 @@ from loopcal.estimation.solve.merit import (
 )
 from loopcal.estimation.solve.reduction import (
     WELL_CONDITIONED,
-    Spectrum,
     hardly_determined,
     spectrum,
 )
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solution import End, Solution
-from loopcal.estimation.solve.status import Status
+from loopcal.estimation.solve.status import Status, weakness
 from loopcal.estimation.solve.sweep import NEAR, NEGLIGIBLE, Sweeper
 
 Array = NDArray[np.float64]
@@ -50,26 +54,21 @@ RELATIVE_STEP = 1e-11
 suggest: parameters then have ten digits. With large noise a step gains only two or three."""
 _NEGLIGIBLE_STEP = 1e-6
 """The next step must be this small; if it no longer shrinks, only rounding is left."""
+_NO_LONGER = 0.8
+"""The decrement no longer shrinks when it keeps this share from one step to the next."""
 _LAST_STEP = 0.1
 """Steps this small are taken with closed loops, so that the point they end at is final."""
-_MOST_DAMPING = 1e6
+_AWAY = 30
+"""After so many iterations above its lowest merit the search returns to that point."""
+_VANISHED, _LOOSE = 1e-4, 1e-2
+"""A parameter whose effect on the loops shrinks to this share of what it was has run away, unless
+data and prior still determine it."""
 _FAR, _EXPLAINED = 100.0, 0.9
 """Where whitened residuals are this large (mean square) and parameters explain this share of
 them, the loops need not be closed yet."""
 _ONCE, _NEAR, _CLOSED = np.inf, NEAR, NEGLIGIBLE
 """Loops are closed until what is left to correct is at most so many sds: after a single correction
 on the way, where that does not do, and at the end."""
-
-
-@dataclass(frozen=True)
-class _Point(Generic[State]):
-    """A trial: parameters, evaluation, merit and parameter system; closed: how well loops are."""
-
-    parameters: Array
-    found: Evaluation[State]
-    merit: float
-    spectrum: Spectrum | None
-    closed: float | None
 
 
 def solve(
@@ -135,40 +134,64 @@ class _Solver(Generic[State]):
         self.floor = 0.0
         self.iterations = 0
         self.before = np.inf
+        self.course = Course()
+        self.away = 0
 
     def run(self, max_iterations: int, resume: Checkpoint[State] | None) -> End[State]:
         current = self._resumed(resume) if resume else self._first()
-        first = resume.first if resume else self._place(current)
-        damping = resume.damping if resume else 0.0
+        assert current.spectrum is not None
+        if resume:
+            self.first, self.lowest, self.effects = resume.first, resume.lowest, resume.effects
+        else:
+            self.first = self.lowest = current.place
+            self.effects = current.found.data.lengths
         while True:
             assert current.spectrum is not None
             if not self.triangular and current.spectrum.condition > WELL_CONDITIONED:
                 self.triangular = True
                 current = self._evaluate(current.parameters, current.found.state)
                 continue
+            if current.merit < self.lowest.merit:
+                self.lowest, self.away = current.place, 0
+            elif self._higher(current) and (self.away > _AWAY or self._settled(current)):
+                current = self._returned()
+                continue
             if self._settled(current):
                 if current.found.step <= NEGLIGIBLE or current.closed == _CLOSED:
                     return self._converged(current)
                 current = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
                 if current.spectrum is None:
-                    return self._give_up(first, current, "cannot_close")
+                    return self._give_up(current, "cannot_close")
                 if self._settled(current):
                     continue
             assert current.spectrum is not None
             if self.iterations >= max_iterations:
-                return self._give_up(first, current, "max_iterations")
+                return self._give_up(current, "max_iterations")
             if self.reached:
-                self.reached(self._checkpoint(first, current, damping))
+                self.reached(self._checkpoint(current))
             self.iterations += 1
             if self.progress:
                 self.progress(self.iterations, current.merit, current.spectrum.decrement)
-            trial, damping = self._advance(current, damping)
+            self.away += 1
+            trial = self._advance(current)
+            if trial is None and self._higher(current):
+                trial = self._returned()
             if trial is None:
-                return self._stalled(first, current)
+                return self._stalled(current)
             self.before = current.spectrum.decrement
             current = trial
 
-    def _first(self) -> _Point[State]:
+    def _higher(self, point: Point[State]) -> bool:
+        """Whether the search has left its lowest point for one that is higher by more than what
+        loops that are not quite closed make uncertain."""
+        return point.merit > self.lowest.merit + self._limit(point, _LAST_STEP)
+
+    def _returned(self) -> Point[State]:
+        """The lowest point, from which every step must descend."""
+        self.course, self.away, self.before = self.course.returned(), 0, np.inf
+        return self._evaluate(self.lowest.parameters, self.lowest.state, self.lowest.closing)
+
+    def _first(self) -> Point[State]:
         start = self.unknowns.start
         found = self.merit.first(start)
         # n directions, each with the square of what rounding does to whitened residuals
@@ -179,25 +202,26 @@ class _Solver(Generic[State]):
             return self._evaluate(start, found.state, _NEAR)
         return point
 
-    def _checkpoint(
-        self, first: Place[State], current: _Point[State], damping: float
-    ) -> Checkpoint[State]:
+    def _checkpoint(self, current: Point[State]) -> Checkpoint[State]:
         return Checkpoint(
-            first,
-            self._place(current),
-            damping,
+            self.first,
+            current.place,
+            self.lowest,
+            self.effects,
+            self.course.last_step,
+            self.course.damping,
             self.before,
             self.floor,
+            self.away,
+            self.course.descend,
             self.triangular,
             self.iterations,
             self.counted + self.merit.evaluations,
         )
 
-    def _place(self, point: _Point[State]) -> Place[State]:
-        return Place(point.parameters, point.found.state, point.found.closing, point.merit)
-
-    def _resumed(self, kept: Checkpoint[State]) -> _Point[State]:
-        self.before, self.floor = kept.before, kept.floor
+    def _resumed(self, kept: Checkpoint[State]) -> Point[State]:
+        self.before, self.floor, self.away = kept.before, kept.floor, kept.away
+        self.course = Course(kept.damping, kept.last_step, kept.descend)
         self.triangular, self.iterations = kept.triangular, kept.iterations
         place = kept.current
         point = self._evaluate(place.parameters, place.state, place.closing)
@@ -210,17 +234,18 @@ class _Solver(Generic[State]):
         state: State,
         closing: float | None = None,
         contraction: float = 1.0,
-    ) -> _Point[State]:
-        found = self.merit.evaluate(
-            parameters,
-            state,
-            triangular=self.triangular,
-            closing=closing,
-            contraction=contraction,
-        )
-        return self._point(parameters, found)
+    ) -> Point[State]:
+        with np.errstate(over="ignore", invalid="ignore"):  # a trial far off may overflow
+            found = self.merit.evaluate(
+                parameters,
+                state,
+                triangular=self.triangular,
+                closing=closing,
+                contraction=contraction,
+            )
+            return self._point(parameters, found)
 
-    def _point(self, parameters: Array, found: Evaluation[State]) -> _Point[State]:
+    def _point(self, parameters: Array, found: Evaluation[State]) -> Point[State]:
         offset = self.unknowns.offset(parameters)
         off = offset / self.unknowns.prior_sd
         merit = found.cost + float(off @ off)
@@ -228,38 +253,33 @@ class _Solver(Generic[State]):
         system = None
         if found.finite:
             system = spectrum(found.data, offset, self.unknowns.prior_sd)
-        return _Point(parameters, found, np.inf if bad else merit, system, found.closing)
+        return Point(parameters, found, np.inf if bad else merit, system, found.closing)
 
-    def _advance(
-        self, current: _Point[State], damping: float
-    ) -> tuple[_Point[State] | None, float]:
-        """The next accepted point, None where no step lowers the merit; and the damping then."""
-        while damping < _MOST_DAMPING:
+    def _advance(self, current: Point[State]) -> Point[State] | None:
+        """The next accepted point; None where no step is accepted."""
+        while self.course.damping < MOST_DAMPING:
             system = current.spectrum
             assert system is not None
-            predicted = system.predicted(damping)
-            parameters = self.unknowns.moved(current.parameters, system.step(damping))
-            trial = self._try(current, parameters, predicted)
-            weakest = float(np.square(system.singular_values[system.kept].min(initial=1.0)))
+            predicted = system.predicted(self.course.damping)
+            step = system.step(self.course.damping)
+            trial = self._try(current, step, predicted)
             if trial is not None:
                 gain = (current.merit - trial.merit) / predicted if predicted > 0 else 1.0
-                if gain < 0.25:
-                    return trial, max(4 * damping, 0.1 * weakest)
-                damping = damping / 10 if gain > 0.75 else damping
-                return trial, damping if damping > 1e-3 * weakest else 0.0
+                self.course = self.course.accepted(system, step, gain)
+                return trial
             if current.closed in (None, _ONCE):
                 closed = self._evaluate(current.parameters, current.found.proposal, _NEAR)
                 if math.isfinite(closed.merit) and closed.spectrum is not None:
                     current = closed
                     continue
                 current = replace(current, closed=_NEAR)
-            damping = max(10 * damping, 0.1 * weakest)
-        return None, damping
+            self.course = self.course.rejected(system)
+        return None
 
-    def _try(
-        self, current: _Point[State], parameters: Array, predicted: float
-    ) -> _Point[State] | None:
-        """The point at these parameters if its merit falls as it should, else None."""
+    def _try(self, current: Point[State], step: Array, predicted: float) -> Point[State] | None:
+        """The point after a step if its merit falls as it should, or may rise; else None."""
+        assert current.spectrum is not None
+        parameters = self.unknowns.moved(current.parameters, step)
         far = self._far(current, predicted)
         last = predicted <= self._limit(current, _LAST_STEP)
         start = current.found.state if far else current.found.proposal
@@ -268,13 +288,15 @@ class _Solver(Generic[State]):
             trial = self._evaluate(parameters, start, closing, current.found.contraction)
             if self._worth(current, trial, predicted):
                 return trial
-        return None
+        share = self.course.may_rise(current.spectrum.scale, step)
+        rises = not far and trial.spectrum is not None and share < 1.0
+        return trial if rises and share * trial.merit <= current.merit else None
 
-    def _far(self, point: _Point[State], predicted: float) -> bool:
+    def _far(self, point: Point[State], predicted: float) -> bool:
         """Whether parameters explain nearly all of a large misclosure: then readings can wait."""
         return predicted > max(_EXPLAINED * point.merit, _FAR * point.found.equations)
 
-    def _worth(self, current: _Point[State], trial: _Point[State], predicted: float) -> bool:
+    def _worth(self, current: Point[State], trial: Point[State], predicted: float) -> bool:
         if not math.isfinite(trial.merit) or trial.spectrum is None:
             return False
         # Each of many residuals E carries a rounding d, so the merit wavers by about 2 |E| |d|.
@@ -283,30 +305,30 @@ class _Solver(Generic[State]):
             return trial.spectrum.decrement <= 2 * predicted
         return bool(current.merit - trial.merit >= 1e-3 * predicted - wavering)
 
-    def _settled(self, point: _Point[State]) -> bool:
+    def _settled(self, point: Point[State]) -> bool:
         """Whether the next step leaves nothing beside the sds that the residuals suggest."""
         assert point.spectrum is not None
         decrement = point.spectrum.decrement
         if not self._negligible(point):
             return False
         rate = min(decrement / self.before, 1.0) if math.isfinite(self.before) else 1.0
-        stuck = math.isfinite(self.before) and rate > 0.25
+        stuck = math.isfinite(self.before) and rate > _NO_LONGER
         return stuck or rate * decrement <= self._limit(point, self.tolerance)
 
-    def _negligible(self, point: _Point[State]) -> bool:
+    def _negligible(self, point: Point[State]) -> bool:
         """Whether the loops close and the next step is too small to matter."""
         if point.spectrum is None or not math.isfinite(point.merit):
             return False
         negligible = max(_NEGLIGIBLE_STEP, self.tolerance)
         return point.spectrum.decrement <= self._limit(point, negligible)
 
-    def _limit(self, point: _Point[State], step: float) -> float:
+    def _limit(self, point: Point[State], step: float) -> float:
         """The decrement of a step of so many sds in each of the n directions."""
         n = len(self.unknowns.free)
         variance = point.merit / max(point.found.equations - n, 1)
         return max(step**2 * n * variance, self.floor)
 
-    def _converged(self, point: _Point[State]) -> End[State]:
+    def _converged(self, point: Point[State]) -> End[State]:
         """The end: the last step is taken, and the loops are closed there, without a new sweep.
 
         The step is too small to change merit or spectrum by more than rounding.
@@ -315,31 +337,40 @@ class _Solver(Generic[State]):
         parameters = self.unknowns.moved(point.parameters, point.spectrum.step())
         start, contraction = point.found.proposal, point.found.contraction
         closed = self.merit.close(parameters, start, RELATIVE_STEP, contraction)
+        reason = "runaway" if self._vanished(point).any() else "converged"
         if closed is None:
-            return self._solution(point, "converged")
-        return self._solution(replace(point, parameters=parameters), "converged", closed)
+            return self._solution(point, reason)
+        return self._solution(replace(point, parameters=parameters), reason, closed)
 
-    def _stalled(self, first: Place[State], current: _Point[State]) -> End[State]:
+    def _vanished(self, point: Point[State]) -> NDArray[np.bool_]:
+        """Which parameters have lost their effect on the way and are no longer determined, (n,)."""
+        assert point.spectrum is not None
+        loose = np.square(point.spectrum.directions[:, ~point.spectrum.kept]).sum(axis=1) > _LOOSE
+        gone = point.found.data.lengths < _VANISHED * self.effects
+        return np.asarray(gone & loose)
+
+    def _stalled(self, current: Point[State]) -> End[State]:
         """The end where no step lowers the merit: given up, unless only rounding is in the way."""
         end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
         if self._negligible(end):
             return self._converged(end)
-        return self._give_up(first, current, "stalled")
+        return self._give_up(current, "stalled")
 
-    def _give_up(self, first: Place[State], current: _Point[State], reason: str) -> End[State]:
+    def _give_up(self, current: Point[State], reason: str) -> End[State]:
         end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
         late = end.found.late
         if late or end.spectrum is None:
             end = replace(current, closed=None)
             reason = "cannot_close"
-        if not end.merit <= first.merit:
-            start = self._evaluate(first.parameters, first.state, _CLOSED)
-            end = start if start.merit <= end.merit else end
+        for place in (self.lowest, self.first):
+            if not end.merit <= place.merit:
+                other = self._evaluate(place.parameters, place.state, _CLOSED)
+                end = other if other.merit <= end.merit else end
         return self._solution(end, reason, late=late)
 
     def _solution(
         self,
-        end: _Point[State],
+        end: Point[State],
         reason: str,
         closed: State | None = None,
         late: Failed = NONE_FAILED,
@@ -348,8 +379,11 @@ class _Solver(Generic[State]):
         if reason == "cannot_close" and late:
             detail = f"Poses: {', '.join(late.poses)}."
         assert end.spectrum is not None
+        if reason == "runaway":
+            gone = np.flatnonzero(self._vanished(end))
+            detail = f"Parameters: {', '.join(self.unknowns.names[i] for i in gone)}."
         if reason in ("max_iterations", "stalled"):
-            detail = _weakness(hardly_determined(end.spectrum, self.unknowns.names))
+            detail = weakness(hardly_determined(end.spectrum, self.unknowns.names))
         evaluations = (self.counted + self.merit.evaluations) / end.found.poses
         if closed is None:
             near = end.found.step <= 1.0  # a longer step may lead anywhere
@@ -362,13 +396,3 @@ class _Solver(Generic[State]):
             self.unknowns.prior_square(end.parameters),
             Status.of(reason, self.iterations, evaluations, detail),
         )
-
-
-def _weakness(names: tuple[str, ...]) -> str:
-    """What to do about a direction that the poses hardly determine; nothing if there is none."""
-    if not names:
-        return ""
-    return (
-        f"These poses hardly tell apart {', '.join(names)}: fix one of them or give it a prior sd, "
-        'and describe axes that are nearly parallel by the form "hayati" or by transitions.'
-    )

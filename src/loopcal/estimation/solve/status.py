@@ -15,6 +15,10 @@ REASONS = {
         "nominal values and units, scale sds that differ by many orders of magnitude, or give "
         "weakly determined parameters a prior sd."
     ),
+    "runaway": (
+        "Chi-squared falls towards infinite parameters: some have lost all effect on the loops. "
+        "Start nearer, give them a prior sd, or fix them."
+    ),
     "diverged": (
         'The undamped iteration ran away. Use method "implicit-loop", which damps its steps, '
         "or start nearer."
@@ -45,3 +49,13 @@ class Status:
         """The status for a reason, with its cause and remedy."""
         message = f"{REASONS[reason]} {detail}".strip()
         return cls(reason == "converged", reason, message, iterations, evaluations)
+
+
+def weakness(names: tuple[str, ...]) -> str:
+    """What to do about a direction that the poses hardly determine; nothing if there is none."""
+    if not names:
+        return ""
+    return (
+        f"These poses hardly tell apart {', '.join(names)}: fix one of them or give it a prior sd, "
+        'and describe axes that are nearly parallel by the form "hayati" or by transitions.'
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -12,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.chi_squared import quantile
-from loopcal.estimation.accuracy import Accuracy
-from loopcal.estimation.distances import distances
+from loopcal.estimation.accuracy_tally import AccuracyTally
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
@@ -62,7 +60,7 @@ class LastPass:
             _EndPiece(number, begins[number], poses, stride, self.solution, self.fit, made)
             for number in range(self.task.stream.count)
         ]
-        accuracies = _Distances(), _Distances()
+        accuracies = AccuracyTally(), AccuracyTally()
         kept: list[_Shown] = []
         worst: _Shown | None = None
         with closing(crew(pieces)) as outcomes:
@@ -118,7 +116,7 @@ class _Ended:
     part: Any
     kept: _Shown | None
     worst: _Shown | None
-    distances: tuple[_Distances, _Distances]
+    distances: tuple[AccuracyTally, AccuracyTally]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,9 +140,9 @@ class _EndPiece:
         # that the fit converged says nothing of a chunk alone
         solution = replace(self.solution, status=replace(self.solution.status, converged=False))
         result = _closed(task, self.fit, solution, problem, chunk.data)
-        found = _Distances(), _Distances()
-        found[0].add(problem, result.differences_before)
-        found[1].add(problem, result.differences_after)
+        found = AccuracyTally(), AccuracyTally()
+        found[0].add(result.deviations(result.differences_before))
+        found[1].add(result.deviations(result.differences_after))
         corrections = np.array(list(result.corrections.values()))
         square, misfit = _misfits(task, problem, self.solution.parameters, corrections, self.poses)
         number = np.arange(self.begin, self.begin + len(chunk.data))
@@ -219,50 +217,3 @@ def _misfits(
     scale = float(np.median(middle[known])) if known.any() else 0.0
     scale = scale if task.exact else max(scale, 1.0)
     return whole, ratio / max(scale, 1e-300)
-
-
-class _Distances:
-    """Mean, rms, 95th percentile and maximum of distances that are not kept.
-
-    The percentile comes from counts in bins of 0.2 % width, the first up to SMALLEST.
-    """
-
-    SMALLEST, WIDTH, BINS = 1e-12, 0.002, 17_500
-
-    def __init__(self) -> None:
-        self.counts = np.zeros(self.BINS, dtype=np.int64)
-        self.total = self.squares = self.largest = 0.0
-        self.unit = "m"
-
-    def add(self, problem: Problem, differences: Any) -> None:
-        mechanism = problem.mechanism
-        rows = [mechanism.tape.quantities.index(q) for q in mechanism.outputs]
-        found = distances(mechanism, problem.readings[rows], np.array(list(differences.values())))
-        if found is None:
-            return
-        values = found.values[np.isfinite(found.values)]
-        self.unit = found.unit
-        if not values.size:
-            return
-        bins = np.ceil(np.log(np.maximum(values / self.SMALLEST, 1.0)) / self.WIDTH)
-        bins = np.minimum(bins, self.BINS - 1).astype(np.intp)
-        self.counts += np.bincount(bins, minlength=self.BINS)
-        self.total += float(values.sum())
-        self.squares += float(np.square(values).sum())
-        self.largest = max(self.largest, float(values.max()))
-
-    def add_other(self, other: _Distances) -> None:
-        self.counts += other.counts
-        self.total += other.total
-        self.squares += other.squares
-        self.largest = max(self.largest, other.largest)
-        self.unit = other.unit if other.counts.any() else self.unit
-
-    def accuracy(self) -> Accuracy | None:
-        number = int(self.counts.sum())
-        if not number:
-            return None
-        bin_ = int(np.searchsorted(np.cumsum(self.counts), 0.95 * number))
-        p95 = min(self.SMALLEST * math.exp(bin_ * self.WIDTH), self.largest)
-        rms = float(np.sqrt(self.squares / number))
-        return Accuracy(self.unit, self.total / number, rms, p95, self.largest, number)

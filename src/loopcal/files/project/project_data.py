@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.distances import measured_points
 from loopcal.files.paths import expanded
 from loopcal.files.project.data_entries import DataSpec, implied_by, named_columns, refuse_unread
 from loopcal.files.project.noise_entries import CovarianceColumns
@@ -22,6 +21,7 @@ from loopcal.measurements.checks import DataWarning, check_dataset
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.joining import join
 from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.outputs import measured_points
 
 Array = NDArray[np.float64]
 LEFT_OUT = ("exclude", "every")

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.distances import measured_points
 from loopcal.estimation.stream.chunks import Chunk
 from loopcal.estimation.stream.last_pass import SHOWN
 from loopcal.files.paths import expanded
@@ -46,6 +45,7 @@ from loopcal.measurements.checks import DataWarning, check_dataset
 from loopcal.measurements.dataset import checked_every
 from loopcal.measurements.poses import pose_id
 from loopcal.measurements.source import Source
+from loopcal.mechanisms.outputs import measured_points
 
 LARGE = 2_000_000
 """Rows from which on a file is read in chunks unless the project says otherwise."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
 from loopcal.files.atomic import write_files
-from loopcal.files.result.residuals_file import residual_columns
+from loopcal.files.result.pose_table import pose_columns
 from loopcal.files.tables.writer import table_bytes
 
 NAME = "residuals"
@@ -17,7 +17,7 @@ NAME = "residuals"
 
 def residual_part(chunk: Result) -> bytes:
     """The part of one chunk, made where the chunk is worked on and written by `ResidualParts`."""
-    return table_bytes(residual_columns(chunk), ".parquet")
+    return table_bytes(pose_columns(chunk), ".parquet")
 
 
 def _name(number: int) -> str:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, listed
 from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.machines.python_function import Loops
@@ -18,7 +17,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 class ReadResult:
     """document: of result.json; mechanism: the calibrated one beside it; path: of result.json."""
 
-    document: Mapping[str, Any]
+    document: ResultDocument
     mechanism: Mechanism
     path: Path
 
@@ -36,9 +35,9 @@ def read_result_folder(
         path = path / "result.json"
     document = read_result(path)
     mechanism = read_mechanism(path.with_name("mechanism.toml"), function=function)
-    names, stated = mechanism.parameters.names, {p["name"] for p in document["parameters"]}
+    names, stated = mechanism.parameters.names, {p.name for p in document.parameters}
     alone = [n for n in names if n not in stated]
-    alone += [n for n in document["covariance"]["names"] if n not in names]
+    alone += [n for n in document.covariance.names if n not in names]
     if alone:
         raise InputError(
             f"result.json and mechanism.toml differ in the parameters {listed(alone)}",

@@ -108,7 +108,7 @@ def validated(model: type[Kind], data: Any, place: Place) -> Kind:
         return model.model_validate(data)
     except ValidationError as error:
         details = error.errors(include_url=False)
-        raise _input_error(details, data, place) from None
+        raise input_error(details, data, place) from None
     except RecursionError:
         raise InputError(
             "the tables are nested too deeply",
@@ -128,7 +128,8 @@ _CODES: dict[str, Code] = {
 """Of pydantic's kinds of complaints; all others are about a value."""
 
 
-def _input_error(details: Sequence[ErrorDetails], data: Any, place: Place) -> InputError:
+def input_error(details: Sequence[ErrorDetails], data: Any, place: Place) -> InputError:
+    """pydantic's complaints about data, the first in full, at their place in the file."""
     paths = [_path(detail, data) for detail in details]
     message, remedy = _words(details[0], paths[0])
     others = [toml_path((*place.keys, *p)) for p in dict.fromkeys(paths) if p != paths[0]]
@@ -197,6 +198,8 @@ _EXPECTED = {
     "list_type": "a list [ ... ]",
     "dict_type": "a table",
     "model_type": "a table",
+    "dataclass_type": "a table",
+    "tuple_type": "a list [ ... ]",
     "model_attributes_type": "a table",
     "mapping_type": "a table",
 }

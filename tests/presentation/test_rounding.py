@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from loopcal.estimation.rounding import rounded_by_sd, significant
+from loopcal.presentation.rounding import rounded_by_sd, significant
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,14 @@
-"""Numbers as the report shows them: the units and digits of the printed summary."""
+"""SI values in the units that people read: millimetres, degrees, microradians."""
 
 from __future__ import annotations
 
-from loopcal.estimation.rounding import rounded_by_sd, significant
-from loopcal.estimation.summary import FINE, SHOWN
+from loopcal.presentation.rounding import rounded_by_sd, significant
 from loopcal.units import from_si
 
+SHOWN = {"m": "mm", "rad": "deg", "m/K": "um/K", "rad/K": "urad/K"}
+"""Units in which SI values are printed, because drawings and controllers use them."""
+FINE = {"m": "um", "rad": "urad"}
+"""Units in which sds of sensors are printed."""
 NONE = "–"
 
 
@@ -15,7 +18,7 @@ def unit_shown(unit: str, *, fine: bool = False) -> str:
 
 
 def factor(unit: str) -> float:
-    """SI value of one of the units in which values of an SI unit are shown."""
+    """One of the units shown, in SI."""
     return 1.0 / float(from_si(1.0, unit_shown(unit))) if unit in SHOWN else 1.0
 
 
@@ -24,6 +27,11 @@ def size(value: float | None, unit: str, digits: int = 4, *, fine: bool = False)
     if value is None:
         return NONE
     return significant(in_unit(value, unit, fine=fine), digits)
+
+
+def with_unit(value: float | None, unit: str, digits: int = 3, *, fine: bool = False) -> str:
+    """An SI value in the unit shown, with that unit."""
+    return f"{size(value, unit, digits, fine=fine)} {unit_shown(unit, fine=fine)}"
 
 
 def in_unit(value: float, unit: str, *, fine: bool = False) -> float:

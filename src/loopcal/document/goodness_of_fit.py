@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from loopcal.chi_squared import tail
+from loopcal.document.bounds import Probability, Size
 
 
 @dataclass(frozen=True)
@@ -13,14 +14,15 @@ class ChiSquared:
     """The weighted square of all corrections and of the parameters' distance from their nominal.
 
     With the right sds it follows a chi-squared distribution with that many degrees of freedom
-    (loop equations + finite priors - determined parameters). variance_factor is their ratio.
-    p_value: probability of a value at least this large if model and sds are right.
+    (loop equations + finite priors - determined parameters).
     """
 
     value: float
     degrees_of_freedom: int
-    p_value: float | None
-    variance_factor: float | None
+    p_value: Probability | None
+    """Probability of a value at least this large if model and sds are right."""
+    variance_factor: Size | None
+    """Value per degree of freedom."""
 
     @classmethod
     def of(cls, value: float, freedom: int) -> ChiSquared:

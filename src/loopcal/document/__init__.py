@@ -1,0 +1,1 @@
+"""A calibration as one typed document: the values that result.json holds, and their tables."""

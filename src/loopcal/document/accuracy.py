@@ -1,0 +1,128 @@
+"""How far computed outputs are from measured ones: over all instruments, and by instrument."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from loopcal.document.bounds import Count, Size
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Distances between computed and measured outputs over the poses that have both."""
+
+    mean: Size
+    rms: Size
+    p95: Size
+    """95 % of the poses are at most so far off."""
+    max: Size
+    poses: Count | None = None
+    """How many distances these are; null: written by an earlier version."""
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Distances before and after; of orientations the angle of the rotation between the two."""
+
+    unit: str
+    before: Distances
+    """With the nominal parameters."""
+    after: Distances
+    """With the calibrated parameters."""
+
+
+@dataclass(frozen=True)
+class InstrumentDeviation:
+    """The accuracy as one instrument sees it."""
+
+    instrument: str
+    station: str | None
+    """Where it stands; null: in the machine's own base, or nothing says so."""
+    position: Deviation | None
+    orientation: Deviation | None
+
+
+@dataclass(frozen=True)
+class AccuracyEntry:
+    """Computed minus measured outputs; the readings it is computed from are not corrected.
+
+    before, after: the position, over all instruments. Where no instrument sees one, the
+    orientation stands there.
+    """
+
+    unit: str
+    before: Distances
+    """With the nominal parameters."""
+    after: Distances
+    """With the calibrated parameters."""
+    orientation: Deviation | None = None
+    """Null where no orientation is measured, or nothing else is."""
+    by: tuple[InstrumentDeviation, ...] = ()
+
+
+@dataclass(frozen=True)
+class InstrumentDistances:
+    """Distances on poses not used, as one instrument sees them, in the units of `accuracy.by`."""
+
+    instrument: str
+    station: str | None
+    position: Distances | None
+    orientation: Distances | None
+
+
+@dataclass(frozen=True)
+class FailedPart:
+    """A part of a validation that could not be predicted."""
+
+    number: Count
+    """Which of the parts, from 1."""
+    poses: Count
+    """How many poses it has."""
+    reason: str
+
+
+@dataclass(frozen=True)
+class ValidationEntry:
+    """How well poses were predicted that took no part in the fit."""
+
+    scheme: Mapping[str, Any]
+    """What was left out, as the project asks for it."""
+    words: str
+    poses: Count
+    """Poses that were predicted."""
+    accuracy: Distances | None
+    """In the unit of `accuracy`; null: no outputs."""
+    log_likelihood: float | None
+    """Predictive, summed over the poses; null where the method has none."""
+    orientation: Distances | None = None
+    """Angles [rad] between computed and measured orientations; null: none, or nothing else is."""
+    by: tuple[InstrumentDistances, ...] = ()
+    parts: Count = 1
+    """How many parts were to be predicted."""
+    failed: tuple[FailedPart, ...] = ()
+    """Those whose fit failed; they do not count."""
+
+
+@dataclass(frozen=True)
+class ModelEntry:
+    """One of the models that were compared on the same poses, none of them used for its fit."""
+
+    name: str
+    effects: tuple[str, ...]
+    """Effects beyond geometry that were switched on."""
+    fixed: tuple[str, ...]
+    """Parameters that it did not estimate, names or globs."""
+    parameters: Count
+    """Number of estimated parameters."""
+    accuracy: Distances | None
+    log_likelihood: float | None
+    behind: Size | None
+    """By how much log_likelihood is less than that of the best model."""
+    sd_of_behind: Size | None
+    """Standard error of it, from its scatter by pose."""
+    recommended: bool
+    """This document is the calibration with this model."""
+    failed: str | None
+    """Why it could not be judged."""

@@ -1,0 +1,267 @@
+"""What the equations of a calibration say beyond its parameters: poses, directions, outliers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+from loopcal.document.bounds import Count, Probability, Size
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import with_unit
+
+
+@dataclass(frozen=True)
+class Undetermined:
+    """A direction in which neither data nor prior say anything."""
+
+    combination: Mapping[str, float]
+    """Parameter -> its share, the largest 1."""
+    words: str
+
+    @classmethod
+    def of(cls, combination: Mapping[str, float]) -> Undetermined:
+        """The direction, in words too."""
+        names = [repr(name) for name in combination]
+        listed = ", ".join(names[:-1]) + f" and {names[-1]}"
+        words = (
+            f"{names[0]} has no effect that these poses could show"
+            if len(names) == 1
+            else f"{listed} cannot be told apart by these poses"
+        )
+        return cls(dict(combination), words)
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A parameter that had a prior: what the data added to it."""
+
+    parameter: str
+    ratio: Size
+    """Its sd over its prior sd; near 1: the value is the drawing's, not the data's."""
+    words: str
+
+
+@dataclass(frozen=True)
+class WeakDirection:
+    """A combination of parameters that these poses hardly distinguish, or not at all."""
+
+    combination: Mapping[str, float]
+    """Leading parameters -> share in scaled units, the largest 1."""
+    one_sd: Mapping[str, float]
+    """The same -> change [SI] that the data allow within one sd; empty: any."""
+    condition: Size | None
+    """Largest singular value over that of this direction; null: not determined."""
+    words: str
+
+
+@dataclass(frozen=True)
+class CalibrationIndex:
+    """C = sum over poses of (S - M), S the quantities sensed, M the mobility of the mechanism.
+
+    With k quantities and m independent loop equations a pose has the mobility M = k - m; with u
+    of the quantities unmeasured it senses S = k - u; so it yields S - M = m - u equations.
+    Hollerbach and Wampler (1996).
+    """
+
+    value: int
+    """Sensed minus mobility: equations that the poses give."""
+    sensed: Count
+    mobility: int
+    poses: Count | None = None
+    """How many poses; null: written by an earlier version."""
+    parameters: Count | None = None
+    """How many are estimated; null: written by an earlier version."""
+
+    def words(self) -> str:
+        """One line."""
+        return (
+            f"calibration index {self.value} (sensed {self.sensed} - mobility {self.mobility}, "
+            f"over {self.poses} poses) for {self.parameters} parameters"
+        )
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What these poses determine. The last four are null where they were not computed."""
+
+    rank: Count
+    """Directions determined by data and prior together."""
+    parameters: Count
+    """Number of estimated parameters."""
+    data_rank: Count
+    """Directions determined by the data alone."""
+    condition_number: Size | None
+    """Largest over smallest singular value of the column-scaled whitened parameter Jacobian; null
+    where it is singular."""
+    not_identifiable: tuple[Undetermined, ...]
+    data_condition_number: Size | None = None
+    """The same without the prior; null where singular."""
+    data_versus_prior: tuple[Learned, ...] | None = None
+    """What the data added to the prior."""
+    weak_directions: tuple[WeakDirection, ...] | None = None
+    """By the data alone, the worst first."""
+    calibration_index: CalibrationIndex | None = None
+
+    @property
+    def loose(self) -> frozenset[str]:
+        """The parameters that take part in a direction that is not determined."""
+        return frozenset(name for u in self.not_identifiable for name in u.combination)
+
+    def warnings(self) -> tuple[str, ...]:
+        """What the reader must know of each of these directions."""
+        return tuple(
+            f"Not identifiable: {loose.words}. The fit moves along such a direction as little as "
+            "it can; fix a parameter, give it a prior sd, or measure other poses."
+            for loose in self.not_identifiable
+        )
+
+
+@dataclass(frozen=True)
+class Observability:
+    """The observability indices of N poses, without unit; larger is better.
+
+    sigma_1 >= ... >= sigma_n are the singular values of the column-scaled, whitened Jacobian.
+    Columns have the length 1, so that sigma_1^2 + ... + sigma_n^2 = n whatever N is; N enters O1
+    alone, which therefore compares sets of equally many poses only. All are zero where a direction
+    is not determined.
+    """
+
+    O1: Size
+    """(sigma_1 ... sigma_n)^(1/n) / sqrt(N). Borm and Menq (1991)."""
+    O2: Size
+    """sigma_n / sigma_1, the inverse condition number. Driels and Pathre (1990)."""
+    O3: Size
+    """sigma_n. Nahvi, Hollerbach and Hayward (1994)."""
+    O4: Size
+    """sigma_n^2 / sigma_1. Nahvi and Hollerbach (1996)."""
+    O5: Size
+    """1 / (1/sigma_1 + ... + 1/sigma_n). Sun and Hollerbach (2008)."""
+
+    def words(self) -> str:
+        """One line."""
+        numbers = ", ".join(f"{k} {significant(v, 3)}" for k, v in asdict(self).items())
+        return f"observability {numbers}"
+
+
+@dataclass(frozen=True)
+class UsualSd:
+    """The sd that the parameters cause in one instrument's outputs of one unit."""
+
+    instrument: str
+    station: str | None
+    unit: str
+    sd: Size
+    """Root of the trace of their covariance, not exceeded at 95 % of the calibration poses."""
+
+
+@dataclass(frozen=True)
+class PredictionEntry:
+    """What `loopcal predict` needs beside the covariance and the calibrated mechanism."""
+
+    sd_at_poses: Mapping[str, Size]
+    """SI unit of outputs -> the largest of `by`."""
+    typical: Mapping[str, float]
+    """Quantity -> median reading [SI]."""
+    covariance: tuple[tuple[float, ...], ...] | None
+    """Of the estimated parameters over the determined directions; null: the same as `covariance`
+    of the result."""
+    undetermined: tuple[tuple[float, ...], ...]
+    """Parameter steps [SI] that neither data nor prior limit."""
+    by: tuple[UsualSd, ...] = ()
+    """Per instrument; empty: written by an earlier version, which took all outputs together."""
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """One pose that does not fit the others."""
+
+    pose: str
+    quantity: str | None
+    """The reading to blame; null where no single one explains the pose."""
+    statistic: float | None
+    """Normal deviate of the reading, chi-squared of the pose where quantity is null; null: beyond
+    all bounds."""
+    p_value: Probability
+    """Of one at least so large in good data."""
+    pose_statistic: float | None
+    """Chi-squared of the pose; null: beyond all bounds."""
+    size: float | None
+    """Reading minus its true value as the rest of the data has it [unit]."""
+    unit: str | None
+    indistinct: tuple[str, ...] = ()
+    """Readings that would explain the pose as well."""
+    cause: str | None = None
+    """What probably happened."""
+    verified: bool = False
+    """Whether correcting it made the pose unremarkable."""
+
+    def __str__(self) -> str:
+        who = "no single reading explains it"
+        if self.quantity is not None and self.size is not None and self.unit is not None:
+            who = f"{self.quantity} is off by {with_unit(self.size, self.unit)}"
+            if self.indistinct:
+                who += f" (or else {', '.join(self.indistinct)})"
+        text = f"pose {self.pose}: {who}, "
+        text += "inf" if self.statistic is None else significant(abs(self.statistic), 3)
+        text += " sds" if self.quantity is not None else " chi-squared"
+        if self.cause:
+            text += f"; {self.cause}" + (" (tried: it then fits)" if self.verified else "")
+        return text
+
+
+@dataclass(frozen=True)
+class OutlierTests:
+    """How poses and readings were tested."""
+
+    level: Probability
+    """Of naming anything where every reading is good."""
+    poses: Count
+    """Poses that could be tested."""
+    scale: Size
+    """Factor on the stated sds that the tests used."""
+    by_residuals: bool
+    """Whether that factor comes from the residuals."""
+
+
+@dataclass(frozen=True)
+class ColumnFault:
+    """A fault of whole columns, verified by fits with it and without.
+
+    Misfit: the rms distance of the half of the poses where the nominal machine, placed as well as
+    can be, is nearest to the readings [SI]; of a machine that cannot be placed, the rms of the loop
+    values after a fit.
+    """
+
+    quantities: tuple[str, ...]
+    words: str
+    """What it is; alternatives that the readings cannot distinguish are joined by "or"."""
+    before: Size | None
+    """Misfit [SI] as read; null: no loop closes."""
+    after: Size
+    """The same with the fault corrected."""
+    placed: bool = True
+    """Whether the machine can be placed."""
+
+    def __str__(self) -> str:
+        meets = "the nominal machine meets the readings" if self.placed else "the loops fit"
+        unit = " m" if self.placed else ""
+        before = "inf" if self.before is None else f"{self.before:.3g}"
+        return (
+            f"{self.words}: put right, {meets} to {self.after:.3g}{unit} rms "
+            f"instead of {before}{unit}"
+        )
+
+
+@dataclass(frozen=True)
+class OtherOptimum:
+    """Another optimum of the same readings."""
+
+    parameters: Mapping[str, float]
+    """Those that differ [SI]."""
+    chi_squared: float
+    words: str
+    of_result: float | None = None
+    """chi_squared of the result; null: written by an earlier version."""
+
+    def __str__(self) -> str:
+        return self.words

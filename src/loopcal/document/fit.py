@@ -1,0 +1,113 @@
+"""What a fit says: how it ended, its parameters, its sds of sensors, and how well it closes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from loopcal.document.bounds import Count, Probability, Size
+
+
+@dataclass(frozen=True)
+class StatusEntry:
+    """How the fit ended."""
+
+    converged: bool
+    """Whether the point found is the optimum."""
+    reason: str
+    """Why the fit stopped, in one word."""
+    message: str
+    """Cause and remedy."""
+    iterations: Count
+    """Parameter steps tried."""
+
+
+@dataclass(frozen=True)
+class IntervalEntry:
+    """Confidence interval of a parameter: from its covariance, and by profile likelihood."""
+
+    level: Probability
+    covariance: tuple[float | None, float | None]
+    """Lower and upper end; null: nothing bounds the parameter."""
+    profile: tuple[float | None, float | None]
+    """The same; null: chi-squared never rises to its limit."""
+    differs: bool
+    """Whether the two differ by more than a tenth of the half width at an end."""
+
+
+@dataclass(frozen=True)
+class ParameterEntry:
+    """One parameter of the mechanism."""
+
+    name: str
+    unit: str
+    """SI unit of all numbers of this parameter."""
+    nominal: float
+    """Value before the fit, after the machine was moved to where the instrument sees it."""
+    value: float
+    """Calibrated value; the nominal one where fixed."""
+    sd: Size | None
+    """Null where fixed or not identifiable."""
+    prior_sd: Size | None
+    """How well the nominal was known; null: flat."""
+    fixed: bool
+    """Whether it was held at its nominal value."""
+    identifiable: bool | None
+    """By data and prior; null where fixed."""
+    error: float | None
+    """True minus estimate, where the truth of a simulation was given."""
+    interval: IntervalEntry | None = None
+    """Null where it was not asked for."""
+
+
+@dataclass(frozen=True)
+class CovarianceEntry:
+    """Covariance of the estimated parameters."""
+
+    names: tuple[str, ...]
+    """Parameters in the order of rows and columns."""
+    unit: Literal["SI"]
+    matrix: tuple[tuple[float | None, ...], ...]
+    """Products of the parameters' SI units; null where one is not identifiable."""
+
+
+@dataclass(frozen=True)
+class NoiseEntry:
+    """The sd [SI unit] used for one or several quantities."""
+
+    quantities: tuple[str, ...]
+    unit: str
+    sd: Size
+    """The median where it differs from reading to reading."""
+    sd_of_sd: Size | None
+    """How sure the sd itself is, where that is known."""
+    source: str
+    """Where the sd comes from: given, estimated, reading, repeats or datasheet."""
+    upper: Size | None = None
+    """95 % upper bound of an estimated sd that is zero or unsure."""
+    likelihood_ratio: float | None = None
+    """By how much -2 log of the restricted likelihood rises without this noise; null where it was
+    not estimated, or the loops could not close without it."""
+    p_value: float | None = None
+    """Of so large a rise if there were no such noise."""
+    share: Probability | None = None
+    """Of chi-squared: what the corrections of these quantities contribute to it. A share far above
+    what the sd deserves: the sensor is worse than stated, or the machine model lacks something."""
+
+
+@dataclass(frozen=True)
+class ClosureSize:
+    """Size of the loop equations' values over all poses [SI]."""
+
+    rms: Size | None
+    max: Size | None
+
+
+@dataclass(frozen=True)
+class ClosureEntry:
+    """The loop equations before and after. That a loop closes is no accuracy."""
+
+    before: ClosureSize
+    """At the readings and the nominal parameters."""
+    after: ClosureSize
+    """At the corrected readings and the calibrated parameters."""

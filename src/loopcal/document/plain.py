@@ -1,0 +1,26 @@
+"""Typed values as plain data for JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+
+def plain(value: Any) -> Any:
+    """Dataclasses and mappings as dicts, sequences as lists, and null for NaN and infinity."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(inner) for inner in value]
+    return value
+
+
+def known(value: float | None) -> float | None:
+    """None for a number that is not finite: it stands for what is unknown or unbounded."""
+    return value if value is not None and math.isfinite(value) else None

@@ -1,0 +1,249 @@
+"""One calibration as one value: what result.json holds, and what all that reads it consumes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
+from loopcal.document.bounds import Count, Size
+from loopcal.document.findings import (
+    ColumnFault,
+    Identifiability,
+    Observability,
+    OtherOptimum,
+    Outlier,
+    OutlierTests,
+    PredictionEntry,
+)
+from loopcal.document.fit import (
+    ClosureEntry,
+    CovarianceEntry,
+    NoiseEntry,
+    ParameterEntry,
+    StatusEntry,
+)
+from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.tables import (
+    accuracy_table,
+    interval_table,
+    model_table,
+    parameter_table,
+    sensor_table,
+)
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.presentation.rounding import significant
+
+SCHEMA: Literal[1] = 1
+
+
+@dataclass(frozen=True)
+class JoinedFile:
+    """A file whose readings were joined by pose id."""
+
+    file: str | None
+    sha256: str | None
+    """Of the bytes of the file."""
+
+
+@dataclass(frozen=True)
+class DataEntry:
+    """Which readings were used."""
+
+    file: str | None
+    sha256: str | None
+    """Of the bytes of the file."""
+    poses: Count
+    """Poses in the file."""
+    used: Count
+    """Poses used; residuals.csv lists their ids."""
+    excluded: tuple[str, ...]
+    """Ids of the poses left out on request."""
+    every: Count
+    """The 1st, (every + 1)th ... was kept."""
+    quantities: tuple[str, ...]
+    """Quantities that were read."""
+    joined: tuple[JoinedFile, ...] = ()
+    """Further files of the same poses, joined by pose id."""
+
+
+@dataclass(frozen=True)
+class MechanismEntry:
+    """The names and SI units that residuals.csv speaks of."""
+
+    name: str
+    loops: tuple[str, ...]
+    quantities: Mapping[str, str]
+    """Quantity -> SI unit."""
+    known: Mapping[str, str]
+    """Known constant of each pose -> SI unit."""
+    outputs: tuple[str, ...]
+    """What the loops predict from the other readings."""
+    compared: tuple[str, ...]
+    """Outputs, and small turns between computed and measured orientations."""
+    remarks: tuple[str, ...]
+    """What a user should know of it, such as why a parameter is fixed."""
+
+    @classmethod
+    def of(cls, mechanism: Mechanism) -> MechanismEntry:
+        """The names and units of a mechanism."""
+        return cls(
+            mechanism.name,
+            mechanism.tape.loops,
+            dict(mechanism.quantities),
+            dict(mechanism.known),
+            mechanism.outputs,
+            mechanism.compared,
+            mechanism.remarks,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultDocument:
+    """result.json of loopcal: one calibration.
+
+    Numbers are SI unless a unit stands beside them. Unknown is null; NaN and infinity never occur.
+    """
+
+    # how pydantic reads this and all that it holds, where result.json is read
+    __pydantic_config__ = {  # noqa: RUF012
+        "extra": "forbid",
+        "strict": True,
+        "allow_inf_nan": False,
+        "use_attribute_docstrings": True,
+    }
+
+    schema: Literal[1]
+    loopcal: str
+    """Version of loopcal that wrote this file."""
+    title: str | None
+    mechanism: MechanismEntry | None = None
+    """Null: written by an earlier version."""
+    method: str
+    method_label: str = ""
+    """The method in a few words; empty: written by an earlier version."""
+    loss: str = "gaussian"
+    status: StatusEntry
+    parameters: tuple[ParameterEntry, ...]
+    covariance: CovarianceEntry
+    noise: tuple[NoiseEntry, ...]
+    """Empty for least squares, which knows none."""
+    model_discrepancy: Size | None = None
+    """sd [SI, of the outputs] of an error of the machine model at the end point that would explain
+    a chi-squared too large for the stated sds."""
+    variance_factor_applied: bool = False
+    """Whether covariance and sds contain the variance factor."""
+    restricted_criterion: float | None = None
+    """-2 log of the restricted likelihood up to a constant of the readings, where sds were
+    estimated: compare models of the same readings by its difference."""
+    chi_squared: ChiSquared | None
+    """Null: least squares, or a robust loss."""
+    closure: ClosureEntry
+    accuracy: AccuracyEntry | None
+    """Null: the mechanism has no outputs, or no pose has readings for an output and its inputs."""
+    validation: ValidationEntry | None
+    """Null: no validation was made."""
+    models: tuple[ModelEntry, ...] | None = None
+    """Models that were compared; null: none were."""
+    identifiability: Identifiability
+    observability: Observability | None
+    """Null: not computed."""
+    prediction: PredictionEntry | None
+    """Null where the mechanism has no outputs, or it was not computed."""
+    outliers: tuple[Outlier, ...] | None
+    """Worst first. Null: no reading was tested."""
+    outlier_tests: OutlierTests | None = None
+    """How outliers were found; null: no reading was tested."""
+    column_faults: tuple[ColumnFault, ...] | None = None
+    """Columns that are exchanged, in another unit or counted the other way round; where there are
+    any, single poses are not tested."""
+    other_optima: tuple[OtherOptimum, ...] | None = None
+    """Optima that fit about as well; null: not sought."""
+    data: DataEntry
+    warnings: tuple[str, ...]
+    """What the summary warns of."""
+    inputs: Mapping[str, Any]
+    """The project as it was read; infinite sds are the text "inf"."""
+    versions: Mapping[str, str]
+    """Versions of Python and of the libraries."""
+
+    @property
+    def sensors_exact(self) -> bool:
+        """Whether the method takes the sensors as exact: it then knows no noise."""
+        return not self.noise
+
+    def __str__(self) -> str:
+        """The summary: state, accuracy, sensors, parameters, intervals, models, warnings."""
+        loss = "" if self.loss == "gaussian" else f", loss {self.loss}"
+        name = self.mechanism.name if self.mechanism else self.title
+        lines = [f"{name}: {self.method_label or self.method}{loss}", ""]
+        lines += _state(self)
+        lines += ["", *_accuracy(self)]
+        rejected = self.chi_squared is not None and (self.chi_squared.p_value or 0.0) < 0.01
+        if rejected or any(entry.source == "estimated" for entry in self.noise):
+            lines += ["", *sensor_table(self.noise)]
+        lines += ["", *parameter_table(self.parameters)]
+        if self.variance_factor_applied:
+            lines.append("(sds multiplied by the root of chi-squared per degree of freedom)")
+        if any(p.error is not None for p in self.parameters):
+            lines.append("(error: true minus estimate)")
+        if any(p.interval is not None for p in self.parameters):
+            lines += ["", *interval_table(self.parameters)]
+        if self.models is not None:
+            unit = self.accuracy.unit if self.accuracy else ""
+            scheme = self.validation.words if self.validation else ""
+            lines += ["", *model_table(self.models, unit, scheme)]
+        for warning in self.warnings:
+            lines += ["", f"WARNING  {warning}"]
+        return "\n".join(lines)
+
+
+def _state(document: ResultDocument) -> list[str]:
+    status, data = document.status, document.data
+    head = "converged" if status.converged else f"NOT CONVERGED ({status.reason})"
+    steps = f"{status.iterations} iteration{'s' if status.iterations != 1 else ''}"
+    poses = (
+        f"{data.used} poses" if data.poses == data.used else f"{data.used} of {data.poses} poses"
+    )
+    lines = [f"{head} in {steps} on {poses}"]
+    if not status.converged:
+        lines.append(f"  {status.message}")
+    chi = document.chi_squared
+    if chi is not None and chi.variance_factor is not None and chi.p_value is not None:
+        lines.append(
+            f"chi-squared {significant(chi.value, 5)} at {chi.degrees_of_freedom} degrees of "
+            f"freedom (per degree {significant(chi.variance_factor, 3)}, p = {chi.p_value:.2g})"
+        )
+    information = document.identifiability
+    condition = information.condition_number
+    told = f"{information.rank} of {information.parameters} parameters determined"
+    lines.append(told + (f", condition number {significant(condition, 3)}" if condition else ""))
+    if remarks := len(document.mechanism.remarks) if document.mechanism else 0:
+        lines.append(
+            f"{remarks} remark{'s' if remarks > 1 else ''} on the mechanism, such as why a "
+            "parameter is fixed: see loopcal check"
+        )
+    before, after = (
+        "unknown" if closure.rms is None else f"{closure.rms:.3g}"
+        for closure in (document.closure.before, document.closure.after)
+    )
+    closed = "" if document.sensors_exact else " (closed by correcting the readings)"
+    lines.append(f"loop equations: rms {before} before, {after} after{closed}")
+    return lines
+
+
+def _accuracy(document: ResultDocument) -> list[str]:
+    accuracy, validation = document.accuracy, document.validation
+    if accuracy is None:
+        if document.mechanism is not None and not document.mechanism.outputs:
+            return ["accuracy: the mechanism names no outputs that a model could predict"]
+        return ["accuracy: unknown, no pose has readings for an output and its inputs"]
+    note = "(computed from the other readings minus measured, on the poses used for the fit"
+    if validation is not None and validation.accuracy is not None:
+        note += f"; poses not used: {validation.words}"
+    lines = [*accuracy_table(accuracy, validation), f"{note})"]
+    if validation is not None and validation.log_likelihood is not None:
+        value = significant(validation.log_likelihood, 6)
+        lines.append(f"log-likelihood of poses not used: {value} (only differences count)")
+    return lines

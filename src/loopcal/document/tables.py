@@ -1,0 +1,204 @@
+"""The tables of the printed summary, from the parts of a document."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from loopcal.document.accuracy import (
+    AccuracyEntry,
+    Deviation,
+    Distances,
+    InstrumentDistances,
+    ModelEntry,
+    ValidationEntry,
+)
+from loopcal.document.fit import NoiseEntry, ParameterEntry
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import by_sd, in_unit, size, unit_shown
+from loopcal.presentation.text_table import columns
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Distances at a stage: "nominal", "calibrated", "on poses not used"; instrument "": of all."""
+
+    name: str
+    instrument: str
+    distances: Distances
+
+
+@dataclass(frozen=True)
+class Stages:
+    """The lines of the accuracy table and of the orientation table."""
+
+    position: tuple[Stage, ...]
+    orientation: tuple[Stage, ...]
+
+
+def accuracy_stages(accuracy: AccuracyEntry, validation: ValidationEntry | None) -> Stages:
+    """What the tables of accuracy show; several instruments each have lines of their own."""
+    held = validation or ValidationEntry({}, "", 0, None, None)
+    unseen = {e.instrument: e for e in held.by}
+    positions = [_Row("", accuracy, held.accuracy)]
+    turns = [_Row("", accuracy.orientation, held.orientation)]
+    for e in accuracy.by if len(accuracy.by) > 1 else ():
+        its = unseen.get(e.instrument, InstrumentDistances(e.instrument, None, None, None))
+        if accuracy.orientation is None and e.position is None:
+            positions.append(_Row(e.instrument, e.orientation, its.orientation))
+        else:
+            positions.append(_Row(e.instrument, e.position, its.position))
+            turns.append(_Row(e.instrument, e.orientation, its.orientation))
+    return Stages(_stages(positions, accuracy.unit), _stages(turns, "rad"))
+
+
+@dataclass(frozen=True)
+class _Row:
+    instrument: str
+    found: AccuracyEntry | Deviation | None
+    unseen: Distances | None
+
+
+def _stages(rows: Sequence[_Row], unit: str) -> tuple[Stage, ...]:
+    shown = [(r, r.found) for r in rows if r.found is not None and r.found.unit == unit]
+    stages = [Stage("nominal", r.instrument, found.before) for r, found in shown]
+    stages += [Stage("calibrated", r.instrument, found.after) for r, found in shown]
+    for row, _ in shown:
+        if row.unseen is not None:
+            stages.append(Stage("on poses not used", row.instrument, row.unseen))
+    return tuple(stages)
+
+
+def accuracy_table(accuracy: AccuracyEntry, validation: ValidationEntry | None) -> list[str]:
+    """Distances by stage, then orientations."""
+    stages = accuracy_stages(accuracy, validation)
+    lines = _distance_table("accuracy", stages.position, accuracy.unit)
+    if accuracy.orientation is not None:
+        lines += [
+            "",
+            *_distance_table("orientation", stages.orientation, accuracy.orientation.unit),
+        ]
+    return lines
+
+
+def _distance_table(what: str, stages: Sequence[Stage], unit: str) -> list[str]:
+    rows = [[what, f"mean [{unit_shown(unit)}]", "rms", "95 %", "max"]]
+    for stage in stages:
+        name = f"  {stage.instrument}" if stage.instrument else stage.name
+        rows.append([name, *distances_shown(stage.distances, unit)])
+    return columns(rows)
+
+
+def distances_shown(distances: Distances, unit: str) -> list[str]:
+    """Mean, rms, 95 % and largest, in the unit shown."""
+    values = (distances.mean, distances.rms, distances.p95, distances.max)
+    return [size(value, unit) for value in values]
+
+
+def validation_table(validations: Mapping[str, ValidationEntry], unit: str) -> list[str]:
+    """One line per method that was validated on the same poses: accuracy [unit], likelihood."""
+    shown = unit_shown(unit)
+    rows = [["on poses not used", f"mean [{shown}]", "rms", "95 %", "max", "log-likelihood"]]
+    for name, found in validations.items():
+        told = [""] * 4 if found.accuracy is None else distances_shown(found.accuracy, unit)
+        likely = found.log_likelihood
+        rows.append([name, *told, "" if likely is None else f"{likely:.1f}"])
+    return columns(rows)
+
+
+def model_table(models: Sequence[ModelEntry], unit: str, scheme: str) -> list[str]:
+    """One line per model: its size, rms [unit] and log-likelihood on poses not used; which to take.
+
+    behind: by how much less than the best, with the sd of that difference; scheme: which poses.
+    """
+    rows = [["model", "parameters", f"rms [{unit_shown(unit)}]", "log-likelihood", "behind", "sd"]]
+    for m in models:
+        row = [m.name, str(m.parameters), *[""] * 4]
+        if m.behind is not None:
+            row[2] = "" if m.accuracy is None else size(m.accuracy.rms, unit)
+            row[3] = "" if m.log_likelihood is None else f"{m.log_likelihood:.1f}"
+            row[4] = "best" if not m.behind else f"{m.behind:.1f}"
+            sd = "inf" if m.sd_of_behind is None else f"{m.sd_of_behind:.1f}"
+            row[5] = sd if m.behind else ""
+        rows.append(row)
+    failed = [f"{m.name}: {m.failed}" for m in models if m.failed]
+    return [*columns(rows), f"(on poses not used, {scheme})", *failed, recommendation(models)]
+
+
+def recommendation(models: Sequence[ModelEntry]) -> str:
+    """Which model to take, and why."""
+    known = [m for m in models if m.behind is not None]
+    best = next(m for m in known if m.behind == 0.0)
+    taken = next(m for m in known if m.recommended)
+    if best is not taken:
+        return (
+            f"Recommended: {taken.name}, the simplest of those that predict as well as "
+            f"{best.name} within what chance explains."
+        )
+    if all(m is best or m.parameters >= best.parameters for m in known):
+        return f"Recommended: {best.name}, which predicts best and is the simplest."
+    return (
+        f"Recommended: {best.name}, which predicts best; every simpler model is behind by more "
+        "than chance explains."
+    )
+
+
+def sensor_table(noise: Sequence[NoiseEntry]) -> list[str]:
+    """One line per sensor: its sd, how sure and from where, and its share in chi-squared."""
+    rows = [["sensor", "sd", "sd of sd", "at most", "chi-squared", "from", "unit"]]
+    for entry in noise:
+        first, last = entry.quantities[0], entry.quantities[-1]
+        sd_of_sd, upper = entry.sd_of_sd, entry.upper
+        rows.append(
+            [
+                first if first == last else f"{first} ... {last}",
+                size(entry.sd, entry.unit, 3, fine=True),
+                "" if sd_of_sd is None else size(sd_of_sd, entry.unit, 2, fine=True),
+                "" if upper is None else size(upper, entry.unit, 2, fine=True),
+                "" if entry.share is None else f"{entry.share:.0%}",
+                entry.source,
+                unit_shown(entry.unit, fine=True),
+            ]
+        )
+    return columns(rows)
+
+
+def parameter_table(parameters: Sequence[ParameterEntry]) -> list[str]:
+    """One line per parameter: value, change from nominal and sd, rounded by the sd."""
+    head = ["parameter", "value", "change", "sd", "unit"]
+    with_error = any(p.error is not None for p in parameters)
+    if with_error:
+        head.insert(4, "error")
+    rows = [head]
+    for p in parameters:
+        unit, sd = p.unit, p.sd
+        change = in_unit(p.value, unit) - in_unit(p.nominal, unit)
+        row = [p.name, by_sd(p.value, sd, unit), "", "fixed", unit_shown(unit)]
+        if not p.fixed:
+            told = significant(change, 3)
+            if sd is not None:
+                told = by_sd(p.value - p.nominal, sd, unit, sign=True)
+            row[2:4] = [told, "unknown" if sd is None else size(sd, unit, 2)]
+        if with_error:
+            row.insert(4, "" if p.error is None else by_sd(p.error, sd, unit, sign=True))
+        rows.append(row)
+    return columns(rows)
+
+
+def interval_table(parameters: Sequence[ParameterEntry]) -> list[str]:
+    """Confidence intervals, by covariance and by profile; those that differ are marked."""
+    known = [(p, p.interval) for p in parameters if p.interval is not None]
+    level = f"{known[0][1].level:.0%} " if known else ""
+    rows = [[f"{level}interval", "from", "to", "profile from", "to", "", "unit"]]
+    for p, its in known:
+        unit = unit_shown(p.unit)
+        if its.covariance[0] is None:
+            rows.append([p.name, *[""] * 4, "fixed" if p.fixed else "unbounded", unit])
+            continue
+        ends = (*its.covariance, *its.profile)
+        told = ["none" if end is None else by_sd(end, p.sd, p.unit) for end in ends]
+        rows.append([p.name, *told, "differs" if its.differs else "", unit])
+    lines = columns(rows)
+    if any(its.differs for _, its in known):
+        lines.append("(differs: trust the profile; the covariance misses how the model curves)")
+    return lines

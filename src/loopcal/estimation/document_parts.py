@@ -1,0 +1,82 @@
+"""The parts of a document, from the values of a result."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.fit import CovarianceEntry, NoiseEntry, ParameterEntry, StatusEntry
+from loopcal.document.plain import known
+from loopcal.document.result_document import DataEntry, JoinedFile
+from loopcal.estimation.solve.status import Status
+from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.parameters import Parameter
+
+Array = NDArray[np.float64]
+
+
+def status_entry(status: Status) -> StatusEntry:
+    """How the fit ended."""
+    return StatusEntry(status.converged, status.reason, status.message, status.iterations)
+
+
+def parameter_entry(
+    parameter: Parameter, value: float, sd: float | None, error: float | None
+) -> ParameterEntry:
+    """One parameter; sd: None where fixed, infinite where not identifiable."""
+    return ParameterEntry(
+        parameter.name,
+        parameter.unit,
+        parameter.nominal,
+        value,
+        known(sd),
+        known(parameter.prior_sd),
+        parameter.fixed,
+        None if sd is None else math.isfinite(sd),
+        error,
+    )
+
+
+def covariance_entry(
+    names: tuple[str, ...], covariance: Array, loose: frozenset[str]
+) -> CovarianceEntry:
+    """The covariance of these parameters; loose: those that nothing determines."""
+    open_ = np.array([name in loose for name in names], dtype=bool)
+    lost = open_[:, None] | open_ | ~np.isfinite(covariance)
+    rows = zip(covariance.tolist(), lost.tolist(), strict=True)
+    return CovarianceEntry(
+        names,
+        "SI",
+        tuple(
+            tuple(None if gone else value for value, gone in zip(*row, strict=True)) for row in rows
+        ),
+    )
+
+
+def noise_entries(
+    noise: Sequence[NoiseEntry], shares: Mapping[str, float]
+) -> tuple[NoiseEntry, ...]:
+    """The sds with the share of each in chi-squared."""
+    return tuple(
+        replace(entry, share=min(sum(shares.get(q, 0.0) for q in entry.quantities), 1.0))
+        for entry in noise
+    )
+
+
+def data_entry(dataset: Dataset, used: int, quantities: Sequence[str]) -> DataEntry:
+    """Which readings were used, of these quantities."""
+    source = dataset.source
+    return DataEntry(
+        source.file,
+        source.sha256,
+        source.rows_read or len(dataset),
+        used,
+        tuple(source.excluded),
+        source.every,
+        tuple(q for q in quantities if q in dataset.readings),
+        tuple(JoinedFile(part.file, part.sha256) for part in source.joined),
+    )

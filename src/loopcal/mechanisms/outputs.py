@@ -1,0 +1,126 @@
+"""Which outputs belong together: those that one instrument reads, as positions and as angles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.mechanisms.mechanism import Family, Mechanism
+from loopcal.mechanisms.station import Station
+
+Array = NDArray[np.float64]
+POLAR = ("spherical", "polar")
+"""Forms of readings that are a distance and one or two angles."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What one instrument sees of the mechanism's outputs.
+
+    position: outputs that make one distance, of `unit` [SI]; turns: outputs that are angles, or,
+    if `small`, the turns 2 tan(theta/2) u from a measured to the computed orientation, by names.
+    station: where the instrument stands, if anything says so.
+    """
+
+    instrument: str
+    station: str | None
+    form: str
+    position: tuple[str, ...]
+    unit: str
+    turns: tuple[str, ...]
+    small: bool = False
+
+
+def seen_outputs(mechanism: Mechanism) -> tuple[Seen, ...]:
+    """The outputs by instrument; those of a loop without instruments count together."""
+    return tuple(one for family in _families(mechanism) for one in _seen(mechanism, family))
+
+
+def _seen(mechanism: Mechanism, family: Family) -> Iterator[Seen]:
+    its = [q for q in family.readings if q in mechanism.outputs]
+    if not its:
+        return
+    station = _station(family)
+    small = [q for q in mechanism.turns if q in family.readings]
+    if family.form in POLAR:
+        yield Seen(family.name, station, family.form, tuple(its), "m", ())
+        return
+    units = {mechanism.quantities[q] for q in its}
+    angles = [q for q in its if mechanism.quantities[q] == "rad"]
+    unit = "m" if "m" in units else min(units - {"rad"}, default="")
+    if len(units - {"m", "rad"}) > 1:
+        return  # nothing that could be added up
+    position = tuple(q for q in its if mechanism.quantities[q] == unit)
+    turns = tuple(small or angles)
+    yield Seen(family.name, station, family.form, position, unit, turns, bool(small))
+
+
+@dataclass(frozen=True)
+class OutputGroup:
+    """Outputs of one unit [SI] that one instrument reads: positions, or angles."""
+
+    instrument: str
+    station: str | None
+    unit: str
+    outputs: tuple[str, ...]
+    rows: tuple[int, ...]
+    """Their positions among all outputs."""
+
+
+def output_groups(mechanism: Mechanism) -> tuple[OutputGroup, ...]:
+    """The outputs whose sds belong together; each output is in one group."""
+    groups = []
+    for family in _families(mechanism):
+        its = [q for q in family.readings if q in mechanism.outputs]
+        for unit in dict.fromkeys(mechanism.quantities[q] for q in its):
+            alike = tuple(q for q in its if mechanism.quantities[q] == unit)
+            rows = tuple(mechanism.outputs.index(q) for q in alike)
+            groups.append(OutputGroup(family.name, _station(family), unit, alike, rows))
+    return tuple(groups)
+
+
+def _families(mechanism: Mechanism) -> tuple[Family, ...]:
+    """The instruments; a loop without any counts as one."""
+    return mechanism.families or (Family("", (), mechanism.outputs, "plain"),)
+
+
+def _station(family: Family) -> str | None:
+    return family.placement.name if isinstance(family.placement, Station) else None
+
+
+def point_outputs(mechanism: Mechanism, family: Family) -> tuple[str, ...]:
+    """The outputs of a family that say where a point is; none where they do not."""
+    if family.form not in ("point", "pose", *POLAR):
+        return ()
+    its = [q for q in family.readings if q in mechanism.outputs]
+    if family.form == "pose":
+        its = [q for q in its if mechanism.quantities[q] == "m"]
+    return tuple(its)
+
+
+def measured_points(mechanism: Mechanism) -> list[tuple[str, ...]]:
+    """The outputs of each point that is measured; of an own loop, all that are lengths."""
+    if mechanism.families:
+        return [point_outputs(mechanism, family) for family in mechanism.families]
+    return [tuple(q for q in mechanism.outputs if mechanism.quantities[q] == "m")]
+
+
+def points(family: Family, readings: Array) -> Array:
+    """Cartesian points (d, N) of readings (r, N) of the outputs that say where a point is."""
+    return cartesian(readings) if family.form in POLAR else readings
+
+
+def cartesian(readings: Array) -> Array:
+    """x, y, z (3, N) of range, azimuth and elevation (3, N), the azimuth from x towards y.
+
+    In a plane x, y (2, N) of range and azimuth.
+    """
+    distance, azimuth = readings[:2]
+    if len(readings) == 2:
+        return np.array([distance * np.cos(azimuth), distance * np.sin(azimuth)])
+    level = distance * np.cos(readings[2])
+    height = distance * np.sin(readings[2])
+    return np.array([level * np.cos(azimuth), level * np.sin(azimuth), height])

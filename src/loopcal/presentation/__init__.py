@@ -1,0 +1,1 @@
+"""Numbers, units and tables as people read them; the same in every output."""

@@ -1,0 +1,48 @@
+"""NIST's certified nonlinear regressions: right to six digits, or not called converged."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from loopcal.estimation.calibrate import calibrate
+from tests.reference.nist import certified
+
+PROBLEMS = certified()
+RUN_AWAY = {("Eckerle4", 0), ("MGH09", 0), ("MGH10", 0), ("MGH17", 0)}
+"""From these starts chi-squared falls towards infinite parameters."""
+
+
+@pytest.mark.parametrize("start", [0, 1])
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_parameters_and_sds_are_certified_or_the_fit_has_not_converged(
+    name: str, start: int
+) -> None:
+    problem = PROBLEMS[name]
+    result = calibrate(
+        problem.mechanism, problem.data, noise=problem.noise, start=problem.starts[start]
+    )
+    assert result.status.converged or (name, start) in RUN_AWAY
+    if not result.status.converged:
+        assert result.status.reason in ("runaway", "max_iterations", "stalled")
+        return
+    assert result.chi_squared is not None
+    assert result.chi_squared.variance_factor is not None
+    rounding = 1e-3 if name == "Lanczos1" else 1e-6  # whose residuals are rounding itself
+    factor = math.sqrt(result.chi_squared.variance_factor)
+    assert factor == pytest.approx(1.0, rel=rounding)
+    for parameter, value in problem.values.items():
+        sd = result.sd[parameter]
+        assert sd is not None
+        assert result.value[parameter] == pytest.approx(value, rel=1e-6)
+        assert factor * sd == pytest.approx(problem.sds[parameter], rel=rounding)
+
+
+def test_a_parameter_without_effect_left_is_named() -> None:
+    problem = PROBLEMS["MGH17"]
+    result = calibrate(
+        problem.mechanism, problem.data, noise=problem.noise, start=problem.starts[0]
+    )
+    assert result.status.reason == "runaway"
+    assert "Parameters: b4, b5." in result.status.message
