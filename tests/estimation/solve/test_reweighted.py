@@ -88,3 +88,54 @@ def test_flat_priors_on_the_left_arm_grid_leave_the_reflector_where_it_is(
     assert result.accuracy_after is not None
     assert result.accuracy_after.rms == pytest.approx(78.9e-6, abs=0.5e-6)
     assert abs(result.value["z6B"] + 0.45) < 0.05
+
+
+def left_arm(
+    shared_data: Callable[[str], Path], z: float = -0.45
+) -> tuple[lc.Mechanism, lc.Dataset]:
+    file = shared_data("motoman_ma1400_leica/left_arm_grid.csv")
+    columns: dict[str, Any] = {f"theta_{i}": c for i, c in enumerate("SLURBT", 1)}
+    columns |= {k: {"column": k, "unit": "m", "sd_column": f"u_{k}"} for k in "xyz"}
+    arm = lc.motoman_ma1400({"x6B": 0.05, "y6B": 0.0, "z6B": z}, before={"rz": math.pi / 2})
+    return arm, lc.read_dataset(file, columns, pose="pose")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_hundred_alike_poses_converge_in_tens_of_iterations(
+    shared_data: Callable[[str], Path], seed: int
+) -> None:
+    arm, data = left_arm(shared_data)
+    some = data.take(np.random.default_rng(seed).permutation(len(data))[:100])
+    noise = lc.Noise({"theta_*": 5e-5})
+    for method in ("reweighted", "implicit-loop", "least-squares"):
+        result = calibrate(arm, some, noise=noise, method=method)
+        assert result.status.converged
+        assert result.status.iterations <= 80
+
+
+@pytest.mark.parametrize("method", ["implicit-loop", "least-squares"])
+def test_a_reflector_half_a_metre_off_is_found_in_tens_of_iterations(
+    shared_data: Callable[[str], Path], method: str
+) -> None:
+    noise = lc.Noise({"theta_*": 5e-5})
+    near, data = left_arm(shared_data)
+    far, _ = left_arm(shared_data, z=0.05)
+    begun, off = (calibrate(arm, data, noise=noise, method=method) for arm in (near, far))
+    assert begun.status.iterations <= 40
+    assert off.status.iterations <= 60
+    for name in begun.estimated:
+        assert off.value[name] == pytest.approx(begun.value[name], abs=1e-6)
+
+
+def test_iterations_and_tolerance_are_the_users() -> None:
+    data, noise = planar(1e-2, seed=6)
+    machine = lc.planar_two_link()
+    fine = calibrate(machine, data, noise=noise, method="reweighted", tolerance=1e-9)
+    coarse = calibrate(machine, data, noise=noise, method="reweighted", tolerance=1e-2)
+    short = calibrate(machine, data, noise=noise, method="reweighted", max_iterations=1)
+    assert fine.status.converged
+    assert coarse.status.converged
+    assert coarse.status.evaluations < fine.status.evaluations
+    assert short.status.reason == "max_iterations"
+    for name in fine.estimated:
+        assert abs(coarse.value[name] - fine.value[name]) < 0.02 * (fine.sd[name] or 0.0)

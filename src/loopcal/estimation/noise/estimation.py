@@ -131,7 +131,9 @@ def estimate_noise(
     positions = [component.quantities for component in components]
     search = _Search(problem, positions, fit, at_readings)
     if begin is not None:
-        best = search.run(np.square([begin[component.name] for component in components]), near=True)
+        best = search.run(
+            np.square([begin.get(component.name, 1.0) for component in components]), near=True
+        )
     else:
         best = search.run(np.ones(len(components)))
         doubtful = list(search.doubtful(best))

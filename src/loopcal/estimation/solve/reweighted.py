@@ -37,7 +37,12 @@ from loopcal.estimation.solve.sweep import NEAR, NEGLIGIBLE, Sweeper
 from loopcal.expressions.engine import Engine, LoopValues, Stage
 
 Array = NDArray[np.float64]
-_MOST, _STEP = 50, 1e-7
+_STEP = 1e-7
+"""Converged when a round moves no parameter by more sds, unless the user says otherwise."""
+_NO_LONGER, _ROUNDING = 0.5, 1e-5
+"""A round that moves by this share of the one before, and by so few sds, is moved by rounding."""
+_LOOSE = 1e-2
+"""A round is solved to this share of what the round before has moved."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +66,8 @@ def solve_reweighted(
 ) -> Solution:
     """The fixed point of reweighting, from the problem's start.
 
-    tolerance: converged when a round moves no parameter by more sds than this, _STEP if None.
+    max_iterations: of rounds, and of steps in each; tolerance: converged when a round moves no
+    parameter by more sds than this, _STEP if None. The steps of a round are no finer than it needs.
 
     Its covariance is (sum D^T D + prior)^-1 with D taken at the readings. chi_squared is that of
     the corrections that close the loops at the end point.
@@ -73,23 +79,29 @@ def solve_reweighted(
         likelihood = Sweeper(problem, loss=loss)
         corrections = start_corrections(likelihood, problem.start)
         corrections = likelihood.sweep(problem.start, corrections, closing=NEAR).proposal
-        parameters, iterations = problem.start, 0
-        for _ in range(_MOST):
+        parameters, iterations, moved = problem.start, 0, 1.0
+        for _ in range(max(max_iterations, 1)):
             weights = _weights(likelihood, parameters, corrections)
             held = _held(problem, parameters, corrections)
             inner = InMemory(_Reweighted(held, weights, likelihood.rounding, loss))
-            found = solve_with(inner, max_iterations=max_iterations, progress=progress)
+            found = solve_with(
+                inner,
+                max_iterations=max_iterations,
+                tolerance=max(_LOOSE * min(moved, 1.0), 0.1 * least),
+                progress=progress,
+            )
             iterations += found.status.iterations
             step = found.parameters - parameters
             parameters = found.parameters
             corrections = likelihood.close(parameters, corrections, NEGLIGIBLE, 1.0).corrections
             sds = np.sqrt(np.maximum(np.diag(found.spectrum.covariance()), 1e-300))
-            moved = float(np.abs(step[problem.free] / sds).max())
-            if not found.status.converged or moved <= least:
+            before, moved = moved, float(np.abs(step[problem.free] / sds).max())
+            stuck = _NO_LONGER * before <= moved <= _ROUNDING
+            if not found.status.converged or moved <= least or stuck:
                 break
         end = likelihood.sweep(parameters, corrections)
         reason = found.status.reason
-        if found.status.converged and moved > least:
+        if found.status.converged and moved > least and not stuck:
             reason = "max_iterations"
         status = Status.of(reason, iterations, likelihood.evaluations / len(problem.poses))
         prior = problem.unknowns.prior_square(parameters)
