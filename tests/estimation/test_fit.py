@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import pickle
+import sys
+from dataclasses import replace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -111,3 +114,19 @@ def test_a_result_computes_what_it_is_asked_for_once() -> None:
     assert not {"residuals_after", "accuracy_after", "warnings", "noise"} & set(vars(found))
     assert found.accuracy_after is found.accuracy_after
     assert "accuracy_after" in vars(found)
+
+
+def test_a_new_method_is_one_module_and_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A method that solves like least squares and calls itself "plain"."""
+    module = ModuleType("loopcal.estimation.methods.plain")
+    like = method_named("least-squares")
+    setattr(module, "METHOD", replace(like, name="plain", label="plain squares"))  # noqa: B010
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(METHODS, "plain", "plain")
+    found = lc.calibrate(ARM.truth, DATA, method="plain")
+    assert found.value == lc.calibrate(ARM.truth, DATA, method="least-squares").value
+    assert "plain squares" in str(found)
+    assert lc.validate(ARM.truth, DATA, method="plain", folds=4).log_likelihood is not None
+    (interval,) = lc.intervals(found, "l2").values()
+    assert interval is not None
+    assert isinstance(lc.find_outliers(found), lc.Outliers)

@@ -33,7 +33,7 @@ from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.residuals import Closure, by_name, residuals
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
-from loopcal.estimation.solve.robust import robust_covariance
+from loopcal.estimation.solve.robust import RobustSums
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
@@ -49,6 +49,7 @@ class AllPoses:
     accuracy_before: Accuracy | None
     accuracy_after: Accuracy | None
     model_discrepancy: float | None
+    robust: RobustSums
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,15 +127,22 @@ class Result:
         """(n, n) of the estimated parameters."""
         loss, method = self.fit.robust_loss, self.fit.method
         if loss is not None:
-            return robust_covariance(
-                self.problem, self.solution, loss, at_readings=method.at_readings
-            )
+            sums = self.robust_sums if self.all_poses is None else self.all_poses.robust
+            return sums.covariance(self.spectrum, self.problem.prior_sd)
         found = self.spectrum.covariance()
         variance = method.unit_variance(self.solution.chi_squared, self.freedom)
         if variance != 1.0:
             found = found * (math.inf if variance is None else variance)
         factor = self._variance_factor if self.variance_factor_applied else None
         return found if factor is None else found * factor
+
+    @property
+    def robust_sums(self) -> RobustSums:
+        """What the covariance under a loss needs of the poses; nothing under the gaussian one."""
+        loss, at_readings = self.fit.robust_loss, self.fit.method.at_readings
+        if loss is None:
+            return RobustSums({})
+        return RobustSums.of(self.problem, self.solution, loss, at_readings=at_readings)
 
     @cached_property
     def sd(self) -> Mapping[str, float | None]:

@@ -89,7 +89,8 @@ class Noise:
     def begun_at(self, factors: Mapping[str, float]) -> Noise:
         """The same noise, with the search for sds begun near where it will end.
 
-        factors: learnt over stated sd, for each name, glob or group that is learnt by itself.
+        factors: learnt over stated sd, for each name, glob or group that is learnt by itself; what
+        is not named begins at the stated sd.
         """
         begun = copy(self)
         begun.begin = dict(factors)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numbers
+import re
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -10,17 +11,20 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, nearest
 
+_WHOLE = re.compile(r"[+-]?\d+\.0+")
+
 
 def pose_id(value: object) -> str:
-    """The id as text; whole numbers without a decimal point.
+    """The id as text; whole numbers without a decimal point, as text too.
 
-    >>> pose_id(13.0), pose_id(" wall-1 ")
-    ('13', 'wall-1')
+    >>> pose_id(13.0), pose_id("13.0"), pose_id(" wall-1 "), pose_id("1.10")
+    ('13', '13', 'wall-1', '1.10')
     """
     if isinstance(value, numbers.Real):
         number = float(value)
         return str(int(number)) if number.is_integer() else repr(number)
-    return str(value).strip()
+    text = str(value).strip()
+    return text.partition(".")[0] if _WHOLE.fullmatch(text) else text
 
 
 def counted(number: int) -> tuple[str, ...]:

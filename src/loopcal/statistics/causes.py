@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.outputs import measured_points
-from loopcal.statistics.pose_tests import Fit, try_rows
+from loopcal.statistics.pose_tests import Fitted, try_rows
 from loopcal.units import from_si, to_si
 
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ class _Guess:
 def find_causes(
     problem: Problem,
     dataset: Dataset,
-    fit: Fit,
+    fit: Fitted,
     suspects: list[Suspect],
     *,
     exact: bool = False,

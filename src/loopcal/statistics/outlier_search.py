@@ -18,7 +18,7 @@ from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.solution import Solution
-from loopcal.statistics.pose_tests import Fit, PoseTests, pose_tests, settle
+from loopcal.statistics.pose_tests import Fitted, PoseTests, pose_tests, settle
 
 Array = NDArray[np.float64]
 _ROUNDS, _HOPELESS, _BENT, _REJECTED = 10, 100.0, 10.0, 1e-3
@@ -46,14 +46,14 @@ class Search:
         bad = factor > _HOPELESS or (rejected and bent)
         return self.exact or bad or not result.status.converged
 
-    def run(self) -> tuple[Fit, NDArray[np.bool_], PoseTests]:
+    def run(self) -> tuple[Fitted, NDArray[np.bool_], PoseTests]:
         """The last fit, the poses left out of it (N,), and the tests of all poses against it."""
         problem, result = self.problem, self.result
         none = np.zeros(len(problem.poses), dtype=bool)
         parameters = np.array([result.value[n] for n in problem.mechanism.parameters.names])
         corrections = np.array([result.corrections[q] for q in problem.mechanism.tape.quantities])
         covariance = result.spectrum.covariance()
-        fit = self._scaled(Fit(parameters, corrections, covariance, 1.0), none)
+        fit = self._scaled(Fitted(parameters, corrections, covariance, 1.0), none)
         tests = pose_tests(problem, fit, ~none, exact=self.exact)
         if result.status.converged and not self._remarkable(tests).any():
             return fit, none, tests
@@ -100,7 +100,7 @@ class Search:
     def _fit(self, problem: Problem, start: Array, loss: Loss | None) -> Solution:
         return self.result.fit.method.safe.solve(replace(problem, start=start), loss=loss)
 
-    def _robust(self, fit: Fit) -> Fit:
+    def _robust(self, fit: Fitted) -> Fitted:
         """Huber's fit, its tuning constant in units of the scale that it finds itself."""
         everything = np.zeros(len(self.problem.poses), dtype=bool)
         for _ in range(3):
@@ -113,7 +113,7 @@ class Search:
             fit = self._scaled(fit, everything)
         return fit
 
-    def _fitted(self, fit: Fit, gone: NDArray[np.bool_]) -> Fit:
+    def _fitted(self, fit: Fitted, gone: NDArray[np.bool_]) -> Fitted:
         """The fit of the poses that are not gone, loops closed in all."""
         keep = np.flatnonzero(~gone)
         solution = self._fit(taken(self.problem, keep), fit.parameters, None)
@@ -123,11 +123,11 @@ class Search:
         fit = replace(fit, covariance=solution.spectrum.covariance())
         return self._scaled(fit, gone, cleaned=True)
 
-    def _closed(self, fit: Fit, parameters: Array, corrections: Array) -> Fit:
+    def _closed(self, fit: Fitted, parameters: Array, corrections: Array) -> Fitted:
         closed = settle(self.problem, parameters, corrections, exact=self.exact)
         return replace(fit, parameters=parameters, corrections=closed.corrections)
 
-    def _scaled(self, fit: Fit, gone: NDArray[np.bool_], *, cleaned: bool = False) -> Fit:
+    def _scaled(self, fit: Fitted, gone: NDArray[np.bool_], *, cleaned: bool = False) -> Fitted:
         """The fit with the variance factor that the tests are to use.
 
         From the median of |E|^2 / r, so that outliers not yet gone do not count; once they are,
@@ -140,7 +140,7 @@ class Search:
             factor = 1.0
         return replace(fit, factor=factor)
 
-    def _factor(self, fit: Fit, gone: NDArray[np.bool_], cleaned: bool) -> float:
+    def _factor(self, fit: Fitted, gone: NDArray[np.bool_], cleaned: bool) -> float:
         found = pose_equations(self.problem, fit.parameters, fit.corrections, exact=self.exact)
         ratios, total, equations = [], 0.0, 0
         for block in found:

@@ -24,7 +24,7 @@ from loopcal.statistics.causes import Cause, Suspect, find_causes
 from loopcal.statistics.column_faults import column_faults
 from loopcal.statistics.outlier_search import Search
 from loopcal.statistics.pose_tests import (
-    Fit,
+    Fitted,
     PoseTests,
     misfit_there,
     tail,
@@ -119,7 +119,7 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
 
 
 def _named(
-    search: Search, fit: Fit, gone: NDArray[np.bool_], tests: PoseTests
+    search: Search, fit: Fitted, gone: NDArray[np.bool_], tests: PoseTests
 ) -> tuple[Outlier, ...]:
     """The outliers of a fit, worst first."""
     where = np.flatnonzero(gone)
@@ -131,7 +131,9 @@ def _named(
     return tuple(_outlier(search.problem, suspects[i], causes[i]) for i in worst)
 
 
-def _suspects(search: Search, fit: Fit, where: NDArray[np.intp], tests: PoseTests) -> list[Suspect]:
+def _suspects(
+    search: Search, fit: Fitted, where: NDArray[np.intp], tests: PoseTests
+) -> list[Suspect]:
     """Each pose with every reading left out in turn and found from the others."""
     explained: dict[int, dict[int, tuple[float, float]]] = {int(i): {} for i in where}
     possible = np.isfinite(tests.w) & search.readings[:, None]
@@ -164,7 +166,7 @@ def _left_out(problem: Problem, pairs: list[tuple[int, int]]) -> NDArray[np.bool
 
 
 def _round_the_circle(
-    problem: Problem, fit: Fit, pairs: list[tuple[int, int]]
+    problem: Problem, fit: Fitted, pairs: list[tuple[int, int]]
 ) -> tuple[list[tuple[int, int]], list[float]]:
     """The angles among these readings, and where on the circle each fits its pose best."""
     names, units = problem.mechanism.tape.quantities, problem.mechanism.quantities
@@ -182,7 +184,7 @@ def _round_the_circle(
 
 
 def _without_each(
-    search: Search, fit: Fit, pairs: list[tuple[int, int]], starts: list[float]
+    search: Search, fit: Fitted, pairs: list[tuple[int, int]], starts: list[float]
 ) -> Iterator[tuple[int, int, float, float]]:
     """Pose, reading, size of its error and what is left of t, where that is unremarkable."""
     if not pairs:

@@ -51,7 +51,7 @@ class PoseTests:
 
 
 @dataclass(frozen=True)
-class Fit:
+class Fitted:
     """Where a fit stands: parameters (n_all,), corrections (k, N) [SI], covariance (n, n) at a
     variance factor of 1, the factor itself."""
 
@@ -69,7 +69,7 @@ def tail(t: Array, freedom: NDArray[np.intp]) -> Array:
 
 
 def pose_tests(
-    problem: Problem, fit: Fit, fitted: NDArray[np.bool_], *, exact: bool = False
+    problem: Problem, fit: Fitted, fitted: NDArray[np.bool_], *, exact: bool = False
 ) -> PoseTests:
     """The tests of all poses; fitted: (N,) those that took part in the fit."""
     equations = pose_equations(problem, fit.parameters, fit.corrections, exact=exact)
@@ -86,7 +86,7 @@ def pose_tests(
     return PoseTests(t, freedom, w, sd)
 
 
-def _block(block: PoseEquations, fit: Fit, fitted: NDArray[np.bool_]) -> PoseTests:
+def _block(block: PoseEquations, fit: Fitted, fitted: NDArray[np.bool_]) -> PoseTests:
     spread = np.einsum("bri,ij,bsj->brs", block.D, fit.covariance, block.D)
     values, vectors = np.linalg.eigh(spread)
     # The eigenvalues of W: what the other poses leave to test in each direction.
@@ -115,7 +115,7 @@ class Trials:
 
 def try_rows(
     problem: Problem,
-    fit: Fit,
+    fit: Fitted,
     poses: Sequence[int],
     readings: Array,
     without: NDArray[np.bool_],
@@ -140,7 +140,7 @@ def try_rows(
 
 
 def misfit_there(
-    problem: Problem, fit: Fit, poses: Sequence[int], readings: Array, without: NDArray[np.bool_]
+    problem: Problem, fit: Fitted, poses: Sequence[int], readings: Array, without: NDArray[np.bool_]
 ) -> Array:
     """The statistics (V,) of rows as `try_rows`, linearised where they stand."""
     index = np.asarray(poses, dtype=np.intp)

@@ -257,7 +257,8 @@ class _Run:
 
         assert self.validation is not None
         given: dict[str, Any] = {"noise": loaded.noise, "fit": self.fit}
-        given |= validation_arguments(self.project, self.validation) | self._shared("folds")
+        poses = loaded.dataset.poses
+        given |= validation_arguments(self.project, self.validation, poses) | self._shared("folds")
         try:
             found = validate(self.project.mechanism, loaded.dataset, **given, full=result)
         except NoTrustworthyResult as error:
@@ -270,7 +271,8 @@ class _Run:
 
         project = self.project
         given: dict[str, Any] = {"noise": loaded.noise, "fit": self.fit}
-        given |= validation_arguments(project, self.validation or ValidationSpec(folds=10))
+        asked = self.validation or ValidationSpec(folds=10)
+        given |= validation_arguments(project, asked, loaded.dataset.poses)
         given |= self._shared("folds")
         found = compare_models(project.mechanism, loaded.dataset, project.compare, **given)
         return _Done(found.result, (found.added_to,))

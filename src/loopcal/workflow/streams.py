@@ -81,6 +81,7 @@ def run_stream(
         "project": project.inputs,
         "readings": stream.sha256,
         "method": fit.method.name,
+        "loss": fit.loss,
         "loopcal": versions()["loopcal"],
     }
     kept = ProgressFile(folder, task)

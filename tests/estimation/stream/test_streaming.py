@@ -342,6 +342,30 @@ def test_a_run_resumed_at_any_iteration_ends_as_the_uninterrupted_one(
         assert np.array_equal(again.covariance, whole.covariance)
 
 
+@pytest.mark.parametrize("loss", ["huber", "student-t"])
+def test_a_robust_stream_gives_what_memory_gives_and_resumes_exactly(loss: str) -> None:
+    arm, data = arm_and_data(400)
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    spoilt = data["y"] + np.where(np.arange(400) % 40 == 7, 2e-3, 0.0)
+    data, fit = data.with_readings({"y": spoilt}), Fit(loss=loss)
+    checkpoints: list[str] = []
+    streamed = calibrate_stream(
+        arm,
+        Pieces(data, noise),
+        fit=fit,
+        reached=lambda checkpoint: checkpoints.append(json.dumps(checkpoint.document())),
+    )
+    whole = calibrate(arm, data, noise=noise, loss=loss)
+    alike(streamed, whole)
+    assert len(checkpoints) == streamed.status.iterations
+    for checkpoint in checkpoints[2::5]:
+        resume = Checkpoint.read(json.loads(checkpoint))
+        again = calibrate_stream(arm, Pieces(data, noise), fit=fit, resume=resume)
+        assert again.value == streamed.value
+        assert again.sd == streamed.sd
+        assert again.status.iterations == streamed.status.iterations
+
+
 def test_what_needs_all_poses_at_once_is_refused() -> None:
     arm, data = arm_and_data(200)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})

@@ -10,6 +10,7 @@ import pytest
 from loopcal.errors import InputError
 from loopcal.files.project.project_data import LoadedData, load_dataset
 from loopcal.files.project.project_file import read_project
+from loopcal.files.project.validation_entries import validation_arguments
 from loopcal.workflow.calibration import Request, run_calibration
 from loopcal.workflow.simulation import run_simulation
 
@@ -93,7 +94,7 @@ def test_messages_name_the_file_that_is_meant(tmp_path: Path) -> None:
         ('instrument = ["cup"]', 'instrument = ["mug"]', "'mug'"),
         ('file = "tracker.csv"', 'file = "nowhere.csv"', "nowhere.csv"),
         ('q2 = { column = "J2", unit = "deg" }', "", "no column is named for the quantity 'q2'"),
-        ('q2 = { column = "J2", unit = "deg" }', 'x = "J2"', "'x' is read from"),
+        ("instrument = [", "columns = { q2 = 0 }\ninstrument = [", "'q2' is read from"),
     ],
 )
 def test_what_does_not_fit_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
@@ -164,3 +165,44 @@ def test_a_simulation_writes_the_files_that_the_project_reads(tmp_path: Path) ->
     assert abs(done.result.value["a_1"] - 0.401) < 4 * sd
     document = done.written.document
     assert [part.file for part in document.data.joined] == ["tracker.csv"]
+
+
+def by_row(text: str) -> str:
+    return text.replace('pose = "id"', "pose = 0").replace('pose = "pose"', "pose = 0")
+
+
+def test_files_are_joined_row_by_row_where_that_is_asked_for(tmp_path: Path) -> None:
+    text = by_row(MECHANISM + DATA.replace('exclude = ["p4"]', ""))
+    repeated = JOINTS.replace("p2", "p1")  # ids that repeat do no harm: they are not looked at
+    data = load(tmp_path, text, joints=repeated).dataset
+    assert data.poses == ("1", "2", "3")
+    assert np.array_equal(data["x"], [0.1, 0.11, 0.001])
+
+
+GROUPED = """
+[fit.validation]
+folds = 2
+group = "wall"
+"""
+
+
+def test_groups_follow_the_ids_of_the_poses(tmp_path: Path) -> None:
+    joints = "id,J1,J2,wall\np5,50,60,9\np1,10,20,1\np2,20,30,2\np3,30,40,1\np4,40,50,2\n"
+    loaded = load(tmp_path, MECHANISM + DATA + GROUPED, joints=joints)
+    project = read_project(tmp_path / "project.toml")
+    assert project.fit.validation is not None
+    found = validation_arguments(project, project.fit.validation, loaded.dataset.poses)
+    assert loaded.dataset.poses == ("p1", "p2", "p3")  # p5 is lost, p4 excluded
+    assert found["groups"] == (1.0, 2.0, 1.0)
+    text = MECHANISM + DATA.replace('exclude = ["p4"]', "") + GROUPED
+    elsewhere = load(tmp_path, text, cup="pose,wall\np3,7\np1,8\np2,9\n")
+    found = validation_arguments(project, project.fit.validation, elsewhere.dataset.poses)
+    assert dict(zip(elsewhere.dataset.poses, found["groups"], strict=True))["p3"] == 7.0
+
+
+def test_a_group_that_no_file_has_is_refused(tmp_path: Path) -> None:
+    loaded = load(tmp_path, MECHANISM + DATA + GROUPED)
+    project = read_project(tmp_path / "project.toml")
+    assert project.fit.validation is not None
+    with pytest.raises(InputError, match="no file of readings has the column 'wall'"):
+        validation_arguments(project, project.fit.validation, loaded.dataset.poses)

@@ -106,7 +106,7 @@ WRONG_COLUMNS = {
     "an unknown column": ({"q": "s"}, ["no column 's'", "'pose', 'S', 'x'"]),
     "nearly a column": ({"q": "poses"}, ["did you mean 'pose'?"]),
     "a number too high": ({"q": 4}, ["no column 4", "1 to 3"]),
-    "number zero": ({"q": 0}, ["no column 0"]),
+    "number below zero": ({"q": -1}, ["no column -1"]),
     "one column twice": ({"q": "S", "r": 2}, ["twice", "'q' and 'r'"]),
     "a reading as sd": ({"q": "S", "r": {"column": "x", "sd_column": "S"}}, ["'S'", "'q'", "'r'"]),
     "an unknown sd column": ({"q": {"column": "x", "sd_column": "u"}}, ["no column 'u'"]),

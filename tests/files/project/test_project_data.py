@@ -37,6 +37,37 @@ def test_readings_come_in_si_with_their_ids(tmp_path):
     assert data.source.columns["xP"] == "X"
 
 
+def test_a_coverage_factor_divides_the_column_of_sds(tmp_path):
+    column = '{ column = "X", unit = "mm", sd_column = "uX", coverage = 2, sd_at_least = 0.02 }'
+    columns = COLUMNS.replace('{ column = "X", unit = "mm" }', column)
+    loaded = load(tmp_path, "", columns=columns)
+    np.testing.assert_allclose(loaded.dataset.sds["xP"], [0.5e-4, 2e-5, 1.5e-4])
+
+
+@pytest.mark.parametrize("keys", ["coverage = 2", 'sd_column = "uX", coverage = 0'])
+def test_a_coverage_factor_needs_a_column_of_sds_and_is_positive(tmp_path, keys):
+    columns = COLUMNS.replace('"X", unit = "mm"', f'"X", {keys}')
+    with pytest.raises(InputError, match=r"project.toml: data\.columns\.xP"):
+        load(tmp_path, "", columns=columns)
+
+
+def test_columns_of_their_own_name_complement_those_stated(tmp_path):
+    csv = CSV.replace("X,Y", "xP,Y")
+    columns = COLUMNS.replace('xP = { column = "X", unit = "mm" }\n', "")
+    loaded = load(tmp_path, 'units = { length = "mm" }', csv=csv, columns=columns)
+    np.testing.assert_allclose(loaded.dataset["xP"], [1.4, 1.0, 0.7])
+    with pytest.raises(InputError, match="no column 'xP'"):
+        load(tmp_path, "", columns=columns)
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_column_zero_is_the_number_of_the_row(tmp_path, every):
+    columns = COLUMNS.replace('"A"', "0").replace("deg", "rad", 1)
+    data = load(tmp_path, f"pose = 0\nevery = {every}", columns=columns).dataset
+    assert data.poses == ("1", "2", "3")[::every]
+    assert data["phi2"].tolist() == [1, 2, 3][::every]
+
+
 def test_poses_are_thinned_and_left_out(tmp_path):
     data = load(tmp_path, 'pose = "pose"\nevery = 2\nexclude = ["a"]').dataset
     assert data.poses == ("c",)

@@ -222,7 +222,6 @@ def test_a_mechanism_is_described_once(text, given, place, words):
         ('[data]\nfile = "p"\nheader = 1', "data.header", "true or false"),
         ('[data]\nfile = "p"\ndecimal = ";"', "data.decimal", "';'"),
         ('[data]\nfile = "p"\nunits = { angle = "mm" }', "data.units.angle", "length"),
-        ('[data]\nfile="p"\ncolumns={phi2="a"}', "data.columns", "'xP'"),
         ('[data]\nfile="p"\ncolumns={phi4="a"}', "data.columns.phi4", "no quantity 'phi4'"),
         ('[data]\nfile="p"\ncolumns={xP=true}', "data.columns.xP", "True"),
         ('[data]\nfile="p"\ncolumns={xP={unit="m"}}', "data.columns.xP", "'column' is missing"),

@@ -16,6 +16,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import disturbances, with_model_error
+from loopcal.presentation.shown import with_unit
 
 
 def with_model(mechanism: Mechanism, data: Dataset, noise: Noise) -> tuple[Mechanism, Dataset]:
@@ -139,25 +140,24 @@ def words(
         of_model = entry.quantities[0] in disturbances
         if of_model and sum(shares[q] for q in entry.quantities) > 0.5:
             said.append(
-                f"What limits this machine is its model, not a sensor: an error of {entry.sd:.2g} "
-                f"{entry.unit} in each coordinate remains that no sensor noise explains. Look for "
-                "what the model lacks (compliance, gear or encoder eccentricity, drift, bad poses)."
+                "The machine model limits the accuracy, not a sensor: in each coordinate an error "
+                f"of {with_unit(entry.sd, entry.unit, 2, fine=True)} remains that no sensor noise "
+                "explains. Look for what the model lacks (compliance, gear or encoder "
+                "eccentricity, drift, bad poses)."
             )
     for one, other in estimate.alike:
         said.append(
-            f"The noise of {one!r} and of {other!r} cannot be told apart by these data: only their "
-            "sum is known. Repeated readings of one pose would separate them, or state one of them."
+            f"These data cannot distinguish the noise of {one!r} from that of {other!r}: only the "
+            "sum is known. Repeat readings of one pose to separate them, or state one of them."
         )
     for entry in noise:
         if entry.source == "estimated" and entry.sd == 0.0 and entry.upper is not None:
             names = ", ".join(entry.quantities)
-            said.append(
-                f"The data give no noise to {names}: its sd is estimated as zero, and is below "
-                f"{entry.upper:.2g} {entry.unit} with 95 % confidence."
-            )
+            bound = with_unit(entry.upper, entry.unit, 2, fine=True)
+            said.append(f"{names}: noise not detectable (sd below {bound} with 95 % confidence).")
     if not estimate.settled:
         said.append(
-            "The sds had not settled when the allowed rounds ended: take them as rough values, "
-            "and estimate fewer of them."
+            "The learnt sds did not settle and are rough values. State more of the sds; where the "
+            "fit did not converge, first make it converge with stated sds."
         )
     return tuple(said)

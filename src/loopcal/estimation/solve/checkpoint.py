@@ -50,7 +50,8 @@ class Checkpoint(Generic[State]):
     parameters' columns at the beginning; last_step: (n,) [SI], None where there is none; before:
     the decrement one iteration ago; floor: the decrement that rounding hides; away: iterations
     since the lowest point; descend: whether the merit must fall at every step; triangular: whether
-    the parameter system is kept as a triangle; iterations, evaluations: done so far.
+    the parameter system is kept as a triangle; iterations, evaluations: done so far; stage,
+    earlier: of a robust fit, which of its fits this is, and the iterations before it.
     """
 
     first: Place[State]
@@ -66,6 +67,8 @@ class Checkpoint(Generic[State]):
     triangular: bool
     iterations: int
     evaluations: int
+    stage: int = 0
+    earlier: int = 0
 
     def document(self) -> dict[str, Any]:
         """The checkpoint in plain lists, numbers and names; the state must be such itself."""

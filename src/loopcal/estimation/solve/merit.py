@@ -48,9 +48,9 @@ class Evaluation(Generic[State]):
     closes the linearised loops; step: the largest move from the one to the other in sds;
     contraction: the ratio of such a move to the one before; closing: to how many sds the loops
     were closed, None if they were not; rounding: what rounding of loop values does to the
-    whitened residuals of a pose; equations, poses: how many; singular, late: poses whose loops
-    cannot be closed at all, or were not within the iterations allowed; surplus: what the loss
-    adds to the weighted squares in `data`.
+    whitened residuals of a pose; equations: how many; sizes: poses of each chunk, in memory of the
+    only one; singular, late: poses whose loops cannot be closed at all, or were not within the
+    iterations allowed; surplus: what the loss adds to the weighted squares in `data`.
     """
 
     data: Accumulator
@@ -61,10 +61,15 @@ class Evaluation(Generic[State]):
     closing: float | None
     rounding: float
     equations: int
-    poses: int
+    sizes: tuple[int, ...]
     singular: Failed = NONE_FAILED
     late: Failed = NONE_FAILED
     surplus: float = 0.0
+
+    @property
+    def poses(self) -> int:
+        """How many poses there are."""
+        return sum(self.sizes)
 
     @property
     def cost(self) -> float:

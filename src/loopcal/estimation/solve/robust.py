@@ -7,7 +7,8 @@ the solver's own descent on the summed loss, so the end is never worse than the 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +17,28 @@ from loopcal.estimation.methods.method import Method
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
+from loopcal.estimation.problem.unknowns import Unknowns
+from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Huber, Loss
+from loopcal.estimation.solve.merit import Evaluation, State
+from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solution import End, Solution
 from loopcal.estimation.solve.solver import Progress
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One of the fits that lead to a robust one; earlier: iterations before it."""
+
+    number: int = 0
+    earlier: int = 0
+
+
+FIRST_STAGE = Stage()
 
 
 def solve_robust(
@@ -40,7 +56,7 @@ def solve_robust(
     InputError as `solve` does.
     """
 
-    def fit(start: Array, loss: Loss | None) -> Solution:
+    def fit(start: Array, loss: Loss | None, stage: Stage) -> Solution:
         return method.solve(
             replace(problem, start=start),
             loss=loss,
@@ -49,57 +65,102 @@ def solve_robust(
             progress=progress,
         )
 
+    def cost() -> float:
+        merit = InMemory(Sweeper(problem, loss=loss))
+        corrections = start_corrections(merit.sweeper, problem.start)
+        return summed(merit.evaluate(problem.start, corrections, closing=NEAR), problem.unknowns)
+
     with one_blas_thread():
-        found, iterations = fit(problem.start, None), 0
-        for stage in dict.fromkeys([Huber(), loss]):
-            iterations += found.status.iterations
-            found = fit(found.parameters, stage)
-        if method.likelihood and found.chi_squared > _cost(problem, loss):
-            found = fit(problem.start, loss)
-        total = iterations + found.status.iterations
-        return replace(found, status=replace(found.status, iterations=total))
+        return in_stages(fit, problem.start, loss, cost if method.likelihood else None)
 
 
-def _cost(problem: Problem, loss: Loss) -> float:
-    """The summed loss at the problem's start, loops closed."""
-    sweeper = Sweeper(problem, loss=loss)
-    corrections = start_corrections(sweeper, problem.start)
-    sweep = sweeper.sweep(problem.start, corrections, closing=NEAR)
-    bad = sweep.late or sweep.singular or not sweep.finite
-    return np.inf if bad else sweep.cost + problem.unknowns.prior_square(problem.start)
+def in_stages(
+    fit: Callable[[Array, Loss | None, Stage], End[State]],
+    start: Array,
+    loss: Loss,
+    cost: Callable[[], float] | None,
+    begin: Stage = FIRST_STAGE,
+) -> End[State]:
+    """The parameters of least summed loss.
 
-
-def robust_covariance(
-    problem: Problem, solution: Solution, loss: Loss, *, at_readings: bool = False
-) -> Array:
-    """A^-1 B A^-1, (n, n) [SI]: A = sum a D^T D + P, B = K^2 sum b D^T D + P, P the prior's.
-
-    a = E[div psi] / r and b = E[|psi|^2] / r, psi = w E, are means over the poses, so that the
-    errors need not be gaussian; K = 1 + (n / equations) var(psi') / E[psi']^2 and division by
-    equations - n correct for the parameters fitted. Huber, Robust Statistics (1981), 7.6.
-    Directions that are not determined get no variance.
+    fit: from parameters (n_all,) under a loss; cost: the summed loss at the start, None for a
+    method that minimises something else; begin: the stage that an interrupted run had reached.
     """
-    found = pose_equations(
-        problem, solution.parameters, solution.corrections, at_readings=at_readings
-    )
-    n = solution.spectrum.rank
-    P = np.diag(1.0 / np.square(problem.prior_sd))
-    A, B = P.copy(), P.copy()
-    for r in sorted({block.E.shape[1] for block in found} - {0}):
-        blocks = [block for block in found if block.E.shape[1] == r]
-        s = np.concatenate([np.square(block.E).sum(axis=1) for block in blocks])
-        M = sum(np.einsum("bri,brj->ij", block.D, block.D) for block in blocks)
-        weight = loss.weight(s, r)
-        slopes = weight + 2.0 / r * loss.bend(s, r)  # d psi / d E, averaged over directions
-        equations = r * len(s)
-        a = float(slopes.mean())
-        freedom = max(equations - n * equations / problem.equations, 1.0)
-        b = float((np.square(weight) * s).sum()) / freedom
-        K = 1.0 + n / problem.equations * float(slopes.var()) / a**2
-        A, B = A + a * M, B + K**2 * b * M
-    kept = solution.spectrum.kept
-    root = solution.spectrum.scale[:, None] * solution.spectrum.directions[:, kept]
-    inner = np.linalg.inv(root.T @ A @ root)
-    half = root @ inner
-    covariance: Array = half @ (root.T @ B @ root) @ half.T
-    return covariance
+    losses, found = [None, *dict.fromkeys([Huber(), loss])], None
+    earlier, at = begin.earlier, start
+    for number in range(begin.number, len(losses)):
+        if found is not None:
+            earlier, at = earlier + found.status.iterations, found.parameters
+        found = fit(at, losses[number], Stage(number, earlier))
+    if found is None or (cost is not None and found.chi_squared > cost()):
+        found = fit(start, loss, Stage(len(losses), earlier))
+    iterations = earlier + found.status.iterations
+    return replace(found, status=replace(found.status, iterations=iterations))
+
+
+def summed(found: Evaluation[State], unknowns: Unknowns) -> float:
+    """Loss and prior of an evaluation at the start, infinite where some loop does not close."""
+    bad = found.late or found.singular or not found.finite
+    return np.inf if bad else found.cost + unknowns.prior_square(unknowns.start)
+
+
+@dataclass(frozen=True)
+class RobustSums:
+    """Sums over the poses that the covariance under a loss needs.
+
+    by_size: for poses with r equations each their number, sum of slopes, sum of squared slopes,
+    sum of w^2 |E|^2, and the sum of D^T D, (n, n) [1/SI squared].
+    """
+
+    by_size: Mapping[int, tuple[float, float, float, float, Array]]
+
+    @classmethod
+    def of(
+        cls, problem: Problem, solution: Solution, loss: Loss, *, at_readings: bool = False
+    ) -> RobustSums:
+        """The sums of some poses at a solution."""
+        whole = cls({})
+        for block in pose_equations(
+            problem, solution.parameters, solution.corrections, at_readings=at_readings
+        ):
+            r = block.E.shape[1]
+            if not r:
+                continue
+            s = np.square(block.E).sum(axis=1)
+            weight = loss.weight(s, r)
+            slopes = weight + 2.0 / r * loss.bend(s, r)  # d psi / d E, averaged over directions
+            M = np.einsum("bri,brj->ij", block.D, block.D)
+            psi = float((np.square(weight) * s).sum())
+            sums = float(len(s)), float(slopes.sum()), float(np.square(slopes).sum()), psi, M
+            whole = whole + cls({r: sums})
+        return whole
+
+    def __add__(self, other: RobustSums) -> RobustSums:
+        found = dict(self.by_size)
+        for r, (count, slopes, squares, psi, M) in other.by_size.items():
+            own = found.get(r, (0.0, 0.0, 0.0, 0.0, np.zeros_like(M)))
+            sums = own[0] + count, own[1] + slopes, own[2] + squares, own[3] + psi, own[4] + M
+            found[r] = sums
+        return RobustSums(found)
+
+    def covariance(self, spectrum: Spectrum, prior_sd: Array) -> Array:
+        """A^-1 B A^-1, (n, n) [SI]: A = sum a D^T D + P, B = K^2 sum b D^T D + P, P the prior's.
+
+        a = E[div psi] / r and b = E[|psi|^2] / r, psi = w E, are means over the poses, so that the
+        errors need not be gaussian; K = 1 + (n / equations) var(psi') / E[psi']^2 and division by
+        equations - n correct for the parameters fitted. Huber, Robust Statistics (1981), 7.6.
+        Directions that are not determined get no variance.
+        """
+        n = spectrum.rank
+        P = np.diag(1.0 / np.square(prior_sd))
+        A, B = P.copy(), P.copy()
+        total = sum(r * sums[0] for r, sums in self.by_size.items())
+        for r, (count, slopes, squares, psi, M) in sorted(self.by_size.items()):
+            equations, a = r * count, slopes / count
+            b = psi / max(equations - n * equations / total, 1.0)
+            K = 1.0 + n / total * max(squares / count - a**2, 0.0) / a**2
+            A, B = A + a * M, B + K**2 * b * M
+        root = spectrum.scale[:, None] * spectrum.directions[:, spectrum.kept]
+        half = root @ np.linalg.inv(root.T @ A @ root)
+        covariance: Array = half @ (root.T @ B @ root) @ half.T
+        return covariance

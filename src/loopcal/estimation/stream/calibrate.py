@@ -8,6 +8,7 @@ each chunk are handed out on the way.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,8 +22,12 @@ from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.checkpoint import Checkpoint
+from loopcal.estimation.solve.loss import Loss
+from loopcal.estimation.solve.robust import FIRST_STAGE, Stage, in_stages, summed
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.estimation.solve.solution import End
 from loopcal.estimation.solve.solver import Progress, solve_with
+from loopcal.estimation.solve.sweep import NEAR
 from loopcal.estimation.stream.chunks import Chunk, Disturbed, Stream
 from loopcal.estimation.stream.last_pass import LastPass, Parts
 from loopcal.estimation.stream.merit import StreamMerit, Task, do
@@ -46,11 +51,11 @@ def calibrate_stream(
 ) -> Result:
     """Calibrate from more poses than memory holds; memory does not grow with their number.
 
-    stream: its chunks bring data and noise; fit: the settings, of a streamable method and without
-    a loss; reached: called with a checkpoint at the beginning of each iteration; resume: such a
-    checkpoint of an interrupted run, from which this one goes on to the same result to the last
-    bit; executor: who reads the chunks and does their part of the work, by default this process,
-    again to the same result to the last bit; parts: what to make of each chunk at the end.
+    stream: its chunks bring data and noise; fit: the settings, of a streamable method; reached:
+    called with a checkpoint at the beginning of each iteration; resume: such a checkpoint of an
+    interrupted run, from which this one goes on to the same result to the last bit; executor: who
+    reads the chunks and does their part of the work, by default this process, again to the same
+    result to the last bit; parts: what to make of each chunk at the end.
 
     Raises InputError as `calibrate` does, and for what needs all poses at once.
     """
@@ -73,16 +78,32 @@ def calibrate_stream(
         task = _settled(task, problem)
 
         with (executor or InProcess()).crew(do, task) as crew:
-            merit = StreamMerit(task, crew, problem)
-            solution = solve_with(
-                merit,
-                max_iterations=fit.max_iterations,
-                tolerance=fit.tolerance,
-                progress=progress,
-                reached=reached,
-                resume=resume,
-            )
-            return LastPass(task, fit, solution).result(crew, merit, parts)
+
+            def solved(start: Array, loss: Loss | None, stage: Stage) -> End[bool]:
+                def kept(checkpoint: Checkpoint[bool]) -> None:
+                    if reached:
+                        reached(replace(checkpoint, stage=stage.number, earlier=stage.earlier))
+
+                return solve_with(
+                    StreamMerit(task, crew, replace(problem, start=start), loss),
+                    max_iterations=fit.max_iterations,
+                    tolerance=fit.tolerance,
+                    progress=progress,
+                    reached=kept,
+                    resume=resume if resume and resume.stage == stage.number else None,
+                )
+
+            def cost() -> float:
+                merit = StreamMerit(task, crew, problem, fit.robust_loss)
+                at_start = merit.evaluate(problem.start, False, closing=NEAR)
+                return summed(at_start, merit.unknowns)
+
+            if (loss := fit.robust_loss) is None:
+                solution = solved(problem.start, None, FIRST_STAGE)
+            else:
+                begin = Stage(resume.stage, resume.earlier) if resume else FIRST_STAGE
+                solution = in_stages(solved, problem.start, loss, cost, begin)
+            return LastPass(task, fit, solution).result(crew, parts)
 
 
 def _task(mechanism: Mechanism, stream: Stream, *, exact: bool) -> Task:
@@ -107,10 +128,9 @@ def refuse_unstreamable(fit: Fit) -> None:
             code="unsupported",
             remedy=f"use {known}, or thin the poses (data.every) and say stream = false",
         )
-    if fit.robust_loss is not None or not isinstance(fit.start, str):
-        what = f"the loss {fit.loss!r}" if fit.robust_loss else "a start by parameter values"
+    if not isinstance(fit.start, str):
         raise InputError(
-            f"{what} needs all poses in memory, and these come as a stream",
+            "a start by parameter values needs all poses in memory, and these come as a stream",
             code="unsupported",
             remedy="leave it out, or thin the poses (data.every) and say stream = false",
         )

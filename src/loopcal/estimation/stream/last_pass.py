@@ -16,10 +16,11 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import AllPoses, Result
+from loopcal.estimation.solve.robust import RobustSums
 from loopcal.estimation.solve.solution import End
 from loopcal.estimation.solve.sweep import NEGLIGIBLE
 from loopcal.estimation.stream.chunks import Chunk, joined
-from loopcal.estimation.stream.merit import StreamMerit, Task
+from loopcal.estimation.stream.merit import Task
 from loopcal.execution.executor import Crew, in_order
 from loopcal.measurements.dataset import Dataset
 
@@ -52,15 +53,15 @@ class LastPass:
     fit: Fit
     solution: End[bool]
 
-    def result(self, crew: Crew, merit: StreamMerit, parts: Parts[Any] | None) -> Result:
-        poses = sum(merit.sizes)
+    def result(self, crew: Crew, parts: Parts[Any] | None) -> Result:
+        poses, sizes = self.solution.poses, self.solution.sums.sizes
         stride, made = max(1, poses // SHOWN), parts.made if parts else None
-        begins = [0, *np.cumsum(merit.sizes).tolist()]
+        begins = [0, *np.cumsum(sizes).tolist()]
         pieces = [
             _EndPiece(number, begins[number], poses, stride, self.solution, self.fit, made)
             for number in range(self.task.stream.count)
         ]
-        accuracies = AccuracyTally(), AccuracyTally()
+        accuracies, robust = (AccuracyTally(), AccuracyTally()), RobustSums({})
         kept: list[_Shown] = []
         worst: _Shown | None = None
         with closing(crew(pieces)) as outcomes:
@@ -68,6 +69,7 @@ class LastPass:
                 assert isinstance(ended, _Ended)
                 for into, of_chunk in zip(accuracies, ended.distances, strict=True):
                     into.add_other(of_chunk)
+                robust = robust + ended.robust
                 if ended.kept:
                     kept.append(ended.kept)
                 if ended.worst:
@@ -88,7 +90,7 @@ class LastPass:
         before, after = (distance.accuracy() for distance in accuracies)
         return replace(
             found,
-            all_poses=AllPoses(before, after, discrepancy),
+            all_poses=AllPoses(before, after, discrepancy, robust),
             notes=(f"{told}.",) if stride > 1 else (),
         )
 
@@ -108,7 +110,8 @@ def _closed(task: Task, fit: Fit, solution: End[bool], problem: Problem, data: D
 
 @dataclass(frozen=True, eq=False)
 class _Ended:
-    """What the last pass found in one chunk: its part, its poses to be shown, its distances.
+    """What the last pass found in one chunk: its part, its poses to be shown, its distances, and
+    what the covariance under a loss needs.
 
     kept, worst: None where none of its poses is to be shown, or fits badly.
     """
@@ -117,6 +120,7 @@ class _Ended:
     kept: _Shown | None
     worst: _Shown | None
     distances: tuple[AccuracyTally, AccuracyTally]
+    robust: RobustSums
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +158,7 @@ class _EndPiece:
             shown.take(index) if index.size else None,
             shown.take(bad).worst() if bad.size else None,
             found,
+            result.robust_sums,
         )
 
 

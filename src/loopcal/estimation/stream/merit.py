@@ -21,6 +21,7 @@ from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.problem.unreachable import refuse_unreachable
 from loopcal.estimation.solve.in_memory import cannot_close, outside_domain
+from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import Evaluation, Failed, without_state
 from loopcal.estimation.solve.reduction import Accumulator
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
@@ -51,9 +52,9 @@ class Task:
         noise = None if self.exact else chunk.noise
         return build_problem(self.mechanism, chunk.data, noise, self.start, whole=False)
 
-    def sweeper(self, problem: Problem) -> Sweeper:
+    def sweeper(self, problem: Problem, loss: Loss | None = None) -> Sweeper:
         """What sweeps over the poses of one chunk."""
-        return Sweeper(problem, exact=self.exact, rounding=self.rounding)
+        return Sweeper(problem, exact=self.exact, loss=loss, rounding=self.rounding)
 
     def settled(self, problem: Problem) -> Task:
         """The same with the rounding that the first chunk shows, at the parameters it starts at."""
@@ -80,14 +81,13 @@ class StreamMerit:
     """The merit over the poses of a stream, its chunks evaluated by a crew and added in order.
 
     Its state says whether loops are closed; corrections are found anew from the readings. first:
-    the problem of the first chunk; sizes: poses of each chunk, known from the first evaluation on.
+    the problem of the first chunk.
     """
 
-    def __init__(self, task: Task, crew: Crew, first: Problem) -> None:
+    def __init__(self, task: Task, crew: Crew, first: Problem, loss: Loss | None = None) -> None:
         self.unknowns = first.unknowns.without_prior() if task.exact else first.unknowns
-        self.task, self.crew = task, crew
+        self.task, self.crew, self.loss = task, crew, loss
         self.evaluations = 0
-        self.sizes: list[int] = []
         self._units = first.units
 
     def first(self, parameters: Array) -> Evaluation[bool]:
@@ -129,7 +129,7 @@ class StreamMerit:
     ) -> Evaluation[bool]:
         data = Accumulator(len(self.unknowns.free), triangular, self._units)
         parts = [
-            _SweepPiece(number, parameters, triangular, closing, first)
+            _SweepPiece(number, parameters, triangular, closing, first, self.loss)
             for number in range(self.task.stream.count)
         ]
         step = contraction = rounding = surplus = 0.0
@@ -146,7 +146,6 @@ class StreamMerit:
                 sizes.append(found.poses)
                 equations += found.equations
                 self.evaluations += part.evaluations
-        self.sizes = sizes
         return Evaluation(
             data,
             state=closing is not None,
@@ -156,7 +155,7 @@ class StreamMerit:
             closing=closing,
             rounding=rounding,
             equations=equations,
-            poses=sum(sizes),
+            sizes=tuple(sizes),
             singular=singular,
             late=late,
             surplus=surplus,
@@ -180,6 +179,7 @@ class _SweepPiece:
     triangular: bool
     closing: float | None
     first: bool
+    loss: Loss | None
 
     def done(self, task: Task) -> _Swept:
         """The chunk's sums.
@@ -190,7 +190,7 @@ class _SweepPiece:
         problem = task.problem(task.stream.chunk(self.number))
         if self.first:
             refuse_unreachable(problem, problem.start)
-        sweeper = task.sweeper(problem)
+        sweeper = task.sweeper(problem, self.loss)
         start = start_corrections(sweeper, self.parameters)
         wanted = NEAR if self.closing is None and start.any() else self.closing
         found = sweeper.sweep(self.parameters, start, triangular=self.triangular, closing=wanted)

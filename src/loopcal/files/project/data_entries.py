@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -27,8 +27,8 @@ class DataSpec:
 
     file: as written, relative to the project's folder; columns: quantity -> its column;
     sd_at_least: quantity -> smallest sd [SI] to believe; options: of `read_dataset`; joins:
-    further files of the same poses. by_name: whether further columns are read that are named as
-    quantities; instruments: those without readings of their own that were used in this file.
+    further files of the same poses; instruments: those without readings of their own that were
+    used in this file.
     """
 
     file: str
@@ -36,7 +36,6 @@ class DataSpec:
     sd_at_least: Mapping[str, float] = field(default_factory=dict)
     options: Mapping[str, Any] = field(default_factory=dict)
     joins: tuple[DataSpec, ...] = ()
-    by_name: bool = False
     instruments: tuple[str, ...] = ()
     file_units: Mapping[str, str] = field(default_factory=dict)
     """Dimension -> unit of the columns that state none."""
@@ -66,16 +65,12 @@ def data_files(entry: DataEntry, mechanism: Mechanism, noise: NoiseSpec, place: 
         joins.append(_file(other, units, here, instruments=tuple(other.instrument)))
     main = _file(entry, units, place, joins=tuple(joins))
     options = {**main.options, "exclude": entry.exclude, "every": entry.every}
-    if main.by_name and not joins:
+    if not joins:
         unread = {q for q in units if noise.sd_of(q) == math.inf} | set(mechanism.implied)
-        columns = {q: Column(q, _unit(None, units[q], main.file_units)) for q in units}
-        columns = {q: c for q, c in columns.items() if q not in unread}
-        return replace(main, columns=columns, options=options, by_name=False, stream=entry.stream)
-    spec = replace(main, options=options, stream=entry.stream)
-    if not (main.by_name or any(other.by_name for other in joins)):
-        read = {q for part in (main, *joins) for q in part.columns}
-        refuse_unread(read, mechanism, noise, place.at("columns"))
-    return spec
+        named = {q: Column(q, _unit(None, units[q], main.file_units)) for q in units}
+        absent = {q: c for q, c in named.items() if q not in unread and q not in main.columns}
+        main = replace(main, columns={**main.columns, **absent})
+    return replace(main, options=options, stream=entry.stream)
 
 
 def refuse_unread(read: set[str], mechanism: Mechanism, noise: NoiseSpec, place: Place) -> None:
@@ -109,12 +104,17 @@ def implied_by(mechanism: Mechanism, instrument: str) -> tuple[str, ...]:
     return ()
 
 
-def named_columns(spec: DataSpec, labels: tuple[str, ...], mechanism: Mechanism) -> DataSpec:
-    """The file with the columns that are named as quantities, beside those stated."""
+def named_columns(
+    spec: DataSpec, labels: tuple[str, ...], mechanism: Mechanism, elsewhere: Collection[str] = ()
+) -> DataSpec:
+    """The file with its columns that are named as quantities, beside those stated.
+
+    elsewhere: quantities that another file is stated to hold.
+    """
     units = {**mechanism.quantities, **mechanism.known}
     found = {q: Column(q, _unit(None, units[q], spec.file_units)) for q in units if q in labels}
-    columns = {**found, **spec.columns}
-    return replace(spec, columns=columns)
+    found = {q: column for q, column in found.items() if q not in elsewhere}
+    return replace(spec, columns={**found, **spec.columns})
 
 
 def _file(
@@ -140,16 +140,17 @@ def _file(
         at = here.at(quantity)
         for key in ("unit", "sd_unit"):
             in_si(1.0, getattr(given, key), units[quantity], at.at(key))
-        if given.sd_column is None and (given.sd_unit or given.sd_at_least is not None):
+        of_sds = (given.sd_unit, given.sd_at_least, given.coverage)
+        if given.sd_column is None and any(stated is not None for stated in of_sds):
             raise InputError(
-                "sd_unit and sd_at_least say nothing without a column of sds",
+                "sd_unit, sd_at_least and coverage say nothing without a column of sds",
                 code="conflicting-keys",
                 place=str(at),
                 remedy='name the column: sd_column = "..."',
             )
         stated = _unit(given.unit, units[quantity], file_wide)
         columns[quantity] = Column(
-            given.column, stated, given.sd_column, given.sd_unit, given.check
+            given.column, stated, given.sd_column, given.sd_unit, given.coverage, given.check
         )
         if given.sd_at_least is not None:
             sd_unit = given.sd_unit or stated
@@ -162,7 +163,6 @@ def _file(
         least,
         {key: getattr(entry, key) for key in _OPTIONS},
         joins,
-        entry.columns is None,
         instruments,
         file_wide,
     )

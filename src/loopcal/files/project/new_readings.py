@@ -37,7 +37,8 @@ def read_new_readings(path: str | Path, inputs: Mapping[str, Any], mechanism: Me
         return path if content is None else BytesIO(content)
 
     there = column_labels(source(), **how)
-    parts = [named_columns(p, there, mechanism) if p.by_name else p for p in (spec, *spec.joins)]
+    stated = {q for part in (spec, *spec.joins) for q in part.columns}
+    parts = [named_columns(p, there, mechanism, stated) for p in (spec, *spec.joins)]
     needless = {*mechanism.outputs, *mechanism.predicting().unused}
     columns = {
         quantity: _without_absent_sd(column, there)
@@ -64,7 +65,7 @@ def _spec(inputs: Mapping[str, Any], mechanism: Mechanism) -> DataSpec:
 
 def _without_absent_sd(column: Column, there: tuple[str, ...]) -> Column:
     if isinstance(column.sd_column, str) and column.sd_column not in there:
-        return replace(column, sd_column=None, sd_unit=None)
+        return replace(column, sd_column=None, sd_unit=None, coverage=None)
     return column
 
 

@@ -123,15 +123,17 @@ def _part(project: Project, spec: DataSpec, path: Path, aside: Mapping[str, Colu
     """One of several files."""
     how = {key: spec.options[key] for key in spec.options if key not in ("pose", *LEFT_OUT)}
     there = column_labels(path, **how)
-    if spec.by_name:
-        spec = named_columns(spec, there, project.mechanism)
+    assert project.data is not None
+    stated = {q for part in (project.data, *project.data.joins) for q in part.columns}
+    spec = named_columns(spec, there, project.mechanism, stated)
     pose = spec.options["pose"]
     if pose is None:
         raise InputError(
             "the readings of several files are joined by the ids of their poses",
             code="mismatched-poses",
             place=str(path),
-            remedy='name the column of the ids: pose = "..."',
+            remedy='name the column of the ids: pose = "..."; or state pose = 0 for each file, '
+            "to join them row by row",
         )
     columns = {**spec.columns, **{k: c for k, c in aside.items() if c.column in there}}
     if not columns and not spec.instruments:

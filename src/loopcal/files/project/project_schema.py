@@ -64,10 +64,17 @@ else:
 class ColumnEntry(Model):
     """Where the readings of a quantity stand."""
 
-    column: NameOrNumber = Field(description="Name of the column, or its number from 1.")
+    column: NameOrNumber = Field(
+        description="Name of the column, its number from 1, or 0: the number of the row."
+    )
     unit: UnitName | None = None
     sd_column: NameOrNumber | None = Field(
         default=None, description="Column with the sd of each reading."
+    )
+    coverage: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        default=None,
+        description="Coverage factor of that column, where it holds an expanded uncertainty: 2 "
+        "for k = 2. The sd is the column divided by it.",
     )
     sd_unit: UnitName | None = Field(default=None, description="Without one, that of the readings.")
     sd_at_least: Sd | None = Field(
@@ -95,12 +102,16 @@ class FileEntry(Model):
         "relative to the project; ${NAME} is replaced by the environment variable NAME.",
         examples=["poses.csv", "${LOOPCAL_DATA}/left_arm.csv"],
     )
-    pose: NameOrNumber | None = Field(default=None, description="Column of the pose ids.")
+    pose: NameOrNumber | None = Field(
+        default=None,
+        description="Column of the pose ids; 0: the numbers of the rows, by which files are joined "
+        "row by row.",
+    )
     units: Units = Field(default=Units(), description="Units of the columns that state none.")
     columns: dict[str, _ColumnOrName] | None = Field(
         default=None,
-        description="Quantity = its column; without this table each quantity has a column of "
-        "its own name.",
+        description="Quantity = its column; a quantity that is absent has a column of its own "
+        "name.",
         examples=[{"theta_1": {"column": "S", "unit": "deg"}, "x": "x_tracker"}],
     )
     sheet: NameOrNumber | None = Field(default=None, description="XLSX: name or number from 1.")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.files.project.data_entries import DataSpec
+from loopcal.files.tables.table import ROW
 from loopcal.files.tables.writer import Column, table_bytes
 from loopcal.measurements.dataset import Dataset
 from loopcal.units import difference_from_si, from_si, unit
@@ -34,7 +35,7 @@ def readings_tables(
     tables = {out.name: _table(dataset, own, spec, sds, out.suffix)}
     for part in joins:
         name = Path(part.file).name
-        if part.by_name and not part.instruments:
+        if not (part.columns or part.instruments):
             raise InputError(
                 f"which readings {name} shall hold is not said",
                 code="missing-key",
@@ -58,6 +59,12 @@ def _table(
     for quantity in quantities:
         readings = dataset.readings[quantity]
         its = spec.columns.get(quantity) if spec else None
+        if its and its.column == ROW:
+            raise InputError(
+                f"{quantity!r} is read as the number of the row, which is not simulated",
+                code="conflicting-keys",
+                remedy="give it a column of its own for the simulation",
+            )
         name = its.column if its and isinstance(its.column, str) else quantity
         stated = its.unit if its else None
         if its is None and spec is not None:
@@ -66,5 +73,6 @@ def _table(
         columns[name] = from_si(readings, its_unit)
         if its and isinstance(its.sd_column, str):
             sd = np.where(np.isfinite(sds[quantity]), sds[quantity], np.nan)
-            columns[its.sd_column] = difference_from_si(sd, its.sd_unit or its_unit)
+            sd = difference_from_si(sd, its.sd_unit or its_unit)
+            columns[its.sd_column] = sd * (its.coverage or 1.0)
     return table_bytes(columns, ending)

@@ -39,7 +39,7 @@ from loopcal.files.tables.parquet import (
 )
 from loopcal.files.tables.raw import sha256_of
 from loopcal.files.tables.readers import dataset_of
-from loopcal.files.tables.table import Table, find_column
+from loopcal.files.tables.table import ROW, Table, find_column
 from loopcal.files.toml.place import Place
 from loopcal.measurements.checks import DataWarning, check_dataset
 from loopcal.measurements.dataset import checked_every
@@ -186,7 +186,7 @@ class ParquetStream:
         pose = self.project.data.options["pose"]
         found: dict[str, int] = {}
         for part in _parts(self.files):
-            ids = _ids(part, None if pose is None else _rows(part, {}, pose), pose)
+            ids = _ids(part, None if pose in (None, ROW) else _rows(part, {}, pose), pose)
             found |= {p: part.begin + i for i, p in enumerate(ids) if p in asked}
         for missing in sorted(asked - set(found)):
             raise InputError(
@@ -267,7 +267,7 @@ def _parts(files: tuple[ParquetFile, ...]) -> list[_Part]:
 
 def _ids(part: _Part, table: Table | None, pose: str | int | None) -> Sequence[str]:
     """The ids of a part's rows: those in a column, else their numbers among all rows."""
-    if table is None or pose is None:
+    if table is None or pose in (None, ROW):
         return [*map(str, range(part.begin + 1, part.begin + 1 + part.rows))]
     return table.ids(table.position(pose))
 
@@ -292,9 +292,9 @@ def _rows(part: _Part, columns: dict[str, Column], pose: str | int | None) -> Ta
         raise _elsewhere(file, f"cannot be read ({reason})") from None
     if not same:
         raise _elsewhere(file, "is not the one there was at the beginning")
-    rows: NDArray[np.int64] = part.offset + 1 + np.arange(frame.height, dtype=np.int64)
+    rows: NDArray[np.int64] = part.offset + 1 + np.arange(part.rows, dtype=np.int64)
     cells = {file.names.index(name): frame[name] for name in names}
-    return Table(file.path.name, None, "", file.names, cells, rows)
+    return Table(file.path.name, None, "", file.names, cells, rows, before=part.begin)
 
 
 def _named(file: ParquetFile, asked: Iterable[str | int]) -> list[str]:

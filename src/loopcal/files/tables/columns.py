@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 from loopcal.errors import InputError, nearest
-from loopcal.files.tables.table import Table
+from loopcal.files.tables.table import ROW, Table
 from loopcal.units import convertible, unit
 
 
@@ -16,13 +16,16 @@ class Column:
     """Where one quantity stands in a file, and in which unit."""
 
     column: str | int
-    """Name of the column, or its number from 1 (the only way where there is no header)."""
+    """Name of the column, or its number from 1 (the only way where there is no header); 0 stands
+    for the number of the row."""
     unit: str | None = None
     """Unit of the readings; without one they are taken as SI (m, rad)."""
     sd_column: str | int | None = None
     """Column of the sd of each reading."""
     sd_unit: str | None = None
     """Unit of the sd; without one, that of the readings."""
+    coverage: float | None = None
+    """Coverage factor: the column of sds holds so many sds (an expanded uncertainty, often 2)."""
     check: bool = True
     """False: the values are right although they look strange."""
 
@@ -55,7 +58,7 @@ def specified(columns: Mapping[str, ColumnLike], units: Mapping[str, str]) -> di
 def wanted(columns: Mapping[str, Column], pose: str | int | None) -> frozenset[str | int]:
     """All columns that have to be read."""
     named = [c.column for c in columns.values()] + [c.sd_column for c in columns.values()]
-    return frozenset(column for column in [*named, pose] if column is not None)
+    return frozenset(column for column in [*named, pose] if column not in (None, ROW))
 
 
 def all_numeric(
@@ -157,4 +160,11 @@ def _checked(quantity: str, column: Column, other_unit: str | None) -> Column:
             place=place,
             remedy=f"give the sd in a unit of {unit(given or '1').dimension}",
         )
-    return Column(column.column, given, column.sd_column, column.sd_unit, column.check)
+    if column.coverage is not None and not (column.sd_column and column.coverage > 0):
+        raise InputError(
+            f"coverage is {column.coverage}"
+            + ("" if column.sd_column else ", and no column of sds is named"),
+            place=place,
+            remedy='name sd_column = "...", and give coverage = 2 where it holds two sds',
+        )
+    return replace(column, unit=given)

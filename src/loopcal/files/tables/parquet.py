@@ -21,7 +21,7 @@ from loopcal.errors import InputError
 from loopcal.files.tables.cells import ids
 from loopcal.files.tables.isolated import from_child
 from loopcal.files.tables.raw import empty, existing_file, sha256_of, unreadable
-from loopcal.files.tables.table import Table, find_column
+from loopcal.files.tables.table import ROW, Table, find_column
 
 if TYPE_CHECKING:
     import polars as pl
@@ -99,7 +99,7 @@ def read_parquet(
         raise empty(path.name)
     asked = range(1, len(names) + 1) if wanted is None else wanted
     positions = sorted({find_column(c, names, len(names), path.name) for c in asked})
-    column = None if pose is None else names[find_column(pose, names, len(names), path.name)]
+    column = None if pose in (None, ROW) else names[find_column(pose, names, len(names), path.name)]
     prove(files, {names[i] for i in positions} | ({column} if also and column else set()))
     frames: list[pl.DataFrame] = []
     kept: list[NDArray[np.int64]] = []

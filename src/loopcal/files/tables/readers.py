@@ -23,7 +23,7 @@ from loopcal.files.tables.delimited import read_delimited
 from loopcal.files.tables.isolated import read_isolated
 from loopcal.files.tables.parquet import parquet_files, read_parquet
 from loopcal.files.tables.raw import read_text
-from loopcal.files.tables.table import Table
+from loopcal.files.tables.table import ROW, Table
 from loopcal.measurements.dataset import Array, Dataset, checked_every
 from loopcal.measurements.poses import asked_ids, positions_of
 from loopcal.measurements.source import Source, row_name
@@ -81,8 +81,9 @@ def read_dataset(
     """Readings from CSV, TSV or other text, XLSX, Parquet or MATLAB (by the ending of the name).
 
     A folder is read as its Parquet files one after the other.
-    `columns` maps quantity -> column: its name, its number counted from 1, or a mapping with the
-    keys of `Column` (column, unit, sd_column, sd_unit, check). None takes every column of
+    `columns` maps quantity -> column: its name, its number counted from 1 (0 stands for the
+    number of the row among those of data), or a mapping with the
+    keys of `Column` (column, unit, sd_column, sd_unit, coverage, check). None takes every column of
     numbers under its own name ("column_1" ... without a header). `units` maps quantity -> unit
     where `columns` states none; without a unit values are taken as SI. `pose` is the column of
     ids, else poses are counted "1" to "N". Thinning comes first and counts rows of the file: the
@@ -105,11 +106,8 @@ def read_dataset(
         table = _table(path, how, wanted(asked, pose), every=step, pose=pose, also=gone)
     refuse_doubles(table, asked)
 
-    number = np.arange(len(table.rows)) if table.total is None else table.rows - 1
-    if pose is None:
-        ids = tuple(map(str, (number + 1).tolist()))
-    else:
-        ids = table.ids(table.position(pose))
+    number = table.counted - 1
+    ids = table.ids(table.position(ROW if pose is None else pose))
     excluded = positions_of(gone, ids, table.name)
     used = number % step == 0
     used[excluded] = False
@@ -142,19 +140,23 @@ def dataset_of(
         return numbers
 
     _refuse_nameless(table, keep, ids)
-    with_sd = {q: (c.sd_column, c.sd_unit or c.unit) for q, c in asked.items() if c.sd_column}
+    with_sd = {
+        q: (c.sd_column, c.sd_unit or c.unit, c.coverage or 1.0)
+        for q, c in asked.items()
+        if c.sd_column
+    }
     stated = {q: c.unit for q, c in asked.items() if c.unit}
     return Dataset(
         {q: values(c.column, c.unit) for q, c in asked.items()},
         {q: unit(u).si for q, u in stated.items()},
         tuple(ids) if len(keep) == len(ids) else tuple(ids[i] for i in keep.tolist()),
-        {q: values(c, given, difference_to_si) for q, (c, given) in with_sd.items()},
+        {q: values(c, u, difference_to_si) / factor for q, (c, u, factor) in with_sd.items()},
         replace(
             source,
             rows=table.rows[keep],
             begins=table.begins,
             columns={q: table.label(table.position(c.column)) for q, c in asked.items()},
-            sd_columns={q: table.label(table.position(c)) for q, (c, _) in with_sd.items()},
+            sd_columns={q: table.label(table.position(c)) for q, (c, *_) in with_sd.items()},
             stated=stated,
             trusted=frozenset(q for q, c in asked.items() if not c.check),
         ),

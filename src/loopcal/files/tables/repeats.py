@@ -66,7 +66,10 @@ def read_repeats(
             place=project.name,
             remedy='add [data] with file = "poses.csv" and the columns',
         )
-    its = {q: replace(c, sd_column=None, sd_unit=None) for q, c in project.data.columns.items()}
+    its = {
+        q: replace(c, sd_column=None, sd_unit=None, coverage=None)
+        for q, c in project.data.columns.items()
+    }
     how = {k: v for k, v in project.data.options.items() if k not in ("exclude", "every")}
     if pose is not None:
         how["pose"] = pose

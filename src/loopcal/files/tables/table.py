@@ -14,6 +14,9 @@ from loopcal.files.tables import series
 from loopcal.files.tables.cells import Cells, NotANumber
 from loopcal.measurements.source import file_name, row_name
 
+ROW = 0
+"""The column that every table has: the number of each row of data, from 1."""
+
 
 @dataclass(frozen=True, eq=False)
 class Table:
@@ -36,22 +39,41 @@ class Table:
     begins: Mapping[str, int] = field(default_factory=dict)
     """Of a folder: file -> rows in the files before it; `rows` count through all of them."""
 
+    before: int = 0
+    """Rows of data before these, where `rows` count through one file of several."""
+
+    @property
+    def counted(self) -> NDArray[np.int64]:
+        """(N,) number of each row among all rows of data, from 1."""
+        if self.total is not None:
+            return self.rows
+        return np.arange(self.before + 1, self.before + 1 + len(self.rows), dtype=np.int64)
+
     @property
     def name(self) -> str:
         """How messages call the table."""
         return file_name(self.file, self.part)
 
     def position(self, column: str | int) -> int:
-        """Where a column stands, from 0; InputError naming the nearest if there is none."""
+        """Where a column stands, from 0; InputError naming the nearest if there is none.
+
+        That of row numbers stands before all others, at -1.
+        """
+        if column == ROW:
+            return -1
         width = len(self.names) or len(self.columns)
         return find_column(column, self.names, width, self.name)
 
     def label(self, position: int) -> str:
         """The column's name, or its number where it has no name."""
+        if position < 0:
+            return "row number"
         return short(self.names[position] if self.names else "") or str(position + 1)
 
     def numbers(self, position: int, keep: NDArray[np.int64]) -> NDArray[np.float64]:
         """One column at the rows to keep; InputError for a cell that is not a number."""
+        if position < 0:
+            return self.counted[keep].astype(np.float64)
         try:
             column = self.columns[position]
             if isinstance(column, list | np.ndarray):
@@ -69,6 +91,8 @@ class Table:
 
     def ids(self, position: int) -> tuple[str, ...]:
         """One column as ids of poses, all rows."""
+        if position < 0:
+            return tuple(map(str, self.counted.tolist()))
         return cell_rules.ids(self.columns[position])
 
     def numeric(self) -> list[int]:
