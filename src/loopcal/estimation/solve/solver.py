@@ -151,10 +151,10 @@ class _Solver(Generic[State]):
                 self.triangular = True
                 current = self._evaluate(current.parameters, current.found.state)
                 continue
-            if current.merit < self.lowest.merit:
+            if current.merit < self.lowest.merit and current.closed is not None:
                 self.lowest, self.away = current.place, 0
             elif self._higher(current) and (self.away > _AWAY or self._settled(current)):
-                current = self._returned()
+                current = self._returned(current)
                 continue
             if self._settled(current):
                 if current.found.step <= NEGLIGIBLE or current.closed == _CLOSED:
@@ -175,7 +175,7 @@ class _Solver(Generic[State]):
             self.away += 1
             trial = self._advance(current)
             if trial is None and self._higher(current):
-                trial = self._returned()
+                trial = self._returned(current)
             if trial is None:
                 return self._stalled(current)
             self.before = current.spectrum.decrement
@@ -186,10 +186,16 @@ class _Solver(Generic[State]):
         loops that are not quite closed make uncertain."""
         return point.merit > self.lowest.merit + self._limit(point, _LAST_STEP)
 
-    def _returned(self) -> Point[State]:
-        """The lowest point, from which every step must descend."""
+    def _returned(self, current: Point[State]) -> Point[State]:
+        """The lowest point, or the current one if that is lower once both have closed loops.
+
+        From there every step must descend.
+        """
         self.course, self.away, self.before = self.course.returned(), 0, np.inf
-        return self._evaluate(self.lowest.parameters, self.lowest.state, self.lowest.closing)
+        lowest = self._evaluate(self.lowest.parameters, self.lowest.state, _NEAR)
+        point = lowest if lowest.merit < current.merit else current
+        self.lowest = point.place
+        return point
 
     def _first(self) -> Point[State]:
         start = self.unknowns.start
@@ -267,12 +273,14 @@ class _Solver(Generic[State]):
                 gain = (current.merit - trial.merit) / predicted if predicted > 0 else 1.0
                 self.course = self.course.accepted(system, step, gain)
                 return trial
-            if current.closed in (None, _ONCE):
-                closed = self._evaluate(current.parameters, current.found.proposal, _NEAR)
+            # The merit of open loops is an estimate: close them as well as the trial's.
+            closing = _CLOSED if self._last(current, predicted) else _NEAR
+            if current.closed is None or current.closed > closing:
+                closed = self._evaluate(current.parameters, current.found.proposal, closing)
                 if math.isfinite(closed.merit) and closed.spectrum is not None:
                     current = closed
                     continue
-                current = replace(current, closed=_NEAR)
+                current = replace(current, closed=closing)
             self.course = self.course.rejected(system)
         return None
 
@@ -281,7 +289,7 @@ class _Solver(Generic[State]):
         assert current.spectrum is not None
         parameters = self.unknowns.moved(current.parameters, step)
         far = self._far(current, predicted)
-        last = predicted <= self._limit(current, _LAST_STEP)
+        last = self._last(current, predicted)
         start = current.found.state if far else current.found.proposal
         closings = [None, _NEAR] if far else [_CLOSED] if last else [_ONCE, _NEAR]
         for closing in closings:
@@ -295,6 +303,10 @@ class _Solver(Generic[State]):
     def _far(self, point: Point[State], predicted: float) -> bool:
         """Whether parameters explain nearly all of a large misclosure: then readings can wait."""
         return predicted > max(_EXPLAINED * point.merit, _FAR * point.found.equations)
+
+    def _last(self, point: Point[State], predicted: float) -> bool:
+        """Whether the step from a point is so small that the next point should be final."""
+        return predicted <= self._limit(point, _LAST_STEP)
 
     def _worth(self, current: Point[State], trial: Point[State], predicted: float) -> bool:
         if not math.isfinite(trial.merit) or trial.spectrum is None:
