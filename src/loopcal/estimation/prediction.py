@@ -49,31 +49,29 @@ def _closed(
     """
     start = _loop_values(held_loops(mechanism.tape, loops), parameters, readings, known)
     begun = np.isfinite(start).all(axis=0)
+    found: Array = np.full(readings.shape, np.nan)
     if not begun.any():
-        return np.full(readings.shape, np.nan)
+        return found
     if not begun.all():
-        out = np.full(readings.shape, np.nan)
-        out[:, begun] = _closed(
-            mechanism, loops, unknown, parameters, readings[:, begun], known[:, begun]
-        )
-        return out
-    x, none = readings, np.empty(0)
+        some = readings[:, begun], known[:, begun]
+        found[:, begun] = _closed(mechanism, loops, unknown, parameters, *some)
+        return found
+    none = np.empty(0)
     problem = Problem(
         mechanism,
-        x,
+        readings,
         known,
-        ReadingUncertainty(np.zeros((len(x), 1))),
+        ReadingUncertainty(np.zeros((len(readings), 1))),
         parameters,
         np.empty(0, dtype=np.intp),
         none,
         none,
-        ("",) * x.shape[1],
+        ("",) * len(begun),
         (Pattern(loops, tuple(unknown), (), slice(None)),),
     )
     sweeper = Sweeper(problem, exact=True)
-    closed = sweeper.close(parameters, np.zeros(x.shape), _SETTLED, 1.0)
-    found: Array = x + closed.corrections
-    found[:, closed.open] = np.nan
+    closed = sweeper.close(parameters, np.zeros(readings.shape), _SETTLED, 1.0)
+    np.add(readings, closed.corrections, out=found, where=~closed.open)
     return found
 
 

@@ -125,7 +125,7 @@ def try_rows(
 
     poses: (V,) which pose each is a version of; readings: (k, V) [SI]; without: (k, V) readings
     taken as unmeasured, so that the loops find them. The statistic of a row whose loops do not
-    close within a few steps is infinite: right readings are near where they close.
+    close is infinite.
     """
     index = np.asarray(poses, dtype=np.intp)
     rows = left_unmeasured(replace(taken(problem, index), readings=readings), without)
