@@ -212,7 +212,6 @@ async def _meet(address: str, how: Mapping[str, Any]) -> None:
     Raises OSError where nobody answers, InputError where it is no scheduler.
     """
     import asyncio
-import logging
 
     from dask import config, utils
 
