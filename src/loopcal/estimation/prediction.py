@@ -66,7 +66,7 @@ def _closed(
         np.empty(0, dtype=np.intp),
         none,
         none,
-        ("",) * len(begun),
+        ("",) * readings.shape[1],
         (Pattern(loops, tuple(unknown), (), slice(None)),),
     )
     sweeper = Sweeper(problem, exact=True)
