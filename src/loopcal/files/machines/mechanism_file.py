@@ -80,14 +80,16 @@ def mechanism_from_data(
 
     place = Place(place) if isinstance(place, str) else place
     kind = data.get("type")
-    if not isinstance(kind, str) or kind not in kinds():
+    try:
+        table = table_of(str(kind))
+    except KeyError:
         raise InputError(
             "the mechanism's type is missing" if kind is None else f"there is no type {kind!r}",
             code="unknown-name",
             place=str(place if kind is None else place.at("type")),
             remedy=nearest(str(kind or ""), kinds()),
-        )
-    model = validated(table_of(kind), dict(data), place)
+        ) from None
+    model = validated(table, dict(data), place)
     if kind == "function":
         from loopcal.files.machines.declared_function import declared_function
 

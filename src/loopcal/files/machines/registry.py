@@ -24,14 +24,17 @@ def kinds() -> tuple[str, ...]:
 
 
 def machine_type(kind: str) -> MachineType:
-    """The row of a type other than "function"."""
+    """The row of a type other than "function"; raises KeyError for what is no type."""
     home = import_module(f"loopcal.files.machines.{_HOME.get(kind, 'parallel')}")
     row: MachineType = home.TYPES[kind]
     return row
 
 
 def table_of(kind: str) -> type[MechanismModel]:
-    """The table of a type; that of a function is built with the function, which no file holds."""
+    """The table of a type; that of a function is built with the function, which no file holds.
+
+    Raises KeyError for what is no type.
+    """
     if kind != "function":
         return machine_type(kind).model
     from loopcal.files.machines.declared_function import Function

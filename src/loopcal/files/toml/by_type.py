@@ -24,8 +24,8 @@ from loopcal.files.toml.model import complaint
 class ByType:
     """Annotates a table that is of one of several types.
 
-    kinds: names of the types; model: the model of a type; named: the type of a table, where it is
-    not what the key `type` says.
+    kinds: names of the types; model: the model of a type, or KeyError for what is none; named: the
+    type of a table, where it is not what the key `type` says.
     """
 
     kinds: Callable[[], Iterable[str]]
@@ -49,8 +49,10 @@ class ByType:
             raise PydanticKnownError("dict_type")
         if self.named is None and "type" not in table:
             raise complaint("'type' is missing", 'add type = "..."', "missing-key")
-        kind, known = self.named(table) if self.named else table["type"], [*self.kinds()]
-        if kind not in known:
-            remedy = nearest(str(kind), known)
-            raise complaint(f"the type {str(kind)!r} is not known", remedy, "unknown-name")
-        return self.model(kind).model_validate(table)
+        kind = str(self.named(table) if self.named else table["type"])
+        try:
+            model = self.model(kind)
+        except KeyError:
+            remedy = nearest(kind, self.kinds())
+            raise complaint(f"the type {kind!r} is not known", remedy, "unknown-name") from None
+        return model.model_validate(table)
