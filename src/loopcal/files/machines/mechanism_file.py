@@ -79,15 +79,15 @@ def mechanism_from_data(
     from loopcal.files.toml.model import validated
 
     place = Place(place) if isinstance(place, str) else place
-    kind = data.get("type")
+    kind, named = str(data.get("type", "")), "type" in data
     try:
-        table = table_of(str(kind))
+        table = table_of(kind)
     except KeyError:
         raise InputError(
-            "the mechanism's type is missing" if kind is None else f"there is no type {kind!r}",
+            f"there is no type {kind!r}" if named else "the mechanism's type is missing",
             code="unknown-name",
-            place=str(place if kind is None else place.at("type")),
-            remedy=nearest(str(kind or ""), kinds()),
+            place=str(place.at("type") if named else place),
+            remedy=nearest(kind, kinds()),
         ) from None
     model = validated(table, dict(data), place)
     if kind == "function":

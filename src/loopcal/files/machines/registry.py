@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from importlib import import_module
+from typing import Any
 
-from loopcal.files.machines.machine_type import MachineType, MechanismModel
+from loopcal.files.machines.machine_type import MachineType
 
 _HOME = {
     "planar-two-link": "planar",
@@ -30,7 +31,7 @@ def machine_type(kind: str) -> MachineType:
     return row
 
 
-def table_of(kind: str) -> type[MechanismModel]:
+def table_of(kind: str) -> type[Any]:
     """The table of a type; that of a function is built with the function, which no file holds.
 
     Raises KeyError for what is no type.

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Union
+from functools import reduce
+from operator import or_
+from typing import Annotated, Any
 
 from pydantic import (
     BaseModel,
@@ -40,9 +42,10 @@ class ByType:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        tables = tuple(Annotated[self.model(kind), Tag(kind)] for kind in self.kinds())
-        union = Annotated[Union[tables], Discriminator(self.named or "type")]  # noqa: UP007
-        return handler(TypeAdapter(union).core_schema)
+        tables: list[Any] = [Annotated[self.model(kind), Tag(kind)] for kind in self.kinds()]
+        one_of: Any = reduce(or_, tables)
+        adapter: Any = TypeAdapter(Annotated[one_of, Discriminator(self.named or "type")])
+        return handler(adapter.core_schema)
 
     def _validated(self, table: Any) -> BaseModel:
         if not isinstance(table, Mapping):
