@@ -39,6 +39,7 @@ from loopcal.estimation.solve.reduction import (
     WELL_CONDITIONED,
     hardly_determined,
     spectrum,
+    vanished,
 )
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solution import End, Solution
@@ -60,9 +61,6 @@ _LAST_STEP = 0.1
 """Steps this small are taken with closed loops, so that the point they end at is final."""
 _AWAY = 30
 """After so many iterations above its lowest merit the search returns to that point."""
-_VANISHED, _LOOSE = 1e-4, 1e-2
-"""A parameter whose effect on the loops shrinks to this share of what it was has run away, unless
-data and prior still determine it."""
 _FAR, _EXPLAINED = 100.0, 0.9
 """Where whitened residuals are this large (mean square) and parameters explain this share of
 them, the loops need not be closed yet."""
@@ -349,17 +347,11 @@ class _Solver(Generic[State]):
         parameters = self.unknowns.moved(point.parameters, point.spectrum.step())
         start, contraction = point.found.proposal, point.found.contraction
         closed = self.merit.close(parameters, start, RELATIVE_STEP, contraction)
-        reason = "runaway" if self._vanished(point).any() else "converged"
+        gone = vanished(point.spectrum, point.found.data.lengths, self.effects)
+        reason = "runaway" if gone.any() else "converged"
         if closed is None:
             return self._solution(point, reason)
         return self._solution(replace(point, parameters=parameters), reason, closed)
-
-    def _vanished(self, point: Point[State]) -> NDArray[np.bool_]:
-        """Which parameters have lost their effect on the way and are no longer determined, (n,)."""
-        assert point.spectrum is not None
-        loose = np.square(point.spectrum.directions[:, ~point.spectrum.kept]).sum(axis=1) > _LOOSE
-        gone = point.found.data.lengths < _VANISHED * self.effects
-        return np.asarray(gone & loose)
 
     def _stalled(self, current: Point[State]) -> End[State]:
         """The end where no step lowers the merit: given up, unless only rounding is in the way."""
@@ -392,7 +384,7 @@ class _Solver(Generic[State]):
             detail = f"Poses: {', '.join(late.poses)}."
         assert end.spectrum is not None
         if reason == "runaway":
-            gone = np.flatnonzero(self._vanished(end))
+            gone = np.flatnonzero(vanished(end.spectrum, end.found.data.lengths, self.effects))
             detail = f"Parameters: {', '.join(self.unknowns.names[i] for i in gone)}."
         if reason in ("max_iterations", "stalled"):
             detail = weakness(hardly_determined(end.spectrum, self.unknowns.names))
