@@ -165,7 +165,7 @@ def _checked(quantity: str, column: Column, other_unit: str | None) -> Column:
         raise InputError(
             f"coverage is {column.coverage}"
             + ("" if column.sd_column else ", and no column of sds is named"),
-            code="conflicting-keys",
+            code="invalid-value" if column.sd_column else "conflicting-keys",
             place=place,
             remedy='name sd_column = "...", and give coverage = 2 where it holds two sds',
         )
