@@ -474,7 +474,7 @@ def test_an_infinite_reading_is_told_with_its_file(folder: Path) -> None:
     frame = pl.read_parquet(path).with_row_index()
     odd = pl.when(pl.col("index") == 78).then(np.inf).otherwise(pl.col("xP"))
     frame.with_columns(xP=odd).drop("index").write_parquet(path)
-    with refused("invalid-value", "part-2.parquet", "row 79", "column 'xP'"):
+    with refused("invalid-number", "part-2.parquet", "row 79", "column 'xP'"):
         run_calibration(folder / "project.toml")
 
 

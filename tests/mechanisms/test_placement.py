@@ -173,7 +173,7 @@ def test_an_axis_that_lies_in_the_plane_it_should_pierce_is_refused() -> None:
     assert "'x0'" in str(caught.value)
     assert "before" in str(caught.value)
     quarter = Rotation.from_euler("z", math.pi / 2).as_matrix()
-    with refused("invalid-value", "'x1'"):
+    with refused("unsupported", "'x1'"):
         moved(machine, quarter, np.zeros(3))
 
 

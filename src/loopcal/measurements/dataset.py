@@ -266,13 +266,14 @@ def _check_values(data: Dataset) -> None:
     for quantity, values in data.readings.items():
         si = data.units.get(quantity, "")
         for i in np.flatnonzero(np.abs(values) > _MOST.get(si, _MOST[""]))[:1]:
-            why = "no sensor reads that" if np.isfinite(values[i]) else "a reading is finite"
+            finite = np.isfinite(values[i])
+            why = "beyond any sensor" if finite else "not a finite number"
             raise InputError(
-                f"the reading of {quantity!r} is {values[i]:.6g} {si}".rstrip() + f"; {why}",
-                code="implausible-readings",
+                f"the reading of {quantity!r} is {values[i]:.6g} {si}".rstrip() + f", {why}",
+                code="implausible-readings" if finite else "invalid-number",
                 place=data.place(int(i), quantity),
-                remedy="leave it blank (NaN) if nothing was measured; if there are more of its "
-                "kind, the file is damaged",
+                remedy="leave it blank (NaN) if nothing was measured; if many readings are like "
+                "this, the file is damaged",
             )
     for quantity, sd in data.sds.items():
         missing = np.isnan(sd) & ~np.isnan(data.readings[quantity])

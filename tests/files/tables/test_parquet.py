@@ -156,7 +156,7 @@ def test_in_a_folder_a_value_has_its_file_and_its_row_there(folder):
     assert places[1] == "poses, b.PQ, row 1, column 'x'"
     frame = pl.read_parquet(folder / "b.PQ")
     frame.with_columns(x=pl.Series([0.0, 1.0, np.inf, 2.0, 3.0])).write_parquet(folder / "b.PQ")
-    with refused("invalid-value", "b.PQ", "row 3", "column 'x'", "'x'"):
+    with refused("invalid-number", "b.PQ", "row 3", "column 'x'", "'x'"):
         read_dataset(folder, {"x": "x"})
     with refused("invalid-number", "a.parquet", "row 1", "column 'id'", "'a'"):
         read_dataset(folder, {"x": "id"})
