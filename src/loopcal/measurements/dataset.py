@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -195,6 +194,8 @@ class Dataset:
         return "\n".join([repr(self)[1:-1], *(line.rstrip() for line in lines)])
 
     def _repr_html_(self) -> str:
+        from html import escape
+
         cells = "".join(
             "<tr>" + "".join(f"<td>{escape(c)}</td>" for c in row) + "</tr>"
             for row in self._summary()
