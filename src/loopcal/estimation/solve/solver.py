@@ -137,7 +137,6 @@ class _Solver(Generic[State]):
 
     def run(self, max_iterations: int, resume: Checkpoint[State] | None) -> End[State]:
         current = self._resumed(resume) if resume else self._first()
-        assert current.spectrum is not None
         if resume:
             self.first, self.lowest, self.effects = resume.first, resume.lowest, resume.effects
         else:
@@ -356,9 +355,7 @@ class _Solver(Generic[State]):
     def _stalled(self, current: Point[State]) -> End[State]:
         """The end where no step lowers the merit: given up, unless only rounding is in the way."""
         end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
-        if self._negligible(end):
-            return self._converged(end)
-        return self._give_up(current, "stalled")
+        return self._converged(end) if self._negligible(end) else self._give_up(current, "stalled")
 
     def _give_up(self, current: Point[State], reason: str) -> End[State]:
         end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
