@@ -12,6 +12,7 @@ import loopcal as lc
 from loopcal.errors import InputError
 from loopcal.estimation.methods.implicit_loop import METHOD
 from loopcal.estimation.problem.problem import build_problem
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.loss import (
     Huber,
     StudentT,
@@ -20,7 +21,7 @@ from loopcal.estimation.solve.loss import (
     loss_named,
 )
 from loopcal.estimation.solve.robust import solve_robust
-from loopcal.estimation.solve.sweep import NEGLIGIBLE, Sweeper
+from loopcal.estimation.solve.sweep import Sweeper
 from tests.reference.simulated import planar_arm
 
 SDS = {"xP": 1e-4, "yP": 1e-4, "phi2": 2e-4, "phi3": 2e-4}
