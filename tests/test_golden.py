@@ -12,19 +12,17 @@ from tests import golden_files as golden
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
 
-@pytest.mark.parametrize("name", ["planar", "six_axis"])
 def test_summary_and_report_say_what_they_said(
-    name: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    project = EXAMPLES / name / "project.toml"
+    project = EXAMPLES / "planar" / "project.toml"
     assert main(["calibrate", str(project), "--out", "out", "--folds", "4"]) == 0
-    golden.check(f"{name}_summary.txt", capsys.readouterr().out)
+    golden.check("summary.txt", capsys.readouterr().out)
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
-    golden.check(f"{name}_report.txt", golden.page_text(page))
+    golden.check("report.txt", golden.page_text(page))
 
 
 def test_only_what_may_differ_is_taken_out() -> None:

@@ -14,6 +14,7 @@ from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.problem.unreachable import refuse_unreachable
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.fallback import solve_or_fall_back
 from loopcal.estimation.solve.robust import solve_robust
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution
@@ -69,7 +70,7 @@ def calibrate(
     if told is not None:
         mechanism, data = with_model(mechanism, data, told)
 
-    def solved(problem: Problem) -> Solution:
+    def fitted(problem: Problem) -> Solution:
         limits: dict[str, Any] = {
             "max_iterations": fit.max_iterations,
             "tolerance": fit.tolerance,
@@ -78,6 +79,12 @@ def calibrate(
         if (loss := fit.robust_loss) is not None:
             return solve_robust(problem, loss, method=fit.method, **limits)
         return fit.method.solve(problem, **limits)
+
+    def solved(problem: Problem) -> Solution:
+        # an undamped method is for study: it shows how its own iteration ends
+        if fit.method.damped:
+            return fitted(problem)
+        return solve_or_fall_back(problem, fitted, fit.max_iterations)
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)

@@ -270,6 +270,8 @@ class Result:
     def warnings(self) -> tuple[str, ...]:
         """What the reader must know before using the result."""
         found = [*self.identifiability.warnings()]
+        if self.status.converged and self.status.note:
+            found.insert(0, self.status.note)
         if self.mechanism.placement is not None:
             found += self.mechanism.placement.advice(self.value)
         if self.chi_squared is not None:

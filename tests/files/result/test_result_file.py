@@ -35,6 +35,9 @@ from loopcal.mechanisms.planar import planar_two_link
 from loopcal.mechanisms.prior import Prior
 from loopcal.simulation.poses import grid_poses
 from loopcal.simulation.simulate import simulate
+from loopcal.statistics.findings import findings
+from loopcal.statistics.prediction import predict
+from loopcal.statistics.predictor import predictor_of
 from loopcal.workflow.calibration import write_result
 from tests.refusals import refused
 
@@ -174,6 +177,24 @@ def test_the_three_files_are_written_and_the_mechanism_reads_back(tmp_path: Path
     assert sorted(written.files) == sorted(path.name for path in written.folder.iterdir())
     again = read_mechanism(written.folder / "mechanism.toml")
     assert {p.name: p.nominal for p in again.parameters} == dict(result.value)
+
+
+def test_a_file_of_an_earlier_version_is_read_and_predicts(tmp_path: Path) -> None:
+    result = RESULTS["implicit loop"]()
+    stored = plain(findings(result).added_to(result.document))
+    for key in ("mechanism", "method_label"):
+        del stored[key]
+    for entry in stored["noise"]:
+        del entry["share"]
+    del stored["accuracy"]["orientation"], stored["accuracy"]["by"], stored["prediction"]["by"]
+    for when in ("before", "after"):
+        del stored["accuracy"][when]["poses"]
+    (tmp_path / "result.json").write_text(json.dumps(stored), "utf-8")
+    read = read_result(tmp_path / "result.json")
+    found = predict(predictor_of(read, result.calibrated), POSES)
+    now = predict(result, POSES)
+    assert np.array_equal(found.ratio, now.ratio)
+    assert str(read).splitlines()[2:] == str(result).splitlines()[2:]
 
 
 def document_with(**changes: Any) -> dict[str, Any]:

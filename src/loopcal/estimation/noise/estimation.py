@@ -137,11 +137,13 @@ def estimate_noise(
     else:
         best = search.run(np.ones(len(components)))
         doubtful = list(search.doubtful(best))
-        while doubtful and best.fitted:
+        while doubtful:
             again = search.run(doubtful.pop(0))
-            if again.fitted and again.found.criterion < best.found.criterion - _BETTER:
+            if again.better_than(best):
                 best = again
                 doubtful = list(search.doubtful(best))
+            elif not (again.fitted or best.fitted):
+                break
     status = replace(best.solution.status, iterations=best.iterations)
     return NoiseEstimate(
         best.present,
@@ -168,6 +170,12 @@ class _Round:
     def fitted(self) -> bool:
         """Whether the fit at these sds converged."""
         return self.solution.status.converged
+
+    def better_than(self, other: _Round) -> bool:
+        """Whether its likelihood is greater; any fit that converged beats one that did not."""
+        if self.fitted != other.fitted:
+            return self.fitted
+        return self.fitted and self.found.criterion < other.found.criterion - _BETTER
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.patterns import Pattern
-from loopcal.estimation.problem.unread import found_in_loops
 from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]
@@ -84,7 +83,7 @@ class _Found:
         misfit = np.empty(len(poses))
         for part in _parts(np.arange(len(poses)), sweeper.problem.block):
             begun = corrections[:, part] if start is None else start[:, part]
-            block = found_in_loops(sweeper, pattern, sweeper.block(pattern, poses[part], begun))
+            block = sweeper.searched(pattern, sweeper.block(pattern, poses[part], begun))
             corrections[:, part] = block.corrections
             misfit[part] = sweeper.misfit(pattern, block)
         return cls(pattern, poses, corrections, misfit)

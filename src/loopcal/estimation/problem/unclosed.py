@@ -8,7 +8,6 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.problem.unread import found_in_loops
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage
 
@@ -39,7 +38,7 @@ def open_loops(problem: Problem) -> InputError | None:
         for begin in range(0, len(index), problem.block):
             some = index[begin : begin + problem.block]
             start = np.zeros((len(problem.readings), len(some)))
-            block = found_in_loops(sweeper, alone, sweeper.block(alone, some, start))
+            block = sweeper.searched(alone, sweeper.block(alone, some, start))
             found = sweeper.engine(alone).evaluate(block.corrected, block.known, Stage.VALUES)
             f = np.abs(found.f)
             gap = f.max(axis=0)

@@ -35,7 +35,8 @@ class Status:
     """How a fit ended.
 
     reason: one of the keys of REASONS; message: cause and
-    remedy; iterations: parameter steps tried; evaluations: loop evaluations per pose.
+    remedy; iterations: parameter steps tried; evaluations: loop evaluations per pose;
+    note: from where the fit was started instead, if it was; part of the message.
     """
 
     converged: bool
@@ -43,6 +44,7 @@ class Status:
     message: str
     iterations: int
     evaluations: float = 0.0
+    note: str = ""
 
     @classmethod
     def of(cls, reason: str, iterations: int, evaluations: float, detail: str = "") -> Status:

@@ -31,6 +31,8 @@ from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 Array = NDArray[np.float64]
 NEAR = 0.1
 """On the way, loops count as closed when the next correction will be at most so many sds."""
+_SEARCHED = 1024
+"""Poses in a block when unmeasured quantities are searched."""
 _SAMPLE = 64
 """Poses from which the rounding of loop values is estimated."""
 
@@ -158,6 +160,18 @@ class Sweeper:
             late[block.poses] = closed.open
             done = _with_part(done, closed.corrections, block.poses)
         return Closed(done, late)
+
+    def searched(self, pattern: Pattern, block: Block) -> Block:
+        """The block with unmeasured quantities where they close the loops best.
+
+        At the parameters as they were set.
+        """
+        rows, size = list(pattern.unmeasured), min(_SEARCHED, self.problem.block)
+        corrections = block.corrections.copy()
+        for begin in range(0, block.count, size):
+            some = slice(begin, begin + size)
+            corrections[rows, some] += self.kernel(pattern).search(block.of(some))
+        return block.at(corrections)
 
     def misfit(self, pattern: Pattern, block: Block) -> Array:
         """What loops linearised at the corrections of a block cost to close, |E|^2, (b,).

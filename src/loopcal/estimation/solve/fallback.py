@@ -1,0 +1,105 @@
+"""What is tried after a fit that did not converge: other starts, in a fixed order.
+
+    1. least squares: the parameters that close the loops best with the readings taken as exact;
+    2. the iteration of the thesis, undamped, from the same start;
+    3. the best of least-squares fits from several starts, ever farther from the start.
+
+The result is the first of them from which the fit converges: no higher than where it ended before,
+and with as many directions determined as at the start, so that no parameter has run away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.problem.problem import Problem, taken
+from loopcal.estimation.solve.seed_iteration import iterate_undamped
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import solve
+
+Array = NDArray[np.float64]
+_POSES = 200
+"""Starts are sought on so many of the poses at most."""
+_RADII, _DRAWS, _SEARCH = (0.1, 0.3, 1.0), 8, 50
+"""Several starts: so many at each radius, as shares of half a turn, of the largest length and of
+other parameters themselves; each is searched for so many iterations."""
+_HIGHER = 1e-6
+
+
+def solve_or_fall_back(
+    problem: Problem, fit: Callable[[Problem], Solution], max_iterations: int = 100
+) -> Solution:
+    """The fit from the problem's start, or from others if it does not converge.
+
+    The status says what was tried; max_iterations: of each search for a start.
+    Raises InputError as the fit does.
+    """
+    first = fit(problem)
+    if first.status.converged or first.status.reason == "runaway":
+        return first  # elsewhere a model that invites parameters to infinity has false optima
+    tried: list[str] = []
+    rank = solve(problem, exact=True, max_iterations=0).spectrum.rank
+    for name, start in _starts(problem, max_iterations):
+        tried.append(name)
+        try:
+            found = fit(replace(problem, start=start))
+        except InputError:  # the loops have no value there
+            continue
+        lower = found.chi_squared <= first.chi_squared * (1 + _HIGHER)
+        if found.status.converged and lower and found.spectrum.rank >= rank:
+            note = f"Started from {name}: from the stated start it ended {first.status.reason}."
+            return _with_note(found, note)
+    words = ", ".join(tried)
+    return _with_note(first, f"Tried in vain to start from {words}." if words else "")
+
+
+def _with_note(solution: Solution, note: str) -> Solution:
+    message = f"{solution.status.message} {note}".strip()
+    return replace(solution, status=replace(solution.status, message=message, note=note))
+
+
+def _starts(problem: Problem, most: int) -> Iterator[tuple[str, Array]]:
+    stride = max(1, len(problem.poses) // _POSES)
+    some = taken(problem, np.arange(0, len(problem.poses), stride)) if stride > 1 else problem
+    searches: dict[str, Callable[[], Solution]] = {
+        "least squares": lambda: solve(some, exact=True, max_iterations=most),
+        "the iteration of the thesis": lambda: iterate_undamped(some, max_iterations=most),
+    }
+    for name, search in searches.items():
+        try:
+            found = search().parameters
+        except InputError:
+            continue
+        if np.isfinite(found).all():
+            yield name, found
+    best, least = None, np.inf
+    for start in _several(problem):
+        try:
+            end = solve(replace(some, start=start), exact=True, max_iterations=min(most, _SEARCH))
+        except InputError:
+            continue
+        if end.chi_squared < least:
+            best, least = end.parameters, end.chi_squared
+    if best is not None:
+        yield "the best of several starts", best
+
+
+def _several(problem: Problem) -> Iterator[Array]:
+    """Parameters (n_all,) around the start, the same in every run."""
+    units = np.array(problem.units)
+    begun = problem.start[problem.free]
+    lengths = np.abs(begun[units == "m"])
+    spread = np.abs(begun)
+    spread[units == "rad"] = np.pi
+    spread[units == "m"] = lengths.max(initial=0.0)
+    rng = np.random.default_rng(0)
+    for radius in _RADII:
+        for _ in range(_DRAWS):
+            yield problem.unknowns.moved(
+                problem.start, radius * spread * rng.uniform(-1.0, 1.0, len(spread))
+            )

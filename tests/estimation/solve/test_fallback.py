@@ -1,0 +1,73 @@
+"""After a fit that did not converge, other starts are tried, and the status says which."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.solve.fallback import solve_or_fall_back
+from loopcal.estimation.solve.solution import Solution
+from loopcal.estimation.solve.solver import solve
+from loopcal.measurements.noise import Noise
+from tests.reference.simulated import planar_arm
+
+SDS = {"xP": 1e-3, "yP": 1e-3, "phi2": 1e-3, "phi3": 1e-3}
+
+
+def problem() -> Problem:
+    simulated = planar_arm(20)
+    return build_problem(simulated.off(0.05, 0.1), simulated.read(SDS, seed=1), Noise(SDS))
+
+
+def test_a_fit_that_converges_is_left_alone() -> None:
+    found = solve_or_fall_back(problem(), solve)
+    assert found.status.converged
+    assert found.status.note == ""
+    assert found.parameters.tolist() == solve(problem()).parameters.tolist()
+
+
+def test_least_squares_is_the_next_start() -> None:
+    begun = problem()
+
+    def only_near(problem: Problem) -> Solution:
+        found = solve(problem)
+        if (problem.start == begun.start).all():
+            return replace(found, status=replace(found.status, converged=False, reason="stalled"))
+        return found
+
+    found = solve_or_fall_back(begun, only_near)
+    assert found.status.converged
+    assert found.status.note == (
+        "Started from least squares: from the stated start it ended stalled."
+    )
+    assert found.status.note in found.status.message
+    assert found.chi_squared == pytest.approx(solve(begun).chi_squared, rel=1e-9)
+
+
+def test_what_was_tried_in_vain_is_said() -> None:
+    found = solve_or_fall_back(problem(), lambda p: solve(p, max_iterations=0))
+    assert found.status.reason == "max_iterations"
+    assert found.status.message.endswith(
+        "Tried in vain to start from least squares, the iteration of the thesis, the best of "
+        "several starts."
+    )
+
+
+def test_a_machine_assembled_the_other_way_round_is_found() -> None:
+    """Every parameter off by up to half a metre or two radians: 12 starts, one optimum each."""
+    reached = 0
+    for seed in range(12):
+        simulated = planar_arm(20, seed=seed)
+        data = simulated.read(SDS, seed=seed)
+        best = calibrate(simulated.truth, data, noise=Noise(SDS), start="nominal")
+        off = simulated.off(0.5, 2.0, seed=seed)
+        result = calibrate(off, data, noise=Noise(SDS), start="nominal")
+        assert best.chi_squared is not None
+        assert result.chi_squared is not None
+        if result.status.converged:
+            reached += result.chi_squared.value <= best.chi_squared.value * (1 + 1e-6)
+            assert result.status.note in (*result.warnings, "")
+    assert reached >= 11
