@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import loopcal
-from loopcal.files.machines.registry import MACHINES
+from loopcal.files.machines.registry import kinds
 from loopcal.mechanisms.effects.registry import EFFECTS
 from loopcal.mechanisms.instruments.registry import INSTRUMENTS
 from tests.documentation import blocks
@@ -106,7 +106,7 @@ def test_it_returns_no_bare_tuple(name: str) -> None:
 def test_the_namespaces_hold_what_mechanism_files_do() -> None:
     """Machines and instruments by the types that files call them, apart from what shows a point."""
     instruments = {kind.replace("-", "_") for kind in INSTRUMENTS}
-    machines = {kind.replace("-", "_") for kind in MACHINES} - {"motoman_ma1400"}
+    machines = {kind.replace("-", "_") for kind in kinds()} - {"motoman_ma1400", "function"}
     found = {
         name for name in LISTED["instruments"] if inspect.isfunction(public(f"instruments.{name}"))
     }

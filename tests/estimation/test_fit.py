@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import pickle
 import sys
 from dataclasses import replace
@@ -130,3 +131,16 @@ def test_a_new_method_is_one_module_and_one_line(monkeypatch: pytest.MonkeyPatch
     (interval,) = lc.intervals(found, "l2").values()
     assert interval is not None
     assert isinstance(lc.find_outliers(found), lc.Outliers)
+
+
+def test_a_calibration_leaves_nothing_to_the_garbage_collector() -> None:
+    """The command collects rarely: cycles that hold arrays would pile up."""
+    for _ in range(2):  # the first fills caches
+        gc.collect()
+        gc.disable()
+        try:
+            lc.findings(lc.calibrate(ARM.truth, DATA, noise=SDS))
+            left = gc.collect()
+        finally:
+            gc.enable()
+    assert left == 0

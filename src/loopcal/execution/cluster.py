@@ -165,8 +165,15 @@ def _distributed() -> ModuleType:
             code="missing-dependency",
             remedy="pip install 'loopcal[cluster]'",
         ) from None
+    logging.getLogger("tornado.application").addFilter(_worth_logging)
     module: ModuleType = distributed
     return module
+
+
+def _worth_logging(record: logging.LogRecord) -> bool:
+    """Not the NameError of `distributed.utils.sync`, where Ctrl-C comes before its first step."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not isinstance(error, NameError)
 
 
 def _connected(address: Any, name: str) -> Any:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,6 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.presentation.rounding import significant
-from loopcal.statistics.causes import Cause, Suspect, find_causes
-from loopcal.statistics.column_faults import column_faults
 from loopcal.statistics.outlier_search import Search
 from loopcal.statistics.pose_tests import (
     Fitted,
@@ -30,6 +29,9 @@ from loopcal.statistics.pose_tests import (
     tail,
     try_rows,
 )
+
+if TYPE_CHECKING:
+    from loopcal.statistics.causes import Cause, Suspect
 
 Array = NDArray[np.float64]
 SCALES = ("auto", "stated", "residual")
@@ -99,7 +101,9 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
     Raises InputError for a level outside (0, 1) or a scale that is none of the three.
     """
     if not 0.0 < level < 1.0:
-        raise InputError(f"the level of a test is a probability, not {level:g}")
+        raise InputError(
+            f"the level of a test is a probability, not {level:g}", code="invalid-value"
+        )
     if scale not in SCALES:
         raise InputError(
             f"there is no scale {scale!r}",
@@ -109,6 +113,8 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
     with one_blas_thread():
         search = Search(result, level, scale)
         if search.hopeless():
+            from loopcal.statistics.column_faults import column_faults
+
             columns = column_faults(result.problem)
             if columns:
                 return Outliers((), level, 0, 1.0, False, columns)
@@ -125,6 +131,8 @@ def _named(
     where = np.flatnonzero(gone)
     if not where.size:
         return ()
+    from loopcal.statistics.causes import find_causes
+
     suspects = _suspects(search, fit, where, tests)
     causes = find_causes(search.problem, search.result.dataset, fit, suspects, exact=search.exact)
     worst = np.argsort([-(s.t / max(s.freedom, 1)) for s in suspects], kind="stable")
@@ -135,6 +143,8 @@ def _suspects(
     search: Search, fit: Fitted, where: NDArray[np.intp], tests: PoseTests
 ) -> list[Suspect]:
     """Each pose with every reading left out in turn and found from the others."""
+    from loopcal.statistics.causes import Suspect
+
     explained: dict[int, dict[int, tuple[float, float]]] = {int(i): {} for i in where}
     possible = np.isfinite(tests.w) & search.readings[:, None]
     for anywhere in (False, True):

@@ -11,7 +11,7 @@ from pydantic import Field
 from loopcal.errors import InputError
 from loopcal.files.machines.entries import built, table
 from loopcal.files.machines.instruments import Instruments
-from loopcal.files.machines.machine_type import ChainModel, looked_at
+from loopcal.files.machines.machine_type import ChainModel, MachineType, looked_at
 from loopcal.files.machines.parameter_entries import in_si
 from loopcal.files.machines.urdf import read_urdf
 from loopcal.files.paths import expanded
@@ -142,6 +142,7 @@ def _joints(make: Any, entries: Sequence[Any], units: Mapping[str, str], place: 
             low, high = (amount.value for amount in entry.limits)
             raise InputError(
                 f"the limits run from {low:g} to {high:g}",
+                code="invalid-value",
                 place=str(here.at("limits")),
                 remedy="give the lower one first",
             )
@@ -154,3 +155,6 @@ def _three(
 ) -> tuple[float, float, float]:
     x, y, z = (in_si(float(v), None, si, place, units) for v in values)
     return (x, y, z)
+
+
+TYPES = {"urdf": MachineType(Urdf, urdf), "exponentials": MachineType(Exponentials, exponential)}

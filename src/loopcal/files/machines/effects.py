@@ -2,32 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from loopcal.errors import InputError
-from loopcal.files.machines.entries import Units, any_of, built
-from loopcal.files.toml.model import Model
+from loopcal.files.machines.entries import Make, Units, built, table
+from loopcal.files.toml.by_type import ByType
 from loopcal.files.toml.place import Place
 from loopcal.mechanisms.effects.effect import Effect, with_effects
-from loopcal.mechanisms.effects.registry import EFFECTS
 from loopcal.mechanisms.mechanism import Mechanism
 
-if TYPE_CHECKING:
-    Effects = list[Any]
-else:
-    Effects = Annotated[
-        list[any_of(EFFECTS.values(), "Effect")],
-        Field(description="What geometry does not explain; zero parameters change nothing."),
-    ]
+
+def _effects() -> Mapping[str, Make]:
+    from loopcal.mechanisms.effects.registry import EFFECTS
+
+    return EFFECTS
 
 
-class MechanismModel(Model):
-    """What mechanisms of all types may say."""
-
-    effect: Effects = Field(default=[])
+Effects = Annotated[
+    list[Annotated[Any, ByType(_effects, lambda kind: table(_effects()[kind], "Effect"))]],
+    Field(description="What geometry does not explain; zero parameters change nothing."),
+]
 
 
 def affected(mechanism: Mechanism, entries: Sequence[Any], units: Units, place: Place) -> Mechanism:
@@ -40,7 +37,7 @@ def affected(mechanism: Mechanism, entries: Sequence[Any], units: Units, place: 
     made = mechanism
     for i, entry in enumerate(entries):
         here = place.at(i)
-        effects.append(built(EFFECTS[entry.type], entry, units, here))
+        effects.append(_built(entry, units, here))
         try:
             made = with_effects(mechanism, effects)
         except InputError as error:
@@ -50,6 +47,10 @@ def affected(mechanism: Mechanism, entries: Sequence[Any], units: Units, place: 
 
 def needed(mechanism: Mechanism, entries: Sequence[Any], units: Units, place: Place) -> set[str]:
     """Names of the parameters and known constants that the effects of these tables bring."""
-    made = [built(EFFECTS[e.type], e, units, place.at(i)) for i, e in enumerate(entries)]
+    made = [_built(entry, units, place.at(i)) for i, entry in enumerate(entries)]
     brought = [{*e.parameters(mechanism), *e.known(mechanism)} for e in made]
     return set().union(*brought) - {*mechanism.known}
+
+
+def _built(entry: Any, units: Units, place: Place) -> Any:
+    return built(_effects()[entry.type], entry, units, place)

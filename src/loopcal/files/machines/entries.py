@@ -6,7 +6,7 @@ number with a unit may be written as a table.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from functools import cache, reduce
 from operator import or_
@@ -37,14 +37,6 @@ def table(make: Make, suffix: str = "", base: type[Model] = Model) -> type[Any]:
     keys: dict[str, Any] = {"type": (Literal[type_name(make)], ...)} if suffix else {}
     keys |= {argument.name: _field(argument) for argument in arguments(make)}
     return create_model(name, __base__=base, __doc__=summary(make), **keys)
-
-
-def any_of(makers: Iterable[Make], suffix: str) -> Any:
-    """The table of any of these types, told apart by the key `type`."""
-    return Annotated[
-        Union[tuple(table(make, suffix) for make in makers)],  # noqa: UP007
-        Field(discriminator="type"),
-    ]
 
 
 def given(make: Make, entry: Any, units: Units, place: Place) -> dict[str, Any]:

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
 
 from pydantic import Field
 
-from loopcal.files.machines.entries import Units, any_of, built
+from loopcal.files.machines.entries import Make, Units, built, table
+from loopcal.files.toml.by_type import ByType
 from loopcal.files.toml.place import Place
-from loopcal.mechanisms.instruments.registry import INSTRUMENTS
 from loopcal.mechanisms.machine import Instrument, Machine
 
-if TYPE_CHECKING:
-    Instruments = list[Any]
-else:
-    Instruments = Annotated[
-        list[any_of(INSTRUMENTS.values(), "Instrument")],
-        Field(
-            description="What is read of the machine's body. With an empty list the machine has "
-            "to calibrate itself by redundant sensors."
-        ),
-    ]
+
+def _instruments() -> Mapping[str, Make]:
+    from loopcal.mechanisms.instruments.registry import INSTRUMENTS
+
+    return INSTRUMENTS
+
+
+Instruments = Annotated[
+    list[
+        Annotated[Any, ByType(_instruments, lambda kind: table(_instruments()[kind], "Instrument"))]
+    ],
+    Field(
+        description="What is read of the machine's body. With an empty list the machine has "
+        "to calibrate itself by redundant sensors."
+    ),
+]
 
 
 def instruments(
@@ -33,6 +39,6 @@ def instruments(
     not fit.
     """
     return [
-        built(INSTRUMENTS[entry.type], entry, units, place.at(i), dimension=machine.dimension)
+        built(_instruments()[entry.type], entry, units, place.at(i), dimension=machine.dimension)
         for i, entry in enumerate(entries)
     ]

@@ -73,23 +73,26 @@ def mechanism_from_data(
 
     Raises InputError as `read_mechanism` does.
     """
-    from loopcal.files.machines.declared_function import Function, declared_function
     from loopcal.files.machines.effects import affected
     from loopcal.files.machines.machine_type import ChainModel
-    from loopcal.files.machines.registry import MACHINES, MODELS
+    from loopcal.files.machines.registry import kinds, machine_type, table_of
     from loopcal.files.toml.model import validated
 
     place = Place(place) if isinstance(place, str) else place
-    kind = data.get("type")
-    if not isinstance(kind, str) or kind not in MODELS:
+    kind, named = str(data.get("type", "")), "type" in data
+    try:
+        table = table_of(kind)
+    except KeyError:
         raise InputError(
-            "the mechanism's type is missing" if kind is None else f"there is no type {kind!r}",
+            f"there is no type {kind!r}" if named else "the mechanism's type is missing",
             code="unknown-name",
-            place=str(place if kind is None else place.at("type")),
-            remedy=nearest(str(kind or ""), MODELS),
-        )
-    model = validated(MODELS[kind], dict(data), place)
-    if isinstance(model, Function):
+            place=str(place.at("type") if named else place),
+            remedy=nearest(kind, kinds()),
+        ) from None
+    model = validated(table, dict(data), place)
+    if kind == "function":
+        from loopcal.files.machines.declared_function import declared_function
+
         return declared_function(model, function, parameters or {}, place)
     if function is not None:
         raise InputError(
@@ -100,7 +103,7 @@ def mechanism_from_data(
         )
     units = model.units.by_dimension()
     try:
-        made = MACHINES[kind].build(model, units, place)
+        made = machine_type(kind).build(model, units, place)
     except InputError as error:
         raise error if error.place else error.at(str(place)) from None
     made = affected(made, model.effect, units, place.at("effect"))

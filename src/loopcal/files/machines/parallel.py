@@ -16,6 +16,7 @@ from loopcal.files.machines.parameter_entries import in_si
 from loopcal.files.toml.place import Place
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parallel.registry import PARALLEL
 
 
 class ParallelModel(MechanismModel):
@@ -27,11 +28,6 @@ class ParallelModel(MechanismModel):
         examples=[{"platform_z": {"value": 700, "unit": "mm"}}],
     )
     instrument: Instruments = Field(default=[])
-
-
-def machine_type(make: Callable[..., Machine]) -> MachineType:
-    """The type of the parallel machine that a function makes."""
-    return MachineType(table(make, "Machine", ParallelModel), partial(_parallel, make))
 
 
 def _parallel(
@@ -46,3 +42,9 @@ def _parallel(
         for name, amount in model.home.items()
     }
     return looked_at(make(**options, home=home), model.instrument, units, place)
+
+
+TYPES = {
+    kind: MachineType(table(make, "Machine", ParallelModel), partial(_parallel, make))
+    for kind, make in PARALLEL.items()
+}

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 from loopcal.files.machines.instruments import Instruments
-from loopcal.files.machines.machine_type import MechanismModel, looked_at
+from loopcal.files.machines.machine_type import MachineType, MechanismModel, looked_at
 from loopcal.files.toml.place import Place
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.planar import NAME, planar_machine, planar_two_link
@@ -28,3 +28,6 @@ def planar(model: PlanarTwoLink, units: Mapping[str, str], place: Place) -> Mech
     if model.instrument is None:
         return planar_two_link(name=model.name)
     return looked_at(planar_machine(name=model.name), model.instrument, units, place)
+
+
+TYPES = {"planar-two-link": MachineType(PlanarTwoLink, planar)}

@@ -1,29 +1,43 @@
-"""The types of mechanism files, one row each."""
+"""The types of mechanism files, one row each; what belongs to a type is loaded when it is named."""
 
 from __future__ import annotations
 
-from loopcal.files.machines.chains import Exponentials, Urdf, exponential, urdf
-from loopcal.files.machines.declared_function import Function
-from loopcal.files.machines.entries import table
-from loopcal.files.machines.machine_type import MachineType, MechanismModel
-from loopcal.files.machines.parallel import machine_type
-from loopcal.files.machines.planar import PlanarTwoLink, planar
-from loopcal.files.machines.serial import Serial, motoman, serial
-from loopcal.mechanisms.motoman import motoman_ma1400
-from loopcal.mechanisms.parallel.registry import PARALLEL
+from importlib import import_module
+from typing import Any
 
-MACHINES = {
-    "planar-two-link": MachineType(PlanarTwoLink, planar),
-    "serial": MachineType(Serial, serial),
-    "urdf": MachineType(Urdf, urdf),
-    "exponentials": MachineType(Exponentials, exponential),
-    "motoman-ma1400": MachineType(table(motoman_ma1400, "Machine", MechanismModel), motoman),
-    **{kind: machine_type(make) for kind, make in PARALLEL.items()},
-}
-"""By the type that files name, the table and what builds the mechanism of it."""
+from loopcal.files.machines.machine_type import MachineType
 
-MODELS: dict[str, type[MechanismModel]] = {
-    **{kind: row.model for kind, row in MACHINES.items()},
-    "function": Function,
+_HOME = {
+    "planar-two-link": "planar",
+    "serial": "serial",
+    "urdf": "chains",
+    "exponentials": "chains",
+    "motoman-ma1400": "serial",
 }
-"""By type, the table; that of a function is built with the function, which no file holds."""
+"""By type, the module here whose `TYPES` holds it; all others are parallel machines."""
+
+
+def kinds() -> tuple[str, ...]:
+    """The names of all types."""
+    from loopcal.mechanisms.parallel.registry import PARALLEL
+
+    return (*_HOME, *PARALLEL, "function")
+
+
+def machine_type(kind: str) -> MachineType:
+    """The row of a type other than "function"; raises KeyError for what is no type."""
+    home = import_module(f"loopcal.files.machines.{_HOME.get(kind, 'parallel')}")
+    row: MachineType = home.TYPES[kind]
+    return row
+
+
+def table_of(kind: str) -> type[Any]:
+    """The table of a type; that of a function is built with the function, which no file holds.
+
+    Raises KeyError for what is no type.
+    """
+    if kind != "function":
+        return machine_type(kind).model
+    from loopcal.files.machines.declared_function import Function
+
+    return Function

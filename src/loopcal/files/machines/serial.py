@@ -11,7 +11,7 @@ from pydantic import Discriminator, Field, Tag
 from loopcal.errors import InputError
 from loopcal.files.machines.entries import given, table
 from loopcal.files.machines.instruments import Instruments
-from loopcal.files.machines.machine_type import ChainModel, looked_at
+from loopcal.files.machines.machine_type import ChainModel, MachineType, MechanismModel, looked_at
 from loopcal.files.machines.mechanism_parts import Amount, Value
 from loopcal.files.machines.parameter_entries import in_si
 from loopcal.files.toml.model import Model
@@ -177,7 +177,9 @@ def _base(given: BasePlacement, units: Mapping[str, str], place: Place) -> dict[
 def _si(value: Value, si: str, units: Mapping[str, str], place: Place) -> float:
     number = in_si(value.value, value.unit, si, place, units)
     if not math.isfinite(number):
-        raise InputError(f"{value.value!r} is given", place=str(place), remedy="give less")
+        raise InputError(
+            f"{value.value!r} is given", code="invalid-value", place=str(place), remedy="give less"
+        )
     return number
 
 
@@ -193,3 +195,9 @@ def _refuse_repeated(joints: list[str], point: list[str], place: Place) -> None:
                 remedy="name each differently",
             )
         seen.add(name)
+
+
+TYPES = {
+    "serial": MachineType(Serial, serial),
+    "motoman-ma1400": MachineType(table(motoman_ma1400, "Machine", MechanismModel), motoman),
+}

@@ -18,7 +18,6 @@ from loopcal.files.project.compare_entries import compare_spec
 from loopcal.files.project.data_entries import DataSpec, data_files
 from loopcal.files.project.fit_entries import FitSpec, fit_spec
 from loopcal.files.project.noise_entries import NoiseSpec, noise_spec
-from loopcal.files.project.simulation_entries import SimulationSpec, simulation_spec
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml, shown, toml_data
 from loopcal.mechanisms.effects.model import Model
@@ -27,6 +26,7 @@ from loopcal.mechanisms.parameters import Parameters
 
 if TYPE_CHECKING:
     from loopcal.files.project.project_schema import ProjectModel, SdEntry
+    from loopcal.files.project.simulation_entries import SimulationSpec
     from loopcal.files.study.study_schema import StudyModel
 
 
@@ -89,9 +89,7 @@ def read_project(
         data=data_spec(model, machine, place),
         noise=noise,
         fit=fit_spec(model.fit, machine, place.at("fit")),
-        simulation=None
-        if model.simulation is None
-        else simulation_spec(model.simulation, machine, noise, place.at("simulation")),
+        simulation=_simulation(model, machine, noise, place.at("simulation")),
         inputs=plain(data),
         compare=compare_spec(model.compare, machine, place.at("compare")),
     )
@@ -105,6 +103,16 @@ def data_spec(model: ProjectModel, mechanism: Mechanism, place: Place) -> DataSp
         model.noise, mechanism.quantities, mechanism.quantity_group, place.at("noise")
     )
     return data_files(model.data, mechanism, noise, place.at("data"))
+
+
+def _simulation(
+    model: ProjectModel, machine: Mechanism, noise: NoiseSpec, place: Place
+) -> SimulationSpec | None:
+    if model.simulation is None:
+        return None
+    from loopcal.files.project.simulation_entries import simulation_spec
+
+    return simulation_spec(model.simulation, machine, noise, place)
 
 
 def _mechanism(
@@ -143,6 +151,7 @@ def stated_mechanism(
             words = "describes no mechanism" if given is None else "declares no quantities"
             raise InputError(
                 f"the project {words}",
+                code="missing-key",
                 place=place.file,
                 remedy='add [mechanism] with file = "..." or type = "serial", "planar-two-link", '
                 '"motoman-ma1400" or "function"',

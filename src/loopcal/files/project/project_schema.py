@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
+from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag
+from pydantic import BeforeValidator, Field
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
 from loopcal.files.machines.effects import Effects
 from loopcal.files.machines.instruments import Instruments
 from loopcal.files.machines.mechanism_parts import ParameterEntries, Units, Value
-from loopcal.files.machines.registry import MODELS
+from loopcal.files.machines.registry import kinds, table_of
 from loopcal.files.project.fit_schema import FitEntry
+from loopcal.files.toml.by_type import ByType
 from loopcal.files.toml.model import (
     Finite,
     Model,
@@ -49,16 +50,14 @@ def _mechanism_form(value: Any) -> str:
     return "file"
 
 
-if TYPE_CHECKING:
-    MechanismEntry = Model
-else:
-    MechanismEntry = Annotated[
-        Union[
-            Annotated[MechanismFile, Tag("file")],
-            *(Annotated[model, Tag(kind)] for kind, model in MODELS.items()),
-        ],
-        Discriminator(_mechanism_form),
-    ]
+MechanismEntry = Annotated[
+    Any,
+    ByType(
+        lambda: ("file", *kinds()),
+        lambda kind: MechanismFile if kind == "file" else table_of(kind),
+        _mechanism_form,
+    ),
+]
 
 
 class ColumnEntry(Model):

@@ -11,13 +11,12 @@ import platform
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.stream.chunks import Chunk
-from loopcal.estimation.stream.last_pass import SHOWN
 from loopcal.files.paths import expanded
 from loopcal.files.project.project_data import (
     LoadedData,
@@ -46,6 +45,9 @@ from loopcal.measurements.dataset import checked_every
 from loopcal.measurements.poses import pose_id
 from loopcal.measurements.source import Source
 from loopcal.mechanisms.outputs import measured_points
+
+if TYPE_CHECKING:
+    from loopcal.estimation.stream.chunks import Chunk
 
 LARGE = 2_000_000
 """Rows from which on a file is read in chunks unless the project says otherwise."""
@@ -137,6 +139,8 @@ class ParquetStream:
         Raises InputError where its file is not there, or not the one of the beginning.
         """
         loaded = self._loaded(self._parts[number])
+        from loopcal.estimation.stream.chunks import Chunk
+
         return Chunk(loaded.dataset, loaded.noise)
 
     @cached_property
@@ -240,6 +244,8 @@ def load_sample(project: Project) -> LoadedData:
 
     The first warning then says so. Raises InputError as `load_dataset` and `project_stream` do.
     """
+    from loopcal.estimation.stream.last_pass import SHOWN
+
     stream = project_stream(project)
     if stream is None or stream.poses < 2 * SHOWN:
         return load_dataset(project)

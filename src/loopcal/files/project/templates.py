@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
-from importlib import resources
 
 from loopcal.errors import InputError, nearest
 
@@ -43,6 +42,8 @@ def template_files(kind: str, folder: str) -> Mapping[str, str]:
         )
     # a name that ends in .template keeps linters from taking an example for a module of ours
     shown = shlex.quote(" ".join(folder.split()))
+    from importlib import resources
+
     source = resources.files("loopcal.files.project").joinpath("template_files", kind)
     return {
         entry.name.removesuffix(".template"): entry.read_text("utf-8").replace("NAME/", f"{shown}/")

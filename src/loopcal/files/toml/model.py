@@ -31,7 +31,7 @@ Kind = TypeVar("Kind", bound=BaseModel)
 class Model(BaseModel):
     """A table of a file."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
 
     @model_validator(mode="before")
     @classmethod
@@ -122,8 +122,6 @@ _CODES: dict[str, Code] = {
     "unknown_key": "unknown-name",
     "missing": "missing-key",
     "literal_error": "unknown-name",
-    "union_tag_invalid": "unknown-name",
-    "union_tag_not_found": "missing-key",
 }
 """Of pydantic's kinds of complaints; all others are about a value."""
 
@@ -165,11 +163,6 @@ def _words(detail: ErrorDetails, path: Sequence[str | int]) -> tuple[str, str]:
         case "literal_error":
             known = context["expected"].replace(" or ", ", ").replace("'", "").split(", ")
             return f"{given!r} is given", nearest(str(given), known)
-        case "union_tag_invalid":
-            known = context["expected_tags"].replace("'", "").split(", ")
-            return f"the type {context['tag']!r} is not known", nearest(context["tag"], known)
-        case "union_tag_not_found":
-            return "'type' is missing", 'add type = "..."'
         case "greater_than_equal" | "greater_than":
             least = context.get("ge", context.get("gt"))
             than = f"{least:g} or more" if "ge" in context else f"more than {least:g}"
