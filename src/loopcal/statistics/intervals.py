@@ -112,7 +112,9 @@ def intervals(
     likelihood (reweighted), and where a calibration did not converge.
     """
     if not 0.0 < level < 1.0:
-        raise InputError(f"{level:g} is no level", remedy="give a number below 1, say 0.95")
+        raise InputError(
+            f"{level:g} is no level", code="invalid-value", remedy="give a number below 1, say 0.95"
+        )
     _check(result)
     patterns = [patterns] if isinstance(patterns, str) else list(patterns)
     everything = result.mechanism.parameters.names
