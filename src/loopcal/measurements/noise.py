@@ -274,6 +274,7 @@ def _check_key(key: Any) -> None:
     if not all(isinstance(name, str) for name in names):
         raise InputError(
             f"the noise names {key!r:.60}, which is not the name of a quantity",
+            code="invalid-value",
             remedy='name a quantity, glob or group ("theta_*"), or several in a tuple '
             '(("x", "y", "z"))',
         )
