@@ -12,7 +12,7 @@ import pytest
 
 from loopcal.document.plain import plain
 from loopcal.document.tables import model_table
-from loopcal.errors import InputError
+from loopcal.errors import Code
 from loopcal.estimation.calibrate import calibrate
 from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.project.project_data import load_dataset
@@ -25,6 +25,7 @@ from loopcal.workflow.calibration import Request, run_calibration
 from loopcal.workflow.checking import run_prediction
 from loopcal.workflow.simulation import run_simulation
 from tests.command_line import run
+from tests.refusals import refused
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PROJECT = """\
@@ -129,19 +130,20 @@ def test_without_compare_all_effects_are_on(project: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "code", "stated"),
     [
-        ('effects = ["scale"]', 'effects = ["scales"]', "'scale'"),
-        ('fixed = ["yA_drift"]', 'fixed = ["zA_drift"]', "zA_drift"),
-        ('name = "all"', 'name = "scale"', "names two models"),
+        ('effects = ["scale"]', 'effects = ["scales"]', "unknown-name", "'scale'"),
+        ('fixed = ["yA_drift"]', 'fixed = ["zA_drift"]', "unknown-name", "'zA_drift'"),
+        ('name = "all"', 'name = "scale"', "duplicate-name", "'scale'"),
     ],
 )
-def test_models_that_cannot_be_are_refused(project: Path, old: str, new: str, words: str) -> None:
+def test_models_that_cannot_be_are_refused(
+    project: Path, old: str, new: str, code: Code, stated: str
+) -> None:
     path = project.with_name("wrong.toml")
     path.write_text(PROJECT.replace(old, new))
-    with pytest.raises(InputError, match="compare") as refused:
+    with refused(code, "compare.model", stated):
         read_project(path)
-    assert words in str(refused.value)
 
 
 def test_a_project_without_models_says_what_to_write(project: Path) -> None:

@@ -117,6 +117,19 @@ def codes_used() -> set[str]:
     return found
 
 
+def test_every_refusal_of_input_states_its_code() -> None:
+    """`InputError` is too wide a class for its usual code to be meant without a word."""
+    silent = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in (ROOT / "src").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.Call)
+        and ast.unparse(node.func).endswith("InputError")
+        and not any(keyword.arg == "code" for keyword in node.keywords)
+    ]
+    assert silent == []
+
+
 def test_every_code_is_used() -> None:
     assert codes_used() == {*get_args(Code)}
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopcal.errors import InputError, UsageError
+from loopcal.errors import InputError
 from loopcal.files.result.result_file import read_result
 from loopcal.workflow.calibration import Listeners, Request, run_calibration
 from loopcal.workflow.projects import new_project, schema
@@ -140,7 +140,7 @@ def test_what_is_wrong_in_a_users_file_is_told(name: str, told: str, lever: Path
 
 def test_a_mistake_in_a_users_loops_names_its_line(lever: Path) -> None:
     line = 1 + LOOPS.splitlines().index("    return [p.length * x.angle - undefined]")
-    with pytest.raises(InputError, match=rf"loops\.py, line {line}"):
+    with refused("failing-function", f"loops.py, line {line}", "'undefined'"):
         run_simulation(
             lever / "lever.toml", out=lever / "p.csv", seed=1, function=function(lever, "fails")
         )
@@ -215,7 +215,7 @@ def test_progress_is_reported(lever: Path) -> None:
 
 
 def test_a_method_that_is_none_is_a_matter_of_usage(lever: Path) -> None:
-    with pytest.raises(UsageError, match="least-squares"):
+    with refused("unknown-name", "'least-sqares'"):
         run_calibration(lever / "lever.toml", Request(method="least-sqares"))
     with refused("unknown-name", "project"):
         schema("projekt")

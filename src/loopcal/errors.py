@@ -27,6 +27,7 @@ Code = Literal[
     "conflicting-keys",
     "duplicate-column",
     "duplicate-name",
+    "failing-function",
     "implausible-readings",
     "implausible-unit",
     "internal",

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from loopcal import Noise, calibrate
+from loopcal.estimation.prediction import predict_outputs
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
@@ -39,3 +42,24 @@ def test_a_measured_orientation_does_not_help_to_predict_where_a_platform_is() -
     apart = np.array([predicted.outputs[axis] for axis in "xyz"]) - measured
     differences = np.array([result.differences_after[axis] for axis in "xyz"])
     assert apart == pytest.approx(differences, abs=1e-9)
+
+
+def test_a_pose_that_no_loop_reaches_is_lost_and_disturbs_no_other() -> None:
+    machine = assemble(stewart_gough(), [pose()])
+    exact = simulate(
+        machine, random_poses(PLACES, 30, seed=3), noise=Noise({"*": 0.0}), seed=0
+    ).quantities
+    tape = machine.predicting().tape
+    platform = [q for q in tape.quantities if q.startswith("platform_")]
+    found = replace(machine, outputs=(*machine.outputs, *platform))
+    starts = dict.fromkeys(found.outputs, 0.0) | {q: machine.home[q] for q in platform}
+    readings = np.array([np.broadcast_to(starts.get(q, exact[q]), 30) for q in tape.quantities])
+    parameters = np.array([p.nominal for p in machine.parameters])
+    known = np.zeros((len(tape.known), 30))
+    readings[tape.quantities.index("leg_1"), 4] = 5.0
+    readings[tape.quantities.index("leg_2"), 7] = np.nan
+    y = predict_outputs(found, parameters, readings, known)
+    lost = np.isnan(y).any(axis=0)
+    assert np.flatnonzero(lost).tolist() == [4, 7]
+    expected = np.array([exact[q] for q in found.outputs])
+    assert y[:, ~lost] == pytest.approx(expected[:, ~lost], abs=1e-11)

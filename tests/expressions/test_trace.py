@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loopcal.errors import InputError
+from loopcal.errors import Code, InputError
 from loopcal.expressions.trace import TraceError, trace
 from tests.reference.plain_tape import loop_values
 from tests.refusals import refused
@@ -236,25 +236,27 @@ def test_functions_without_a_derivative_here_list_those_that_have_one(name: str)
 
 
 @pytest.mark.parametrize(
-    ("function", "message"),
+    ("function", "code", "stated"),
     [
-        (lambda x, p: x.aa, "quantity 'aa', which is not declared.*did you mean 'a'"),
-        (lambda x, p: x.a + p["kk"], "parameter 'kk', which is not declared.*did you mean 'k'"),
-        (lambda x, p: x.a + p.z, "parameter 'z'.*known are 'k', 'l'"),
-        (lambda x, p: x[2], "number 2 of 2"),
-        (lambda x, p: x.a * math.inf, "constant inf"),
-        (lambda x, p: x.a * np.nan, "constant nan"),
-        (lambda x, p: None, "returned None.*tuple of formulas"),
-        (lambda x, p: 3.0, "returned 3.0"),
-        (lambda x, p: (), "no equation"),
-        (lambda x, p: (x.a, 1.0), "loop 2 is 1.0 and contains neither readings nor parameters"),
-        (lambda x, p: "ab", "loop 1 is 'a'"),
-        (lambda x, p: (x.a, p.k), "loop 2 contains no quantity that is read"),
-        (lambda x, p: p.k * p.l, "loop 1 contains no quantity that is read"),
+        (lambda x, p: x.aa, "untraceable-function", ("'aa'", "'a'")),
+        (lambda x, p: x.a + p["kk"], "untraceable-function", ("'kk'", "'k'")),
+        (lambda x, p: x.a + p.z, "untraceable-function", ("'z'", "'k'", "'l'")),
+        (lambda x, p: x[2], "untraceable-function", ("2",)),
+        (lambda x, p: x.a * math.inf, "untraceable-function", ("inf",)),
+        (lambda x, p: x.a * np.nan, "untraceable-function", ("nan",)),
+        (lambda x, p: None, "untraceable-function", ("None",)),
+        (lambda x, p: 3.0, "untraceable-function", ("3.0",)),
+        (lambda x, p: (), "untraceable-function", ()),
+        (lambda x, p: (x.a, 1.0), "untraceable-function", ("2", "1.0")),
+        (lambda x, p: "ab", "untraceable-function", ("1", "'a'")),
+        (lambda x, p: (x.a, p.k), "untraceable-function", ("2",)),
+        (lambda x, p: p.k * p.l, "untraceable-function", ("1",)),
     ],
 )
-def test_what_cannot_be_a_loop_is_named(function: Callable[..., Any], message: str) -> None:
-    with pytest.raises(TraceError, match=f"(?s){message}"):
+def test_what_cannot_be_a_loop_is_named(
+    function: Callable[..., Any], code: Code, stated: tuple[str, ...]
+) -> None:
+    with refused(code, *stated):
         trace(function, quantities=QUANTITIES, parameters=PARAMETERS)
 
 

@@ -142,7 +142,7 @@ def test_thinning_keeps_the_first_and_every_nth(filed):
     assert thin.source.every == 2
     assert thin.thin(2).source.every == 4
     for wrong in (0, -1, 1.5, True):
-        with pytest.raises(InputError, match="whole number"):
+        with refused("invalid-value", f"every = {wrong!r}"):
             filed.thin(wrong)
 
 
@@ -151,7 +151,7 @@ def test_selection_is_by_id_and_taking_by_position(filed):
     assert filed.take([4, 0]).place(0) == "a.csv, row 7"
     assert filed.take(filed["x"] > 2).poses == ("d", "d")
     assert filed.take(slice(1, 3)).poses == ("b", "c")
-    with pytest.raises(InputError, match="did you mean") as caught:
+    with refused("unknown-name", "'aa'") as caught:
         filed.select(["d", "aa"])
     assert "a.csv" in str(caught.value)
     with refused("no-data"):
@@ -206,6 +206,6 @@ def test_it_goes_to_another_process_unchanged(filed):
 @pytest.mark.parametrize(("unit", "most"), [("rad", 1e8), ("deg", 5e9), ("mm", 1e33), ("N", 1e30)])
 def test_a_reading_larger_than_any_sensor_makes_is_refused(unit: str, most: float) -> None:
     assert len(Dataset.from_arrays({"a": [1.0, 0.9 * most]}, units={"a": unit})) == 2
-    with pytest.raises(InputError, match="no sensor reads that") as error:
+    with refused("implausible-readings", "'2'") as error:
         Dataset.from_arrays({"a": [1.0, -2.0 * most]}, units={"a": unit})
     assert error.value.remedy

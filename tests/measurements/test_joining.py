@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loopcal.errors import InputError
+from loopcal.errors import Code
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.joining import join
+from tests.refusals import refused
 
 
 def joints(*poses: str) -> Dataset:
@@ -47,14 +48,16 @@ def test_sds_come_along() -> None:
 
 
 @pytest.mark.parametrize(
-    ("parts", "words"),
+    ("parts", "code", "stated"),
     [
-        ([joints("a", "a"), tracker("a")], "twice"),
-        ([joints("a"), joints("a")], "'q' is read from"),
-        ([joints("a"), tracker("b")], "no pose in common"),
+        ([joints("a", "a"), tracker("a")], "duplicate-name", ("twice",)),
+        ([joints("a"), joints("a")], "duplicate-column", ("'q'",)),
+        ([joints("a"), tracker("b")], "mismatched-poses", ("part 1", "part 2")),
     ],
 )
-def test_what_cannot_be_joined_is_refused(parts: list[Dataset], words: str) -> None:
-    with pytest.raises(InputError, match=words) as refused:
+def test_what_cannot_be_joined_is_refused(
+    parts: list[Dataset], code: Code, stated: tuple[str, ...]
+) -> None:
+    with refused(code, *stated) as caught:
         join(parts, [True, False])
-    assert refused.value.remedy
+    assert caught.value.remedy

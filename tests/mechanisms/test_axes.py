@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from loopcal.errors import InputError
 from loopcal.mechanisms.axes import AxisFrame, unit_direction
 from loopcal.mechanisms.chain import Step, product
+from tests.refusals import refused
 
 AXES = [(1, 0, 0), (0, -1, 0), (0, 0, 1), (0.6, 0, -0.8), (2 / 3, -1 / 3, 2 / 3)]
 
@@ -50,11 +50,15 @@ def test_its_own_parameters_move_the_axis_alone(axis):
 
 
 @pytest.mark.parametrize(
-    ("axis", "words"),
-    [((0, 0, 0), "no direction"), ((1, 1, 0), "norm 1.41421"), ((0, math.nan, 1), "no direction")],
+    ("axis", "code", "stated"),
+    [
+        ((0, 0, 0), "invalid-value", ("'elbow'",)),
+        ((1, 1, 0), "invalid-value", ("1.41421", "'elbow'")),
+        ((0, math.nan, 1), "invalid-value", ("'elbow'",)),
+    ],
 )
-def test_what_is_no_direction_is_refused(axis, words):
-    with pytest.raises(InputError, match=words) as raised:
+def test_what_is_no_direction_is_refused(axis, code, stated):
+    with refused(code, *stated) as raised:
         unit_direction(axis, "elbow")
     assert "'elbow'" in raised.value.message
     assert raised.value.remedy

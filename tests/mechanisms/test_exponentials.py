@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from loopcal.errors import InputError
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.exponentials import ScrewJoint, exponentials, merged
 from tests.reference.frames import move, turn
+from tests.refusals import refused
 
 JOINTS = (
     ScrewJoint("q1", (0, 0, 1), (0.1, -0.2, 0.3)),
@@ -78,19 +78,22 @@ def test_fixed_displacements_between_axes_are_one():
 
 
 @pytest.mark.parametrize(
-    ("joints", "words"),
-    [([], "no joints"), ([JOINTS[0], JOINTS[0]], "'q1' names two joints")],
+    ("joints", "code", "stated"),
+    [([], "missing-key", ()), ([JOINTS[0], JOINTS[0]], "duplicate-name", ("'q1'",))],
 )
-def test_machines_that_are_none_are_refused(joints, words):
-    with pytest.raises(InputError, match=words):
+def test_machines_that_are_none_are_refused(joints, code, stated):
+    with refused(code, *stated):
         exponentials(joints)
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
-    [({"axis": (0, 0, 0.5)}, "norm 0.5"), ({"axis": (0, 0, 1), "kind": "fixed"}, "kind 'fixed'")],
+    ("given", "code", "stated"),
+    [
+        ({"axis": (0, 0, 0.5)}, "invalid-value", ("0.5", "'elbow'")),
+        ({"axis": (0, 0, 1), "kind": "fixed"}, "unknown-name", ("'fixed'",)),
+    ],
 )
-def test_joints_that_are_none_are_refused(given, words):
-    with pytest.raises(InputError, match=words) as raised:
+def test_joints_that_are_none_are_refused(given, code, stated):
+    with refused(code, *stated) as raised:
         ScrewJoint("elbow", **given)
     assert "'elbow'" in raised.value.message

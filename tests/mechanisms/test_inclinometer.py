@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.errors import InputError
+from loopcal.errors import Code
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import toml_data
 from loopcal.mechanisms.mechanism import Mechanism
 from tests.reference import frames
+from tests.refusals import refused
 
 ARM = """
 type = "serial"
@@ -128,14 +129,14 @@ def test_it_is_written_again_bit_for_bit(keys: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "words"),
+    ("keys", "code", "stated"),
     [
-        ('readings = ["a"]', "1 readings"),
-        ("gravity = [0, 0, 0]", "gravity of 'level'"),
-        ('on = "table"', "'table'"),
+        ('readings = ["a"]', "wrong-shape", ("1", "'level'")),
+        ("gravity = [0, 0, 0]", "invalid-value", ("'level'",)),
+        ('on = "table"', "unknown-name", ("'table'",)),
     ],
 )
-def test_what_does_not_fit_is_refused(keys: str, words: str) -> None:
-    with pytest.raises(InputError, match=words) as refused:
+def test_what_does_not_fit_is_refused(keys: str, code: Code, stated: tuple[str, ...]) -> None:
+    with refused(code, *stated) as caught:
         read(f'{ARM}[[instrument]]\ntype = "inclinometer"\n{keys}\n')
-    assert "instrument[2]" in str(refused.value)
+    assert "instrument[2]" in str(caught.value)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loopcal.errors import InputError
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.origins import LinkJoint, Mimic, joint_chain
 from tests.reference.frames import move, turn
 from tests.reference.plain_tape import loop_values
+from tests.refusals import refused
 
 CHAIN = (
     LinkJoint("lift", "prismatic", (0.1, 0.2, 0.3), (0.1, -0.2, 0.3), (0, 0, -1)),
@@ -92,25 +92,25 @@ def test_seen_by_an_instrument_it_is_a_mechanism():
 
 
 @pytest.mark.parametrize(
-    ("joints", "words"),
+    ("joints", "code", "stated"),
     [
-        ([LinkJoint("a", "fixed")], "nothing moves"),
-        ([CHAIN[0], CHAIN[0]], "'lift' names two joints"),
+        ([LinkJoint("a", "fixed")], "missing-key", ()),
+        ([CHAIN[0], CHAIN[0]], "duplicate-name", ("'lift'",)),
     ],
 )
-def test_chains_that_are_none_are_refused(joints, words):
-    with pytest.raises(InputError, match=words):
+def test_chains_that_are_none_are_refused(joints, code, stated):
+    with refused(code, *stated):
         joint_chain(joints)
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("given", "code", "stated"),
     [
-        ({"kind": "floating"}, "kind 'floating'"),
-        ({"kind": "revolute", "axis": (0, 0, 2)}, "norm 2"),
-        ({"kind": "revolute", "axis": (0, 0, 0)}, "no direction"),
+        ({"kind": "floating"}, "unknown-name", ("'floating'",)),
+        ({"kind": "revolute", "axis": (0, 0, 2)}, "invalid-value", ("2", "'q'")),
+        ({"kind": "revolute", "axis": (0, 0, 0)}, "invalid-value", ("'q'",)),
     ],
 )
-def test_joints_that_are_none_are_refused(given, words):
-    with pytest.raises(InputError, match=words):
+def test_joints_that_are_none_are_refused(given, code, stated):
+    with refused(code, *stated):
         LinkJoint("q", **given)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from loopcal.errors import InputError
+from loopcal.errors import Code
 from loopcal.mechanisms.parameters import Parameter, Parameters, declared, matching
 from loopcal.mechanisms.prior import Prior
 from tests.refusals import refused
@@ -84,22 +84,24 @@ def test_a_prior_sd_of_zero_fixes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("make", "code", "stated"),
     [
-        (lambda: Parameter("l", math.nan, "m"), "'l' has the nominal value nan"),
-        (lambda: Parameter("l", math.inf, "m"), "'l' has the nominal value inf"),
-        (lambda: Parameter("l", 1.0, "m", prior_sd=-1.0), "prior sd of 'l' is -1.0"),
-        (lambda: Parameter("l", 1.0, "m", prior_sd=math.nan), "prior sd of 'l' is nan"),
-        (lambda: Parameters((Parameter("l", 1.0, "m"),) * 2), "'l' is declared twice"),
-        (lambda: LENGTHS.with_nominal({"l1": math.nan}), "'l1' has the nominal value nan"),
-        (lambda: declared({"l": ("long", "m")}), "'l' has the value .'long', 'm'"),
-        (lambda: declared({"l": None}), "'l' has the value None"),
-        (lambda: declared({"l": (1.0, "metre")}), "metre"),
-        (lambda: declared({"l": (1.0, "m", "x")}), "'l' has the value"),
+        (lambda: Parameter("l", math.nan, "m"), "invalid-value", ("'l'",)),
+        (lambda: Parameter("l", math.inf, "m"), "invalid-value", ("'l'",)),
+        (lambda: Parameter("l", 1.0, "m", prior_sd=-1.0), "invalid-value", ("'l'", "-1.0")),
+        (lambda: Parameter("l", 1.0, "m", prior_sd=math.nan), "invalid-value", ("'l'",)),
+        (lambda: Parameters((Parameter("l", 1.0, "m"),) * 2), "duplicate-name", ("'l'",)),
+        (lambda: LENGTHS.with_nominal({"l1": math.nan}), "invalid-value", ("'l1'",)),
+        (lambda: declared({"l": ("long", "m")}), "invalid-value", ("'l'", "'long'", "'m'")),
+        (lambda: declared({"l": None}), "invalid-value", ("'l'",)),
+        (lambda: declared({"l": (1.0, "metre")}), "unknown-unit", ("metre",)),
+        (lambda: declared({"l": (1.0, "m", "x")}), "invalid-value", ("'l'",)),
     ],
 )
-def test_what_cannot_be_a_parameter_is_named(make: Any, message: str) -> None:
-    with pytest.raises(InputError, match=message):
+def test_what_cannot_be_a_parameter_is_named(
+    make: Any, code: Code, stated: tuple[str, ...]
+) -> None:
+    with refused(code, *stated):
         make()
 
 

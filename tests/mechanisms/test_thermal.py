@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.errors import InputError
+from loopcal.errors import Code
 from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 from tests.command_line import run
+from tests.refusals import refused
 
 NOISE = lc.Noise({"xP": 1e-5, "yP": 1e-5, "phi*": 1e-5})
 TRUTH = {"l2_thermal": 12e-6, "phi30_thermal": 20e-6}
@@ -110,9 +111,9 @@ def test_celsius_taken_as_kelvin_is_refused_before_the_fit(tmp_path: Path) -> No
     project.write_text(PROJECT)
     run("simulate", str(project), "--out", str(data), "--seed", "4")
     project.write_text(PROJECT.replace('{ column = "T", unit = "degC" }', '"T"'))
-    with pytest.raises(InputError, match="look like degC") as refused:
+    with refused("implausible-unit", "'T'") as caught:
         lc.load_dataset(lc.read_project(project))
-    assert refused.value.code == "implausible-unit"
+    assert caught.value.code == "implausible-unit"
     project.write_text(PROJECT.replace('unit = "degC" }\n[noise]', "check = false }\n[noise]"))
     assert lc.load_dataset(lc.read_project(project)).dataset["temperature"].max() < 40
 
@@ -180,9 +181,15 @@ def test_it_is_written_again_bit_for_bit(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
-    [({"unit": "m"}, "20 m"), ({"reference": float("nan")}, "nan"), ({"unit": "degK"}, "degK")],
+    ("given", "code", "stated"),
+    [
+        ({"unit": "m"}, "invalid-value", ("20", "'thermal'")),
+        ({"reference": float("nan")}, "invalid-value", ("nan",)),
+        ({"unit": "degK"}, "unknown-unit", ("degK",)),
+    ],
 )
-def test_what_is_no_temperature_is_refused(given: dict[str, object], words: str) -> None:
-    with pytest.raises(InputError, match=words):
+def test_what_is_no_temperature_is_refused(
+    given: dict[str, object], code: Code, stated: tuple[str, ...]
+) -> None:
+    with refused(code, *stated):
         warmed(**given)

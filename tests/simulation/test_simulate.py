@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loopcal.errors import InputError
+from loopcal.errors import Code, InputError
 from loopcal.expressions.engine import engine_for
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
@@ -183,20 +183,22 @@ def test_random_poses_fill_their_ranges() -> None:
 
 
 @pytest.mark.parametrize(
-    ("poses", "options", "told"),
+    ("poses", "options", "code", "stated"),
     [
-        ({"phi2": [0.0]}, {}, "3 quantities"),
-        ({"phi2": [0.0], "phi4": [0.0]}, {}, "'phi4'"),
-        ({"phi2": [0.0, np.nan], "phi3": [0.0, 0.0]}, {}, "'phi2' has no value at pose '2'"),
-        (GRID, {"truth": {"l9": 1.0}}, "'l9'"),
-        (GRID, {"start": {"zz": 1.0}}, "'zz'"),
-        (GRID, {"seed": -1}, "seed is -1"),
-        (GRID, {"seed": 1.5}, "seed is 1.5"),
-        (GRID, {"noise": Noise({"xP": 1e-4})}, "no sd is stated"),
+        ({"phi2": [0.0]}, {}, "undetermined-quantities", ("3",)),
+        ({"phi2": [0.0], "phi4": [0.0]}, {}, "unknown-name", ("'phi4'",)),
+        ({"phi2": [0.0, np.nan], "phi3": [0.0, 0.0]}, {}, "missing-reading", ("'phi2'", "'2'")),
+        (GRID, {"truth": {"l9": 1.0}}, "unknown-name", ("'l9'",)),
+        (GRID, {"start": {"zz": 1.0}}, "unknown-name", ("'zz'",)),
+        (GRID, {"seed": -1}, "invalid-value", ("-1",)),
+        (GRID, {"seed": 1.5}, "invalid-value", ("1.5",)),
+        (GRID, {"noise": Noise({"xP": 1e-4})}, "missing-sd", ("'yP'",)),
     ],
 )
-def test_what_cannot_be_simulated_is_said(poses: dict, options: dict, told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_what_cannot_be_simulated_is_said(
+    poses: dict, options: dict, code: Code, stated: tuple[str, ...]
+) -> None:
+    with refused(code, *stated):
         simulate(planar_two_link(), poses, **{"noise": BASE, "seed": 0, **options})
 
 

@@ -76,11 +76,15 @@ class Fit:
             )
         if isinstance(max_iterations, bool) or not max_iterations >= 0:
             raise InputError(
-                f"max_iterations is {max_iterations!r}", remedy="give a whole number, 0 or more"
+                f"max_iterations is {max_iterations!r}",
+                code="invalid-value",
+                remedy="give a whole number, 0 or more",
             )
         if tolerance is not None and not 0.0 < tolerance < math.inf:
             raise InputError(
-                f"the tolerance is {tolerance!r}", remedy="give a number above zero, say 1e-8"
+                f"the tolerance is {tolerance!r}",
+                code="invalid-value",
+                remedy="give a number above zero, say 1e-8",
             )
         values = {
             "method": chosen,

@@ -7,15 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.problem.patterns import held_loops
+from loopcal.estimation.problem.patterns import Pattern, held_loops
 from loopcal.estimation.problem.problem import BLOCK, Problem
-from loopcal.estimation.solve.kernel import eliminate
+from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage, engine_for
 from loopcal.expressions.tape import Tape
+from loopcal.measurements.noise import ReadingUncertainty
 from loopcal.mechanisms.mechanism import Mechanism
 
 Array = NDArray[np.float64]
-_MOST = 50
+_SETTLED = 1e-9
+"""In units of UNMEASURED_SCALE: the next step of a found quantity is at most 1e-12 [m, rad]."""
 
 
 def predict_outputs(
@@ -26,40 +28,51 @@ def predict_outputs(
     parameters: (n_all,); readings: (k, N), with start values for the outputs; known: (c, N).
     """
     rows = [mechanism.tape.quantities.index(name) for name in mechanism.outputs]
-    tape = mechanism.predicting().tape
-    return found_from_loops(tape, rows, parameters, readings, known)[rows]
+    predicting = mechanism.predicting()
+    loops = tuple(range(len(predicting.tape.loops)))
+    return _closed(predicting, loops, rows, parameters, readings, known)[rows]
 
 
-def found_from_loops(
-    tape: Tape, unknown: Sequence[int], parameters: Array, readings: Array, known: Array
+def _closed(
+    mechanism: Mechanism,
+    loops: tuple[int, ...],
+    unknown: Sequence[int],
+    parameters: Array,
+    readings: Array,
+    known: Array,
 ) -> Array:
     """All quantities (k, N) [SI], those at the positions `unknown` found; NaN where none close.
 
-    Newton's method on f(x, p) = 0 from the readings (k, N), by least squares where there are more
-    loops than unknowns.
+    They close the loops at the given positions with all other readings taken as exact, or come
+    nearest in least squares where there are more loops than unknowns. A pose whose loops have no
+    value at the start is lost.
     """
-    unknown = list(unknown)
-    out = np.array(readings, dtype=float)
-    names = tuple(tape.quantities[i] for i in unknown)
-    engine = engine_for(tape, (), min(BLOCK, max(readings.shape[1], 1)), names)
-    engine.at(parameters)
-    for begin in range(0, readings.shape[1], BLOCK):
-        part = slice(begin, begin + BLOCK)
-        x = out[:, part]
-        before = np.inf
-        for _ in range(_MOST):
-            values = engine.evaluate(x, known[:, part])
-            reflections = eliminate(values.by_quantity)
-            step = reflections.solve(reflections.apply(values.f)[: len(unknown)])
-            x[unknown] -= step
-            size = float(np.abs(step[np.isfinite(step)]).max(initial=0.0))
-            if size <= 1e-12 or (size <= 1e-6 and size >= 0.5 * before):
-                break
-            before = size
-        # least-squares closings leave the rest of the loops open: only the step tells
-        lost = ~(np.abs(step) <= 1e-6).all(axis=0)
-        x[:, lost] = np.nan
-    return out
+    start = _loop_values(held_loops(mechanism.tape, loops), parameters, readings, known)
+    begun = np.isfinite(start).all(axis=0)
+    found: Array = np.full(readings.shape, np.nan)
+    if not begun.any():
+        return found
+    if not begun.all():
+        some = readings[:, begun], known[:, begun]
+        found[:, begun] = _closed(mechanism, loops, unknown, parameters, *some)
+        return found
+    none = np.empty(0)
+    problem = Problem(
+        mechanism,
+        readings,
+        known,
+        ReadingUncertainty(np.zeros((len(readings), 1))),
+        parameters,
+        np.empty(0, dtype=np.intp),
+        none,
+        none,
+        ("",) * readings.shape[1],
+        (Pattern(loops, tuple(unknown), (), slice(None)),),
+    )
+    sweeper = Sweeper(problem, exact=True)
+    closed = sweeper.close(parameters, np.zeros(readings.shape), _SETTLED, 1.0)
+    np.add(readings, closed.corrections, out=found, where=~closed.open)
+    return found
 
 
 def output_differences(
@@ -72,15 +85,14 @@ def output_differences(
     their own loops there.
     """
     mechanism = problem.mechanism
-    quantities = mechanism.tape.quantities
+    quantities, depends = mechanism.tape.quantities, mechanism.tape.depends_on()
     compared = [quantities.index(q) for q in mechanism.compared]
     outputs = compared[: len(mechanism.outputs)]
     differences = np.full((len(compared), len(problem.poses)), np.nan)
     predicting = set(mechanism.predicting().tape.loops)
     for pattern in problem.patterns:
         loops = tuple(i for i in pattern.loops if mechanism.tape.loops[i] in predicting)
-        tape = held_loops(mechanism.tape, loops)
-        inputs = frozenset().union(*tape.depends_on()) if loops else frozenset()
+        inputs = frozenset().union(*(depends[i] for i in loops))
         there = [row for row in outputs if row not in pattern.absent]
         measured = [row for row in there if row not in pattern.unmeasured]
         found_too = [i for i in pattern.unmeasured if quantities[i] in inputs]
@@ -92,7 +104,7 @@ def output_differences(
             x = x.copy()
             x[list(pattern.unmeasured)] += corrections[list(pattern.unmeasured)][:, pattern.poses]
         known = problem.known[:, pattern.poses]
-        found = found_from_loops(tape, unknown, parameters, x, known)
+        found = _closed(mechanism, loops, unknown, parameters, x, known)
         for row in measured:
             computed = found[row] - problem.readings[row, pattern.poses]
             differences[compared.index(row), pattern.poses] = computed

@@ -192,7 +192,9 @@ class Tape:
         operations = tuple(_checked(i, row, sizes) for i, row in enumerate(rows))
         if len(outputs) != len(loops) or not all(0 <= o < len(operations) for o in outputs):
             raise InputError(
-                "the outputs of the tape are not among its operations", remedy=_REWRITE
+                "the outputs of the tape are not among its operations",
+                code="unknown-name",
+                remedy=_REWRITE,
             )
         return cls(quantities, known, parameters, loops, operations, tuple(outputs))
 
@@ -217,7 +219,9 @@ def _checked(position: int, row: Any, sizes: Mapping[str, int]) -> tuple[str, tu
         name, payload = str(row[0]), list(row[1:])
         numbers = tuple(float(v) if name == "constant" else index(v) for v in payload)
     except (TypeError, ValueError, IndexError):
-        raise InputError(f"{row!r} is not an operation", place=place, remedy=_REWRITE) from None
+        raise InputError(
+            f"{row!r} is not an operation", code="wrong-shape", place=place, remedy=_REWRITE
+        ) from None
     if name in sizes or name == "constant":
         valid = len(numbers) == 1 and (
             math.isfinite(numbers[0]) if name == "constant" else 0 <= numbers[0] < sizes[name]

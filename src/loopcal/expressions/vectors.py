@@ -34,7 +34,11 @@ def rotate(axis: str, angle: Any, v: Sequence[Any] | NDArray[Any]) -> NDArray[An
     rotate("z", a, v) = rot_z(a) @ v.
     """
     if axis not in _PLANES:
-        raise InputError(f"axis {axis!r} is not a coordinate axis", remedy="give 'x', 'y' or 'z'")
+        raise InputError(
+            f"axis {axis!r} is not a coordinate axis",
+            code="invalid-value",
+            remedy="give 'x', 'y' or 'z'",
+        )
     i, j = _PLANES[axis]
     parts: list[Any] = list(v)
     parts[i], parts[j] = _turned(parts[i], parts[j], angle)

@@ -220,7 +220,9 @@ def checked_every(every: int) -> int:
     """The step of thinning as an int; InputError unless it is a whole number from 1 on."""
     if isinstance(every, bool) or every != int(every) or every < 1:
         raise InputError(
-            f"every = {every!r} cannot thin the poses", remedy="give a whole number, 1 or more"
+            f"every = {every!r} cannot thin the poses",
+            code="invalid-value",
+            remedy="give a whole number, 1 or more",
         )
     return int(every)
 
@@ -265,12 +267,14 @@ def _check_values(data: Dataset) -> None:
     for quantity, values in data.readings.items():
         si = data.units.get(quantity, "")
         for i in np.flatnonzero(np.abs(values) > _MOST.get(si, _MOST[""]))[:1]:
-            why = "no sensor reads that" if np.isfinite(values[i]) else "a reading is finite"
+            finite = np.isfinite(values[i])
+            why = "beyond any sensor" if finite else "not a finite number"
             raise InputError(
-                f"the reading of {quantity!r} is {values[i]:.6g} {si}".rstrip() + f"; {why}",
+                f"the reading of {quantity!r} is {values[i]:.6g} {si}".rstrip() + f", {why}",
+                code="implausible-readings" if finite else "invalid-number",
                 place=data.place(int(i), quantity),
-                remedy="leave it blank (NaN) if nothing was measured; if there are more of its "
-                "kind, the file is damaged",
+                remedy="leave it blank (NaN) if nothing was measured; if many readings are like "
+                "this, the file is damaged",
             )
     for quantity, sd in data.sds.items():
         missing = np.isnan(sd) & ~np.isnan(data.readings[quantity])
@@ -278,6 +282,7 @@ def _check_values(data: Dataset) -> None:
             wrong = "missing beside its reading" if missing[i] else f"{sd[i]:.6g}, below zero"
             raise InputError(
                 f"the sd of {quantity!r} is {wrong}",
+                code="invalid-value",
                 place=data.place(int(i), quantity, sd=True),
                 remedy="give a number > 0, 0 for an exact reading, or inf for one not measured",
             )

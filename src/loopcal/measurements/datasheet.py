@@ -278,6 +278,7 @@ def encoder_sd(
     if not parts:
         raise InputError(
             "nothing is said of the encoder",
+            code="missing-key",
             remedy='give bits = 20, counts = 4096 or accuracy = "5 arcsec"',
         )
     return DatasheetSd(math.sqrt(variance))
@@ -287,7 +288,9 @@ def rounding_sd(step: float) -> float:
     """The sd step / sqrt(12) that rounding to a step leaves; InputError below zero."""
     if not 0.0 <= step < math.inf:
         raise InputError(
-            f"readings cannot be rounded to {step:g}", remedy="give the step, a number above 0"
+            f"readings cannot be rounded to {step:g}",
+            code="invalid-value",
+            remedy="give the step, a number above 0",
         )
     return step / math.sqrt(12.0)
 
@@ -295,7 +298,9 @@ def rounding_sd(step: float) -> float:
 def sd_per_figure(kind: str, coverage: float | str | None) -> float:
     """What turns a figure of this kind into an sd: 1, or 1 / coverage."""
     if kind not in KINDS:
-        raise InputError(f"the kind of figure is {kind!r}", remedy=nearest(kind, KINDS))
+        raise InputError(
+            f"the kind of figure is {kind!r}", code="unknown-name", remedy=nearest(kind, KINDS)
+        )
     if kind == "sd":
         if coverage is not None:
             raise InputError(
@@ -307,7 +312,9 @@ def sd_per_figure(kind: str, coverage: float | str | None) -> float:
     if isinstance(coverage, str):
         if coverage != "uniform":
             raise InputError(
-                f"the coverage is {coverage!r}", remedy='give a number such as 2, or "uniform"'
+                f"the coverage is {coverage!r}",
+                code="invalid-value",
+                remedy='give a number such as 2, or "uniform"',
             )
         return 1.0 / math.sqrt(3.0)
     return 1.0 / positive("coverage", TYPICAL if coverage is None else coverage)
@@ -380,5 +387,7 @@ def _terms(text: str, example: str) -> list[tuple[float, str, str | None]]:
 def positive(what: str, value: float) -> float:
     """The value; InputError unless it is a finite number above zero."""
     if not 0.0 < value < math.inf:
-        raise InputError(f"{what} is {value:g}", remedy="give a number above 0")
+        raise InputError(
+            f"{what} is {value:g}", code="invalid-value", remedy="give a number above 0"
+        )
     return value

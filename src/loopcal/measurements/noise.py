@@ -68,6 +68,7 @@ class Noise:
             if how not in ESTIMATES:
                 raise InputError(
                     f"the noise of {key!r} is to be estimated {how!r}",
+                    code="unknown-name",
                     remedy=nearest(how, ESTIMATES),
                 )
 
@@ -82,6 +83,7 @@ class Noise:
         if not isinstance(given, Mapping):
             raise InputError(
                 f"the noise is {type(given).__name__} {given!r:.40}",
+                code="invalid-value",
                 remedy='give Noise({"theta_*": 1e-4}), or a dict of sds by quantity',
             )
         return cls(given)
@@ -281,7 +283,9 @@ def _checked_entry(key: str | tuple[str, ...], value: Any) -> Any:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
         raise InputError(
-            f"the noise of {key!r} is {value!r}", remedy="give an sd in SI units"
+            f"the noise of {key!r} is {value!r}",
+            code="invalid-value",
+            remedy="give an sd in SI units",
         ) from None
     size = len(key) if isinstance(key, tuple) else 0
     if size:
@@ -302,6 +306,7 @@ def _checked_entry(key: str | tuple[str, ...], value: Any) -> Any:
         worst = float(np.min(array))
         raise InputError(
             f"the sd of {key!r} is {worst:.6g}; an sd cannot be negative or NaN",
+            code="invalid-value",
             remedy="give 0 for an exact sensor, inf for a quantity that is not measured",
         )
     array.setflags(write=False)

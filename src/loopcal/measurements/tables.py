@@ -38,7 +38,9 @@ def column_names(table: Any) -> tuple[str, ...]:
     for name in names:
         if not isinstance(name, str):
             raise InputError(
-                f"the column name {name!r} is no text", remedy="name columns by quantity"
+                f"the column name {name!r} is no text",
+                code="invalid-value",
+                remedy="name columns by quantity",
             )
     return tuple(names)
 
@@ -91,5 +93,6 @@ def _number(value: object, what: str, row: int) -> float:
         return float(cast(float, value))
     raise InputError(
         f"{what}: value {row} is {value!r}, not a number",
+        code="invalid-number",
         remedy="convert it to a number, or to NaN where nothing was measured",
     )

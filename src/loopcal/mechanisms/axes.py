@@ -92,6 +92,7 @@ def unit_direction(axis: Sequence[float], joint: str) -> Triple:
     if norm == 0.0 or not math.isfinite(norm):
         raise InputError(
             f"the axis ({x:g}, {y:g}, {z:g}) of the joint {joint!r} is no direction",
+            code="invalid-value",
             remedy="give a unit vector, as 0 0 1 for the z axis",
         )
     unit = (x / norm, y / norm, z / norm)
@@ -100,6 +101,7 @@ def unit_direction(axis: Sequence[float], joint: str) -> Triple:
         raise InputError(
             f"the axis ({x:g}, {y:g}, {z:g}) of the joint {joint!r} has the norm {norm:.6g}, "
             "and that of a direction is 1",
+            code="invalid-value",
             remedy=f"write {words} if this direction is meant; else a digit is wrong",
         )
     return unit

@@ -58,6 +58,7 @@ def _axes(nominal: Sequence[float], called: str, dimension: int) -> tuple[Any, A
     if given.shape != (3,) or not np.isfinite(given).all() or not given.any():
         raise InputError(
             f"{called} is {list(nominal)}",
+            code="invalid-value",
             remedy="give the three components of a direction, say [0, 0, 1]",
         )
     if dimension == 2 and given[2]:

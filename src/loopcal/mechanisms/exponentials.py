@@ -48,6 +48,7 @@ class ScrewJoint:
         if self.kind not in KINDS:
             raise InputError(
                 f"the joint {self.name!r} is of the kind {self.kind!r}",
+                code="unknown-name",
                 remedy="give 'revolute' or 'prismatic'",
             )
         AxisFrame.of(self.axis, self.name)

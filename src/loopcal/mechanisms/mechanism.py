@@ -176,6 +176,7 @@ class Mechanism:
         if parameters.names != self.parameters.names:
             raise InputError(
                 "the parameters are not those of this mechanism",
+                code="wrong-shape",
                 remedy="change them with Parameters.with_nominal, with_prior, with_fixed",
             )
         return replace(self, parameters=parameters)
@@ -238,6 +239,7 @@ def _check_names(quantities: Sequence[str], parameters: Iterable[str]) -> None:
         if not name or any(c.isspace() or c in "*?[]" for c in name):
             raise InputError(
                 f"{name!r} cannot be a name",
+                code="invalid-value",
                 remedy="use letters, digits and underscores: names are also searched by globs",
             )
     if len(set(quantities)) != len(quantities):

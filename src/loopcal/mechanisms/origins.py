@@ -61,6 +61,7 @@ class LinkJoint:
         if self.kind not in KINDS:
             raise InputError(
                 f"the joint {self.name!r} is of the kind {self.kind!r}",
+                code="unknown-name",
                 remedy=nearest(self.kind, KINDS),
             )
         if self.kind != "fixed":

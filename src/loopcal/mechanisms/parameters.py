@@ -30,11 +30,13 @@ class Parameter:
         if not math.isfinite(self.nominal):
             raise InputError(
                 f"parameter {self.name!r} has the nominal value {self.nominal}",
+                code="invalid-value",
                 remedy="give a finite number, the best known value of the parameter",
             )
         if math.isnan(self.prior_sd) or self.prior_sd < 0:
             raise InputError(
                 f"the prior sd of {self.name!r} is {self.prior_sd}",
+                code="invalid-value",
                 remedy="give a positive number, inf for a flat prior, or fix the parameter",
             )
         if self.prior_sd == 0.0 and not self.fixed:
@@ -143,6 +145,7 @@ def declared(parameters: Mapping[str, object]) -> Parameters:
         except (TypeError, ValueError):
             raise InputError(
                 f"parameter {name!r} has the value {given!r}",
+                code="invalid-value",
                 remedy="give (value, unit), for example (0.8, 'm')",
             ) from None
         items.append(Parameter(name, to_si(number, str(unit_name)), unit(str(unit_name)).si))

@@ -124,6 +124,7 @@ def _transition(T: Array, own: Sequence[Step], axis: str) -> dict[str, float]:
     if abs(direction[k]) < 1e-9:
         raise InputError(
             f"the {axis} axis after {own[0].parameter!r} lies in the plane that it should pierce",
+            code="unsupported",
             remedy="turn the instrument's frame by about 90 degrees (a fixed motion `before` the "
             "first joint), so that the axis meets its plane",
         )

@@ -34,6 +34,7 @@ class Prior:
             if not sd >= 0.0:
                 raise InputError(
                     f"the prior sd of {key!r} is {value!r}",
+                    code="invalid-value",
                     remedy="give a positive number, inf for a flat prior, 0 for a fixed value",
                 )
             self.sds[key] = sd
@@ -49,6 +50,7 @@ class Prior:
         if not isinstance(given, Mapping):
             raise InputError(
                 f"the prior is {type(given).__name__} {given!r:.40}",
+                code="invalid-value",
                 remedy='give Prior({"l?": 0.001}), or a dict of sds by parameter',
             )
         return cls(given)

@@ -77,22 +77,27 @@ class Joint:
     def __post_init__(self) -> None:
         if self.form not in FORMS:
             raise InputError(
-                f"joint {self.name!r} has the form {self.form!r}", remedy=nearest(self.form, FORMS)
+                f"joint {self.name!r} has the form {self.form!r}",
+                code="unknown-name",
+                remedy=nearest(self.form, FORMS),
             )
         if self.kind not in KINDS:
             raise InputError(
                 f"joint {self.name!r} is of the kind {self.kind!r}",
+                code="unknown-name",
                 remedy="give 'revolute' or 'prismatic'",
             )
         if self.direction not in (1, -1):
             raise InputError(
                 f"joint {self.name!r} has the direction {self.direction!r}",
+                code="invalid-value",
                 remedy="give 1, or -1 where the reading counts against the axis",
             )
         for motion in (*self.before, *self.after):
             if motion not in MOTIONS:
                 raise InputError(
                     f"joint {self.name!r} has the fixed motion {motion!r}",
+                    code="unknown-name",
                     remedy=nearest(motion, MOTIONS),
                 )
 

@@ -32,11 +32,16 @@ def random_poses(
     from them. Raises InputError for a range that is not one.
     """
     if number < 1:
-        raise InputError(f"{number} poses are asked for", remedy="ask for one pose at least")
+        raise InputError(
+            f"{number} poses are asked for",
+            code="invalid-value",
+            remedy="ask for one pose at least",
+        )
     for name, (low, high) in ranges.items():
         if not (math.isfinite(low) and math.isfinite(high) and low <= high):
             raise InputError(
                 f"the range of {name!r} goes from {low:.6g} to {high:.6g}",
+                code="invalid-value",
                 remedy="give two finite numbers, the smaller one first",
             )
     draws = stream(seed, "poses").random((len(ranges), number))
@@ -56,6 +61,8 @@ def stream(seed: int, use: str) -> np.random.Generator:
     Raises InputError unless the seed is a whole number from 0 on.
     """
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"the seed is {seed!r}", remedy="give a whole number, 0 or more")
+        raise InputError(
+            f"the seed is {seed!r}", code="invalid-value", remedy="give a whole number, 0 or more"
+        )
     children = np.random.SeedSequence(int(seed)).spawn(len(STREAMS))
     return np.random.Generator(np.random.PCG64(children[STREAMS.index(use)]))

@@ -76,7 +76,11 @@ def simulate(
     """
     told = Noise.of(noise)
     if told is None:
-        raise InputError("no noise is given", remedy='give Noise({"*": 0.0}) for exact readings')
+        raise InputError(
+            "no noise is given",
+            code="missing-sd",
+            remedy='give Noise({"*": 0.0}) for exact readings',
+        )
     driven = readings if isinstance(readings, Dataset) else Dataset.from_arrays(readings)
     unturned = not_given(mechanism, driven)
     driven = driven.with_readings(parallel(unturned, len(driven)))

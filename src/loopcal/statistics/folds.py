@@ -159,6 +159,7 @@ def held_out(groups: Index, share: float, seed: int) -> Index:
     if not 0.0 < share < 1.0:
         raise InputError(
             f"a share of {share:g} of the poses cannot be held out",
+            code="invalid-value",
             remedy="give a number between 0 and 1, say 0.3",
         )
     found, sizes = np.unique(groups, return_counts=True)
@@ -176,4 +177,6 @@ def held_out(groups: Index, share: float, seed: int) -> Index:
 
 def _check_seed(seed: int) -> None:
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"the seed is {seed!r}", remedy="give a whole number, 0 or more")
+        raise InputError(
+            f"the seed is {seed!r}", code="invalid-value", remedy="give a whole number, 0 or more"
+        )

@@ -28,9 +28,10 @@ from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import solve
-from loopcal.estimation.solve.sweep import NEGLIGIBLE, Sweeper
+from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.mechanisms.parameters import matching
 
@@ -112,7 +113,9 @@ def intervals(
     likelihood (reweighted), and where a calibration did not converge.
     """
     if not 0.0 < level < 1.0:
-        raise InputError(f"{level:g} is no level", remedy="give a number below 1, say 0.95")
+        raise InputError(
+            f"{level:g} is no level", code="invalid-value", remedy="give a number below 1, say 0.95"
+        )
     _check(result)
     patterns = [patterns] if isinstance(patterns, str) else list(patterns)
     everything = result.mechanism.parameters.names

@@ -101,7 +101,9 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
     Raises InputError for a level outside (0, 1) or a scale that is none of the three.
     """
     if not 0.0 < level < 1.0:
-        raise InputError(f"the level of a test is a probability, not {level:g}")
+        raise InputError(
+            f"the level of a test is a probability, not {level:g}", code="invalid-value"
+        )
     if scale not in SCALES:
         raise InputError(
             f"there is no scale {scale!r}",

@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 from loopcal import chi_squared
 from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.problem.problem import Problem, left_unmeasured, taken
-from loopcal.estimation.solve.closing import UNMEASURED_SCALE, Closed
-from loopcal.estimation.solve.sweep import NEAR, NEGLIGIBLE, Sweeper
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
+from loopcal.estimation.solve.reduced import Closed
+from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]
 NO_REDUNDANCY = 1e-6
 """What the other readings control to less than this share cannot be tested."""
-_STEPS = 10
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def try_rows(
 
     poses: (V,) which pose each is a version of; readings: (k, V) [SI]; without: (k, V) readings
     taken as unmeasured, so that the loops find them. The statistic of a row whose loops do not
-    close within a few steps is infinite: right readings are near where they close.
+    close is infinite.
     """
     index = np.asarray(poses, dtype=np.intp)
     rows = left_unmeasured(replace(taken(problem, index), readings=readings), without)
@@ -152,22 +152,9 @@ def misfit_there(
 
 
 def settle(problem: Problem, parameters: Array, start: Array, *, exact: bool) -> Closed:
-    """Corrections (k, N) that close the loops at these parameters, by Gauss-Newton alone.
+    """Corrections (k, N) that close the loops at these parameters.
 
-    Poses that it does not close are open, and keep the corrections they started with.
+    Poses whose loops do not close are open, and keep the corrections they started with.
     """
-    sweeper = Sweeper(problem, exact=exact)
-    if not sweeper.corrects:
-        return Closed(start, np.zeros(start.shape[1], dtype=bool))
-    sd = np.broadcast_to(problem.uncertainty.sd, start.shape)
-    unit = np.where(np.isfinite(sd) & (sd > 0.0), sd, UNMEASURED_SCALE)
-    at, size = start, np.full(start.shape[1], np.inf)
-    with np.errstate(all="ignore"):
-        for _ in range(_STEPS):
-            following = sweeper.sweep(parameters, at).proposal
-            size = (np.abs(following - at) / unit).max(axis=0)
-            at = np.where(np.isfinite(size), following, start)
-            if np.all(size <= NEGLIGIBLE):
-                break
-    late = ~(size <= NEAR)
-    return Closed(np.where(late, start, at), late)
+    closed = Sweeper(problem, exact=exact).close(parameters, start, NEGLIGIBLE, 1.0)
+    return replace(closed, corrections=np.where(closed.open, start, closed.corrections))

@@ -7,7 +7,6 @@ import pytest
 
 import loopcal as lc
 from analyses.machines import FIVE_BAR, ROTARY_DELTA, Ranges
-from loopcal.errors import InputError
 from loopcal.mechanisms.machine import Machine, assemble
 from loopcal.mechanisms.parallel.five_bar import five_bar
 from loopcal.mechanisms.parallel.rotary_delta import rotary_delta
@@ -27,16 +26,15 @@ def readings(machine: Machine, driven: Ranges) -> lc.Dataset:
 def test_a_machine_without_redundant_sensors_is_told_its_index(
     machine: Machine, driven: Ranges, sensed: int
 ) -> None:
-    told = rf"C = S - M = {sensed} sensed - {sensed} of mobility = 0 in every such pose"
+    index = f"C = S - M = {sensed} sensed - {sensed} of mobility = 0"
     for run in (lc.calibrate, lc.check):
-        with pytest.raises(InputError, match=told) as caught:
+        with refused("undetermined-quantities", repr(machine.name), index, "platform_x"):
             run(assemble(machine), readings(machine, driven), noise=NOISE)
-        assert "such as platform_x" in str(caught.value)
 
 
 def test_a_prior_makes_up_for_no_redundancy() -> None:
     machine = five_bar()
-    with pytest.raises(InputError, match="any parameters would fit"):
+    with refused("undetermined-quantities", "'five-bar'"):
         lc.calibrate(
             assemble(machine), readings(machine, FIVE_BAR), noise=NOISE, prior=lc.Prior({"*": 1e-3})
         )

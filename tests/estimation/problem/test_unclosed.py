@@ -9,7 +9,6 @@ import pytest
 
 import loopcal as lc
 from analyses.machines import CASES, STEWART_GOUGH
-from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.estimation.problem.unclosed import open_loops
 from loopcal.mechanisms.mechanism import Mechanism
@@ -27,8 +26,7 @@ def seen(mechanism: Mechanism) -> lc.Dataset:
 def test_legs_that_are_too_short_are_named(run: Callable[..., object]) -> None:
     mechanism = CASES["Stewart-Gough, pose"].made()
     short = mechanism.with_nominal({f"leg_{i}_offset": 0.005 for i in range(1, 7)})
-    told = r"loops cannot close in \d+ poses .* at pose '\d+' the loop 'leg_\d' stays 0\.\d+ away"
-    with pytest.raises(InputError, match=told):
+    with refused("open-loops", "pose '", "'leg_"):
         run(short, seen(mechanism), noise=NOISE)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from loopcal.errors import InputError
+from loopcal.errors import Code
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 from loopcal.files.machines.registry import kinds, table_of
@@ -20,6 +20,7 @@ from loopcal.mechanisms.effects.effect import with_effects
 from loopcal.mechanisms.effects.harmonics import Harmonics
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.planar import planar_two_link
+from tests.refusals import refused
 
 MOTOMAN = """
 type = "motoman-ma1400"
@@ -125,28 +126,36 @@ def test_effects_of_a_machine_without_a_chain() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words", "place"),
+    ("text", "code", "stated", "place"),
     [
-        ('[[effect]]\ntype = "harmonic"\n', "harmonic", "effect"),
-        ('[[effect]]\ntype = "scale"\njoint = ["a"]\n', "unknown key", "effect"),
-        ('[[effect]]\ntype = "scale"\njoints = ["theta_9"]\n', "theta_9", "effect[0]"),
-        (2 * '[[effect]]\ntype = "scale"\n', "two effects", "effect[1]"),
-        ('[[effect]]\ntype = "drift"\nunit = "kg m"\n', "kg m", "effect[0]"),
-        ('[[effect]]\ntype = "compliance"\nloads = []\n', "loads|load", "effect[0]"),
+        ('[[effect]]\ntype = "harmonic"\n', "unknown-name", ("harmonic",), "effect"),
+        ('[[effect]]\ntype = "scale"\njoint = ["a"]\n', "unknown-name", ("'joint'",), "effect"),
+        (
+            '[[effect]]\ntype = "scale"\njoints = ["theta_9"]\n',
+            "unknown-name",
+            ("theta_9",),
+            "effect[0]",
+        ),
+        (2 * '[[effect]]\ntype = "scale"\n', "duplicate-name", ("'scale'",), "effect[1]"),
+        ('[[effect]]\ntype = "drift"\nunit = "kg m"\n', "unknown-unit", ("'kg m'",), "effect[0]"),
+        ('[[effect]]\ntype = "compliance"\nloads = []\n', "invalid-value", ("loads",), "effect[0]"),
         (
             '[[effect]]\ntype = "compliance"\nloads = [{ name = "a", joint = "theta_5", '
             'mass = { value = 1, unit = "m" } }]\n',
-            "mass",
+            "wrong-unit",
+            ("mass",),
             "effect[0]",
         ),
     ],
 )
-def test_effects_that_do_not_fit_are_refused(text: str, words: str, place: str) -> None:
-    with pytest.raises(InputError, match=words) as refused:
+def test_effects_that_do_not_fit_are_refused(
+    text: str, code: Code, stated: tuple[str, ...], place: str
+) -> None:
+    with refused(code, *stated) as caught:
         read(MOTOMAN + text)
-    assert "arm.toml" in str(refused.value)
-    assert place.split("[")[0] in str(refused.value)
-    assert refused.value.remedy
+    assert "arm.toml" in str(caught.value)
+    assert place.split("[")[0] in str(caught.value)
+    assert caught.value.remedy
 
 
 @pytest.mark.parametrize("kind", ["serial", "motoman-ma1400"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loopcal.errors import InputError
+from loopcal.errors import Code
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 from loopcal.files.toml.place import Place
@@ -13,6 +13,7 @@ from loopcal.files.toml.reader import toml_data
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.simulation.simulate import simulate
+from tests.refusals import refused
 
 ARM = """
 type = "serial"
@@ -120,50 +121,88 @@ def test_every_type_of_instrument_is_written_again_bit_for_bit() -> None:
 
 
 def test_an_arm_without_instruments_has_no_loop_and_says_so() -> None:
-    with pytest.raises(InputError, match="no loop"):
+    with refused("undetermined-quantities", "'serial arm'"):
         read("instrument = []\n" + ARM)
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "code", "stated"),
     [
-        (ARM + '[[instrument]]\ntype = "pointt"\n', "pointt"),
-        (ARM + '[[instrument]]\ntype = "point"\nreadings = ["x", "y"]\n', "2 coordinates"),
-        (ARM + '[[instrument]]\ntype = "point"\nreadings = ["x", "y", "q1"]\n', "'q1' names two"),
-        (ARM + 2 * '[[instrument]]\ntype = "point"\n', "names two"),
-        (ARM + '[[instrument]]\nname = "T"\n', "'type' is missing"),
-        (ARM + '[[instrument]]\ntype = "spherical"\nreadings = ["r"]\n', "1 readings"),
-        (ARM + '[[instrument]]\ntype = "pose"\norientation = "rz rz rx"\n', "'rz rz rx' is no way"),
-        (ARM + '[[instrument]]\ntype = "pose"\ncolumns = ["q"]\n', "1 columns are named"),
-        (ARM + '[[instrument]]\ntype = "pose"\nturns = ["a", "b"]\n', "2 turns"),
+        (ARM + '[[instrument]]\ntype = "pointt"\n', "unknown-name", ("pointt",)),
+        (
+            ARM + '[[instrument]]\ntype = "point"\nreadings = ["x", "y"]\n',
+            "wrong-shape",
+            ("2", "'point'"),
+        ),
+        (
+            ARM + '[[instrument]]\ntype = "point"\nreadings = ["x", "y", "q1"]\n',
+            "duplicate-name",
+            ("'q1'",),
+        ),
+        (ARM + 2 * '[[instrument]]\ntype = "point"\n', "duplicate-name", ("'x'",)),
+        (ARM + '[[instrument]]\nname = "T"\n', "missing-key", ("'type'",)),
+        (
+            ARM + '[[instrument]]\ntype = "spherical"\nreadings = ["r"]\n',
+            "wrong-shape",
+            ("1", "'tracker'"),
+        ),
+        (
+            ARM + '[[instrument]]\ntype = "pose"\norientation = "rz rz rx"\n',
+            "unknown-name",
+            ("'rz rz rx'",),
+        ),
+        (
+            ARM + '[[instrument]]\ntype = "pose"\ncolumns = ["q"]\n',
+            "wrong-shape",
+            ("1", "'quaternion'"),
+        ),
+        (
+            ARM + '[[instrument]]\ntype = "pose"\nturns = ["a", "b"]\n',
+            "wrong-shape",
+            ("2", "'pose'"),
+        ),
         (
             ARM + '[[instrument]]\ntype = "pose"\ntarget = ["a", "b", "c"]\n',
-            "have no names",
+            "missing-key",
+            ("'pose'",),
         ),
-        (ARM + '[[instrument]]\ntype = "plane"\nnormal = [0, 0, 0]\n', "normal of 'plane'"),
-        (ARM + '[[instrument]]\ntype = "socket"\ngaps = ["a"]\n', "1 gaps"),
+        (
+            ARM + '[[instrument]]\ntype = "plane"\nnormal = [0, 0, 0]\n',
+            "invalid-value",
+            ("'plane'",),
+        ),
+        (ARM + '[[instrument]]\ntype = "socket"\ngaps = ["a"]\n', "wrong-shape", ("1", "'socket'")),
         (
             ARM + 2 * '[[instrument]]\ntype = "spherical"\nname = "T1"\n',
-            "names two readings",
+            "duplicate-name",
+            ("'T1_range'",),
         ),
         (
             ARM
             + '[[instrument]]\ntype = "spherical"\nname = "T1"\n'
             + '[[instrument]]\ntype = "draw-wire"\nname = "w"\nanchor = "T1"\n',
-            "'T1_x' would say both",
+            "duplicate-name",
+            ("'T1_x'",),
         ),
         (
             ARM + '[[instrument]]\ntype = "spherical"\nname = "T1"\ntarget = "T1"\n',
-            "'T1_x' would say both",
+            "duplicate-name",
+            ("'T1_x'",),
         ),
-        ("base = true\n" + ARM + '[[instrument]]\ntype = "point"\n', "'base' describes"),
+        (
+            "base = true\n" + ARM + '[[instrument]]\ntype = "point"\n',
+            "conflicting-keys",
+            ("'base'",),
+        ),
     ],
 )
-def test_instruments_that_do_not_fit_are_refused(text: str, words: str) -> None:
-    with pytest.raises(InputError, match=words) as refused:
+def test_instruments_that_do_not_fit_are_refused(
+    text: str, code: Code, stated: tuple[str, ...]
+) -> None:
+    with refused(code, *stated) as caught:
         read(text)
-    assert str(refused.value).startswith("arm.toml")
-    assert refused.value.remedy
+    assert str(caught.value).startswith("arm.toml")
+    assert caught.value.remedy
 
 
 def test_the_planar_arm_is_looked_at_by_any_instrument_too() -> None:

@@ -13,6 +13,7 @@ from loopcal.files.project.project_file import read_project
 from loopcal.files.project.validation_entries import validation_arguments
 from loopcal.workflow.calibration import Request, run_calibration
 from loopcal.workflow.simulation import run_simulation
+from tests.refusals import refused
 
 MECHANISM = """
 schema = 1
@@ -204,5 +205,5 @@ def test_a_group_that_no_file_has_is_refused(tmp_path: Path) -> None:
     loaded = load(tmp_path, MECHANISM + DATA + GROUPED)
     project = read_project(tmp_path / "project.toml")
     assert project.fit.validation is not None
-    with pytest.raises(InputError, match="no file of readings has the column 'wall'"):
+    with refused("missing-column", "'wall'"):
         validation_arguments(project, project.fit.validation, loaded.dataset.poses)

@@ -44,10 +44,13 @@ def test_a_coverage_factor_divides_the_column_of_sds(tmp_path):
     np.testing.assert_allclose(loaded.dataset.sds["xP"], [0.5e-4, 2e-5, 1.5e-4])
 
 
-@pytest.mark.parametrize("keys", ["coverage = 2", 'sd_column = "uX", coverage = 0'])
-def test_a_coverage_factor_needs_a_column_of_sds_and_is_positive(tmp_path, keys):
+@pytest.mark.parametrize(
+    ("keys", "code"),
+    [("coverage = 2", "conflicting-keys"), ('sd_column = "uX", coverage = 0', "invalid-value")],
+)
+def test_a_coverage_factor_needs_a_column_of_sds_and_is_positive(tmp_path, keys, code):
     columns = COLUMNS.replace('"X", unit = "mm"', f'"X", {keys}')
-    with pytest.raises(InputError, match=r"project.toml: data\.columns\.xP"):
+    with refused(code, "project.toml: data.columns.xP"):
         load(tmp_path, "", columns=columns)
 
 
@@ -56,7 +59,7 @@ def test_columns_of_their_own_name_complement_those_stated(tmp_path):
     columns = COLUMNS.replace('xP = { column = "X", unit = "mm" }\n', "")
     loaded = load(tmp_path, 'units = { length = "mm" }', csv=csv, columns=columns)
     np.testing.assert_allclose(loaded.dataset["xP"], [1.4, 1.0, 0.7])
-    with pytest.raises(InputError, match="no column 'xP'"):
+    with refused("missing-column", "'xP'"):
         load(tmp_path, "", columns=columns)
 
 
@@ -148,17 +151,17 @@ def test_units_that_cannot_be_right_stop(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("head", "words"),
+    ("head", "code", "stated"),
     [
-        (HEAD, "names no readings"),
-        (f'{HEAD}[data]\nfile = "absent.csv"\n', "no such file"),
-        (f'{HEAD}[data]\nfile = "."\n', "folder"),
+        (HEAD, "missing-key", ("project.toml", "[data]")),
+        (f'{HEAD}[data]\nfile = "absent.csv"\n', "missing-file", ("absent.csv",)),
+        (f'{HEAD}[data]\nfile = "."\n', "wrong-file-type", ("folder",)),
     ],
 )
-def test_readings_that_are_not_there_are_missed(tmp_path, head, words):
+def test_readings_that_are_not_there_are_missed(tmp_path, head, code, stated):
     path = tmp_path / "project.toml"
     path.write_text(head, "utf-8")
-    with pytest.raises(InputError, match=words):
+    with refused(code, *stated):
         load_dataset(read_project(path))
 
 

@@ -66,6 +66,7 @@ def _refuse_other_directions(data: Dataset, name: str) -> None:
         raise InputError(
             f"the direction {name!r} is {values[wrong[0]]:g} in pose {data.poses[wrong[0]]!r} and "
             f"no direction in {wrong.size} of {len(data)} poses",
+            code="invalid-value",
             place=data.place(int(wrong[0]), name),
             remedy="give 1 where the reading grew until it stopped, -1 where it fell, 0 where the "
             "play was taken out",

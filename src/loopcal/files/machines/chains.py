@@ -142,6 +142,7 @@ def _joints(make: Any, entries: Sequence[Any], units: Mapping[str, str], place: 
             low, high = (amount.value for amount in entry.limits)
             raise InputError(
                 f"the limits run from {low:g} to {high:g}",
+                code="invalid-value",
                 place=str(here.at("limits")),
                 remedy="give the lower one first",
             )

@@ -51,6 +51,7 @@ def load_function(named: str) -> Loops | Mechanism:
     if not callable(found) and not isinstance(found, Mechanism):
         raise InputError(
             f"{name!r} is {type(found).__name__}, neither loops f(x, p) nor a Mechanism",
+            code="wrong-file-type",
             place=str(path),
             remedy="name a function of x and p that returns the values of the loop equations",
         )
@@ -96,6 +97,7 @@ def _failure(error: Exception, path: Path) -> InputError:
     what = error.msg if isinstance(error, SyntaxError) else str(error)
     return InputError(
         f"{type(error).__name__}: {what}",
+        code="failing-function",
         place=f"{path}, line {line}" if line else str(path),
         remedy="mend the file",
     )

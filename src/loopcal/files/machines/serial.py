@@ -177,7 +177,9 @@ def _base(given: BasePlacement, units: Mapping[str, str], place: Place) -> dict[
 def _si(value: Value, si: str, units: Mapping[str, str], place: Place) -> float:
     number = in_si(value.value, value.unit, si, place, units)
     if not math.isfinite(number):
-        raise InputError(f"{value.value!r} is given", place=str(place), remedy="give less")
+        raise InputError(
+            f"{value.value!r} is given", code="invalid-value", place=str(place), remedy="give less"
+        )
     return number
 
 

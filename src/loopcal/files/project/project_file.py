@@ -151,6 +151,7 @@ def stated_mechanism(
             words = "describes no mechanism" if given is None else "declares no quantities"
             raise InputError(
                 f"the project {words}",
+                code="missing-key",
                 place=place.file,
                 remedy='add [mechanism] with file = "..." or type = "serial", "planar-two-link", '
                 '"motoman-ma1400" or "function"',

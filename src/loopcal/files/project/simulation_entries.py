@@ -171,6 +171,7 @@ def _ranges(
         if given.to < given.from_:
             raise InputError(
                 f"the range goes from {given.from_:g} to {given.to:g}",
+                code="invalid-value",
                 place=str(here),
                 remedy="give the smaller number first",
             )
@@ -216,6 +217,7 @@ def _machine(
             if not math.isfinite(sd):
                 raise InputError(
                     "an infinite deviation is no machine",
+                    code="invalid-value",
                     place=str(here),
                     remedy="give a finite sd",
                 )

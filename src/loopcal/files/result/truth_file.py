@@ -75,6 +75,7 @@ def _value(entry: Any, expected: str, place: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise InputError(
             f"the true value is {value!r}",
+            code="invalid-number",
             place=place,
             remedy='give {"value": number, "unit": "..."}',
         )

@@ -129,6 +129,7 @@ def _column(quantity: str, given: ColumnLike) -> Column:
         if key in ("column", "sd_column") and isinstance(value, bool | float):
             raise InputError(
                 f"{key} is {value!r}",
+                code="invalid-value",
                 place=f"column of {quantity!r}",
                 remedy="give a name, or a whole number from 1",
             )
@@ -164,6 +165,7 @@ def _checked(quantity: str, column: Column, other_unit: str | None) -> Column:
         raise InputError(
             f"coverage is {column.coverage}"
             + ("" if column.sd_column else ", and no column of sds is named"),
+            code="invalid-value" if column.sd_column else "conflicting-keys",
             place=place,
             remedy='name sd_column = "...", and give coverage = 2 where it holds two sds',
         )

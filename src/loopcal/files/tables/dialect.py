@@ -113,11 +113,17 @@ def recognise(
 def _check_stated(delimiter: str | None, decimal: str | None, name: str) -> None:
     if delimiter is not None and (len(delimiter) != 1 or delimiter.isalnum() or delimiter in '"\n'):
         raise InputError(
-            f"{delimiter!r} is no delimiter", place=name, remedy="state one character: , ; tab ..."
+            f"{delimiter!r} is no delimiter",
+            code="invalid-value",
+            place=name,
+            remedy="state one character: , ; tab ...",
         )
     if decimal not in (None, ".", ","):
         raise InputError(
-            f"{decimal!r} is no decimal mark", place=name, remedy="state a point or a comma"
+            f"{decimal!r} is no decimal mark",
+            code="invalid-value",
+            place=name,
+            remedy="state a point or a comma",
         )
 
 

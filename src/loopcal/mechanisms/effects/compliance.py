@@ -84,6 +84,7 @@ class Compliance:
         if not any(self.gravity) or not all(map(math.isfinite, self.gravity)):
             raise InputError(
                 f"gravity has the direction {list(self.gravity)}",
+                code="invalid-value",
                 remedy="give the vector that points down, (0, 0, -1) where z points up",
             )
 

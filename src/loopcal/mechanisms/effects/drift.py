@@ -47,6 +47,7 @@ class Drift:
         if not 0.0 < self.over < math.inf or not math.isfinite(self.since):
             raise InputError(
                 f"the drift {self.name!r} counts from {self.since:g} over {self.over:g}",
+                code="invalid-value",
                 remedy="give finite numbers, and a positive span",
             )
 
@@ -93,6 +94,7 @@ class Shift:
         if not self.at or any(a >= b for a, b in pairwise(self.at)):
             raise InputError(
                 f"the shifts of {self.name!r} are at {list(self.at)}",
+                code="invalid-value",
                 remedy="list in rising order where each new segment begins",
             )
 

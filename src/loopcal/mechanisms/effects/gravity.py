@@ -53,6 +53,7 @@ class Load:
         if self.mass is not None and not 0.0 < self.mass < math.inf:
             raise InputError(
                 f"the mass of the load {self.name!r} is {self.mass:g} kg",
+                code="invalid-value",
                 remedy="give a positive number, or none where it is not known",
             )
 

@@ -45,6 +45,7 @@ class Harmonics:
         if not self.orders or any(not k > 0.0 or math.isinf(k) for k in self.orders):
             raise InputError(
                 f"the orders of {self.name!r} are {list(self.orders)}",
+                code="invalid-value",
                 remedy="give positive numbers: 1 for once per turn of the joint",
             )
         if len({f"{k:.12g}" for k in self.orders}) < len(self.orders):

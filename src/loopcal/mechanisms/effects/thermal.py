@@ -43,6 +43,7 @@ class Thermal:
         if unit(self.unit).si != "K" or not math.isfinite(self.reference):
             raise InputError(
                 f"the reference of {self.name!r} is {self.reference:g} {self.unit}",
+                code="invalid-value",
                 remedy='give a temperature in "degC" or "K"',
             )
 

@@ -76,11 +76,14 @@ def inclinometer(
     if len(names) != dimension - 1:
         raise InputError(
             f"the inclinometer {name!r} has {len(names)} readings in a space of {dimension}",
+            code="wrong-shape",
             remedy=f"name {dimension - 1}",
         )
     if on not in PLACES:
         raise InputError(
-            f"the inclinometer {name!r} is on {on!r}", remedy='give on = "body" or on = "base"'
+            f"the inclinometer {name!r} is on {on!r}",
+            code="invalid-value",
+            remedy='give on = "body" or on = "base"',
         )
     stands = Station(station, dimension)
     down = Direction.near(

@@ -49,6 +49,7 @@ class Orientation:
             if len(usual) != 3 or not set(usual) <= {*_AXES} or usual[1] in usual[::2]:
                 raise InputError(
                     f"{form!r} is no way to write an orientation",
+                    code="unknown-name",
                     remedy='give "quaternion", "rotation-vector" or three turns about moving '
                     'axes, no two alike in a row, say "rz ry rx" for Rz Ry Rx',
                 )
