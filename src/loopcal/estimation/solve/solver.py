@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.checkpoint import Checkpoint, Point
 from loopcal.estimation.solve.course import MOST_DAMPING, Course
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import (
@@ -43,7 +44,7 @@ from loopcal.estimation.solve.reduction import (
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solution import End, Solution
 from loopcal.estimation.solve.status import Status, weakness
-from loopcal.estimation.solve.sweep import NEAR, NEGLIGIBLE, Sweeper
+from loopcal.estimation.solve.sweep import NEAR, Sweeper
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, float, float], None]
