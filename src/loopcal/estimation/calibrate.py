@@ -80,11 +80,13 @@ def calibrate(
             return solve_robust(problem, loss, method=fit.method, **limits)
         return fit.method.solve(problem, **limits)
 
+    judged = not (fit.method.exact or fit.robust_loss or (told and told.estimate))
+
     def solved(problem: Problem) -> Solution:
         # an undamped method is for study: it shows how its own iteration ends
         if fit.method.damped:
             return fitted(problem)
-        return solve_or_fall_back(problem, fitted, fit.max_iterations)
+        return solve_or_fall_back(problem, fitted, fit.max_iterations, judged=judged)
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)
