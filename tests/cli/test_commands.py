@@ -369,7 +369,7 @@ def test_what_is_waited_for_gets_a_line_of_its_own(monkeypatch: pytest.MonkeyPat
         progress.waiting()
     shown, blank, line = stream.getvalue().split("\r")[1:]
     assert (shown, blank.strip()) == ("1 of 10 folds", "")
-    assert line == "loopcal: waiting for the pieces that are being done\n"
+    assert line == "loopcal: waiting for running pieces to finish\n"
 
 
 def test_counted_work_says_what_time_is_left(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -98,7 +98,9 @@ def exponentials(
     for joint in names:
         if names.count(joint) > 1:
             raise InputError(
-                f"{joint!r} names two joints", code="duplicate-name", remedy="name each differently"
+                f"{joint!r} names two joints",
+                code="duplicate-name",
+                remedy="give each a unique name",
             )
     steps = merged([*(s for joint in joints for s in joint.steps()), *fixed_frame(*home)])
     own = [Parameter(s.parameter, 0.0, s.unit) for j in joints for s in j.own if s.parameter]

@@ -236,7 +236,7 @@ def _refuse_repeated(names: Sequence[str], what: str = "readings") -> None:
             raise InputError(
                 f"{name!r} names two {what} of the mechanism",
                 code="duplicate-name",
-                remedy="name each differently",
+                remedy="give each a unique name",
             )
 
 

@@ -132,7 +132,9 @@ def joint_chain(
     for joint in names:
         if names.count(joint) > 1:
             raise InputError(
-                f"{joint!r} names two joints", code="duplicate-name", remedy="name each differently"
+                f"{joint!r} names two joints",
+                code="duplicate-name",
+                remedy="give each a unique name",
             )
     reads = [read for joint in joints if (read := joint.reads)]
     if not reads:

@@ -53,10 +53,10 @@ def refuse_without_all_poses(project: Project, fit: Fit, asked: Mapping[str, Any
     for words, wanted in asked.items():
         if wanted:
             raise InputError(
-                f"{words} needs all poses in memory, and these come as a stream",
+                f"{words} needs all poses in memory, but they are read as a stream",
                 code="unsupported",
                 place=project.name,
-                remedy="leave it out, or thin the poses (data.every) and say stream = false",
+                remedy="leave it out, or thin the poses (data.every) and set stream = false",
             )
 
 

@@ -123,7 +123,7 @@ def test_wrong_columns(tmp_path, columns, parts):
 
 
 WRONG_REQUESTS = {
-    "nothing asked for": ({}, {}, ["no column is asked for"]),
+    "nothing asked for": ({}, {}, ["no column is requested"]),
     "an unknown unit": ({"q": {"column": "S", "unit": "degre"}}, {}, ["'degre'", "'deg"]),
     "an unknown sd unit": ({"q": {"column": "S", "sd_unit": "mn"}}, {}, ["'mn'"]),
     "an unknown key": ({"q": {"column": "S", "units": "m"}}, {}, ["'units'", "'unit'"]),
@@ -192,7 +192,7 @@ def test_a_file_one_may_not_read(tmp_path, monkeypatch, name):
 
     monkeypatch.setattr(Path, "open", refused)
     message = message_of(path)
-    assert "you may not read this file" in message
+    assert "no permission to read this file" in message
     assert name in message
 
 

@@ -53,7 +53,7 @@ def components(problem: Problem, noise: Noise) -> tuple[Component, ...]:
         if touched and not any(set(block.indices) <= set(c.quantities) for c in found):
             shared = ", ".join(quantities[i] for i in block.indices)
             raise InputError(
-                f"{shared} share a covariance, so their sds have one factor",
+                f"{shared} share a covariance, so their sds can only be scaled together",
                 code="invalid-covariance",
                 remedy=f'estimate them together: estimate = "group" for {shared}',
             )
@@ -67,9 +67,9 @@ def _check_start(problem: Problem, position: int) -> None:
         return
     name = problem.mechanism.tape.quantities[position]
     raise InputError(
-        f"the sd of {name!r} is to be estimated and has no size to begin from",
+        f"the sd of {name!r} cannot be estimated without a start value",
         code="missing-sd",
-        remedy=f"state a rough sd of {name!r} above zero, or leave its estimate out",
+        remedy=f"state a rough sd of {name!r} above zero, or do not estimate it",
     )
 
 

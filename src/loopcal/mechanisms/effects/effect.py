@@ -68,7 +68,7 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
             raise InputError(
                 f"{effect.name!r} names two effects",
                 code="duplicate-name",
-                remedy="give each effect a name of its own",
+                remedy="give each effect a unique name",
             )
         own[effect.name] = effect.parameters(mechanism)
         _refuse_shared(effect.name, own[effect.name], taken)
