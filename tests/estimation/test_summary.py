@@ -125,7 +125,7 @@ def test_a_loop_without_outputs_has_no_accuracy_to_speak_of() -> None:
     noise = Noise({"crank": 1e-3, "rocker": 1e-3, "coupler": np.inf})
     fitted = calibrate(simulated.truth, simulated.read(), noise=noise)
     assert fitted.accuracy_after is None
-    assert "accuracy: the mechanism names no outputs that a model could predict" in str(fitted)
+    assert "accuracy unknown: the mechanism has no outputs to predict" in str(fitted)
 
 
 def test_poses_left_out_are_counted() -> None:

@@ -108,7 +108,7 @@ def test_data_beside_the_prior_by_hand() -> None:
     assert learned["a"].ratio == pytest.approx(math.sqrt(C[0, 0]) / 0.1, rel=1e-9)
     assert learned["c"].ratio < 0.01 < SAYS_NOTHING
     assert said.words()[0] == (
-        "these poses say nothing about 'b'; only what was known beforehand holds it"
+        "these poses say nothing about 'b'; only prior knowledge determines it"
     )
 
 
@@ -122,7 +122,7 @@ def test_redundant_parameters_are_named_with_and_without_a_prior() -> None:
     noise = lc.Noise({"u": 0.0, "y": SD})
     flat = lc.findings(lc.calibrate(double, linear(), noise=noise)).identifiability.weak
     assert [set(d.combination) for d in flat] == [{"base", "tool"}]
-    assert flat[0].words == "'base' and 'tool' cannot be told apart by these poses"
+    assert flat[0].words == "'base' and 'tool' cannot be distinguished by these poses"
     held = lc.calibrate(double, linear(), noise=noise, prior=lc.Prior({"tool": 1e-3}))
     assert "only what was known beforehand" in lc.findings(held).identifiability.weak[0].words
 

@@ -91,14 +91,14 @@ def exponentials(
     joints = tuple(joints)
     if not joints:
         raise InputError(
-            "the machine has no joints", code="missing-key", remedy="list at least one joint"
+            "the machine has no joint", code="missing-key", remedy="list at least one joint"
         )
     refuse_long_chain(len(joints))
     names = [joint.name for joint in joints]
     for joint in names:
         if names.count(joint) > 1:
             raise InputError(
-                f"{joint!r} names two joints",
+                f"two joints are named {joint!r}",
                 code="duplicate-name",
                 remedy="give each a unique name",
             )

@@ -140,9 +140,9 @@ def words(
         of_model = entry.quantities[0] in disturbances
         if of_model and sum(shares[q] for q in entry.quantities) > 0.5:
             said.append(
-                "The machine model limits the accuracy, not a sensor: in each coordinate an error "
-                f"of {with_unit(entry.sd, entry.unit, 2, fine=True)} remains that no sensor noise "
-                "explains. Look for what the model lacks (compliance, gear or encoder "
+                "The machine model limits the accuracy, not a sensor: sensor noise does not "
+                f"explain an error of {with_unit(entry.sd, entry.unit, 2, fine=True)} in each "
+                "coordinate. Check for missing effects (compliance, gear or encoder "
                 "eccentricity, drift, bad poses)."
             )
     for one, other in estimate.alike:
@@ -157,7 +157,7 @@ def words(
             said.append(f"{names}: noise not detectable (sd below {bound} with 95 % confidence).")
     if not estimate.settled:
         said.append(
-            "The learnt sds did not settle and are rough values. State more of the sds; where the "
-            "fit did not converge, first make it converge with stated sds."
+            "The estimated sds did not converge and are rough. State more of the sds; if the "
+            "fit did not converge, first calibrate with stated sds."
         )
     return tuple(said)

@@ -34,7 +34,7 @@ def tracker_of(
     if len(names) not in (2, 3) or not (native or {units[n] for n in names} == {"m"}):
         raise InputError(
             "a tracker measures the coordinates of a point, or its range, azimuth and "
-            "elevation, not {', '.join(names)}",
+            f"elevation, not {', '.join(names)}",
             code="wrong-shape",
             place=str(here),
             remedy='name them in order, say "x,y,z" or xyz',

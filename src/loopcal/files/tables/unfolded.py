@@ -86,7 +86,7 @@ def refuse_large_matlab(path: Path) -> None:
             end = file.tell() + length
             if end > size:
                 raise InputError(
-                    "this MATLAB file cannot be read: a variable of {length} bytes extends "
+                    f"this MATLAB file cannot be read: a variable of {length} bytes extends "
                     "beyond its end",
                     code="wrong-file-type",
                     place=path.name,
