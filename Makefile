@@ -132,7 +132,7 @@ sanitize: ## the engine's tests, and a minute of random tapes, under sanitizers 
 	LD_PRELOAD="$(SANITIZER)" ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
 		LOOPCAL_ENGINE=compiled LOOPCAL_THREADS=2 $(SANITIZED)/bin/python -m pytest -p no:xdist \
 		tests/expressions/test_engine.py tests/expressions/test_compiled_engine.py \
-		tests/estimation/test_block_kernel.py tests/test_interrupts.py
+		tests/estimation/solve/test_block_kernel.py tests/test_interrupts.py
 	LD_PRELOAD="$(SANITIZER)" ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 \
 		LOOPCAL_THREADS=2 $(SANITIZED)/bin/python -m analyses.fuzz_engine --minutes 1
 

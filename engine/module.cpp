@@ -29,6 +29,7 @@ using Out = nb::ndarray<double, nb::ndim<2>, nb::device::cpu>;
 using Out1 = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Out3 = nb::ndarray<double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 using Marks = nb::ndarray<uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Counts = nb::ndarray<int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Factors = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 
 void require(bool holds, const char* what) {
@@ -226,6 +227,25 @@ public:
         if (total) add_up(parts.get(), jobs_of(poses), n + 1, *total);
     }
 
+    void close(Matrix readings, Matrix corrections, std::optional<Matrix> known, const NoiseOfBlock& noise, bool exact, double tolerance,
+               double contraction, Out correction, Out1 step, Out1 ratio, Counts rounds, Marks open) const {
+        const size_t poses = readings.shape(1), k = program_.inputs;
+        require(program_.quantities == program_.inputs, "derivatives by all quantities are needed");
+        require(correction.shape(0) == k && correction.shape(1) == poses && (poses <= 1 || correction.stride(1) == 1) && step.shape(0) == poses &&
+                ratio.shape(0) == poses && rounds.shape(0) == poses && open.shape(0) == poses, "results have wrong shapes");
+        std::vector<Covariance> blocks;
+        const Noise plain = noise.plain(k, poses, blocks);
+        require(plain.unmeasured_count <= program_.loops, "more unmeasured quantities than loops");
+        const Closing job{{&program_, &plain, rows_of(readings, k, poses, "readings have a wrong shape"),
+                           rows_of(corrections, k, poses, "corrections have a wrong shape"), known_rows(known, poses), exact, false, false,
+                           correction.data(), static_cast<ptrdiff_t>(correction.stride(0)), step.data(), nullptr, nullptr, 0,
+                           room(plain, 0) + 6 * k * TILE},
+                          tolerance, contraction, ratio.data(), rounds.data(), open.data()};
+        struct Context { const Closing& job; const Width& width; } context{job, *width};
+        share<Context>([](Context& c, int begin, int end, int, double* workspace) { c.width.close(c.job, begin, end, workspace); },
+                       context, poses, job.reduction.room);
+    }
+
     void search(Matrix readings, Matrix corrections, std::optional<Matrix> known, const NoiseOfBlock& noise, Out change) const {
         const size_t poses = readings.shape(1), k = program_.inputs;
         require(program_.quantities == program_.inputs, "derivatives by all quantities are needed");
@@ -352,5 +372,7 @@ NB_MODULE(_compiled, m) {
         .def("evaluate", &Engine::evaluate, nb::arg("x"), nb::arg("known").none(), nb::arg("stage"), nb::arg("out"))
         .def("reduce", &Engine::reduce, nb::arg("readings"), nb::arg("corrections"), nb::arg("known").none(), nb::arg("noise"), nb::arg("exact"),
              nb::arg("by_parameter"), nb::arg("rounding"), nb::arg("correction"), nb::arg("step"), nb::arg("singular"), nb::arg("rows").none(), nb::arg("total").none())
+        .def("close", &Engine::close, nb::arg("readings"), nb::arg("corrections"), nb::arg("known").none(), nb::arg("noise"), nb::arg("exact"),
+             nb::arg("tolerance"), nb::arg("contraction"), nb::arg("correction"), nb::arg("step"), nb::arg("ratio"), nb::arg("rounds"), nb::arg("open"))
         .def("search", &Engine::search, nb::arg("readings"), nb::arg("corrections"), nb::arg("known").none(), nb::arg("noise"), nb::arg("change"));
 }

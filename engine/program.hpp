@@ -15,6 +15,10 @@ constexpr int TILE = 32;
 constexpr int SUMS = 8;
 // Poses whose whitened rows are added up together: sums of products want long rows.
 constexpr int PIECE = 128;
+// What Gauss-Newton has not closed by then is left to Newton, who knows the curvature.
+constexpr int MOST_CLOSINGS = 16;
+// A step of so many sds leaves a next one that only rounding sees.
+constexpr double NEGLIGIBLE = 1e-6;
 
 enum Code : int32_t {
     ADD, SUB, MUL, DIV, NEG, POW, SQUARE, SQRT, SINCOS, TAN, ARCSIN, ARCCOS, ARCTAN, ARCTAN2,
@@ -98,6 +102,16 @@ struct Reduction {
     size_t room;  // doubles in a workspace
 };
 
+// Poses whose readings are corrected until their loops close. Of the reduction, without derivatives by parameters:
+// where to begin, and where the corrections and the last step of each pose are to stand.
+struct Closing {
+    Reduction reduction;
+    double tolerance, contraction;  // so many sds may be left; of steps, as far as known
+    double* ratio;    // (poses) largest of a step to the one before, 0 where there was none
+    int32_t* rounds;  // (poses)
+    uint8_t* open;    // (poses) whether it did not settle; its corrections are then where to go on from
+};
+
 // Poses whose unmeasured quantities are searched for from readings + corrections.
 struct Search {
     const Program* program;
@@ -113,6 +127,7 @@ struct Width {
     void (*evaluate)(const Evaluation&, int begin, int end, double* workspace);
     // total: (n + 1, n + 1), its lower triangle set to the sums over these poses; or null
     void (*reduce)(const Reduction&, int begin, int end, double* workspace, double* total);
+    void (*close)(const Closing&, int begin, int end, double* workspace);
     void (*search)(const Search&, int begin, int end, double* workspace);
 };
 

@@ -339,34 +339,42 @@ static void longest(const double* now, const double* correction, const double* i
         }
 }
 
-// Rows of D and E of the poses from `pose` on, `count` of them, to out (n + 1, r, PIECE).
-static void whiten(const Reduction& job, int pose, int count, double* workspace, double* out,
-                   const Linear& part, const Uncertainty& uncertainty, Room room) {
+// A tile linearised at readings + `now` (k): rows of D and E to out (n + 1, r, PIECE), the new corrections (k), their
+// longest moves in sds, and where loops cannot close.
+static void whiten_at(const Reduction& job, double* now, int pose, int count, double* workspace, const Linear& part,
+                      const Uncertainty& uncertainty, Room room, double* out, double* correction, vec* most,
+                      ivec* singular) {
     const Program& program = *job.program;
-    const Noise& noise = *job.noise;
-    const int k = program.inputs, m = program.loops, r = m - noise.unmeasured_count;
-    const int width = job.by_parameter ? program.parameters + 1 : 1;
-    double* const now = room.rows(k);
+    const int k = program.inputs, m = program.loops;
     double* const x = workspace + program.first;
     fill(x, job.readings, k, pose, count);
-    fill(now, job.corrections, k, pose, count);
     fill(x + k * TILE, job.known, program.known, pose, count);
     for (int i = 0; i < k * TILE; i += LANES) store(x + i, load(x + i) + load(now + i));
     run(program, workspace, job.by_parameter ? 2 : 1);
 
-    double* const correction = room.rows(k);
     double* const f = room.rows(m);
-    fill_by_pose(noise, k, pose, count, uncertainty);
     take_values(job, part, pose, count, room, f);
     if (job.rounding) memset(now, 0, sizeof(double) * k * TILE);
-    ivec singular[TV] = {};
     if (job.exact)
         leave_unweighted(job, part, f, now, room, out, correction);
     else
         whiten_uncertain(job, part, f, now, uncertainty, room, out, correction, singular);
-
-    vec most[TV];
     longest(now, correction, uncertainty.inverse, k, most);
+}
+
+// The same of the poses from `pose` on, `count` of them, at their corrections, with the results where the job wants them.
+static void whiten(const Reduction& job, int pose, int count, double* workspace, double* out,
+                   const Linear& part, const Uncertainty& uncertainty, Room room) {
+    const Program& program = *job.program;
+    const int k = program.inputs, r = program.loops - job.noise->unmeasured_count;
+    const int width = job.by_parameter ? program.parameters + 1 : 1;
+    double* const now = room.rows(k);
+    double* const correction = room.rows(k);
+    vec most[TV];
+    ivec singular[TV] = {};
+    fill(now, job.corrections, k, pose, count);
+    fill_by_pose(*job.noise, k, pose, count, uncertainty);
+    whiten_at(job, now, pose, count, workspace, part, uncertainty, room, out, correction, most, singular);
     for (int q = 0; q < k; q++)
         take_row(job.correction + q * job.correction_row + pose, correction + q * TILE, count);
     EACH store(now + v * LANES, most[v]);  // its row is free

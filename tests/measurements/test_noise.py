@@ -189,6 +189,14 @@ def test_what_is_no_sd_and_no_covariance_is_named(
         Noise(entries)
 
 
+@pytest.mark.parametrize("key", [3, None, ("x", 3)])
+def test_what_is_no_name_is_refused_as_a_key(key: Any) -> None:
+    with refused("invalid-value", repr(key)):
+        Noise({key: 1.0})
+    with refused("invalid-value", repr(key)):
+        Noise({"*": 1.0}, estimate={key: "each"})
+
+
 def test_noise_is_a_value() -> None:
     matrix = np.diag([1.0, 4.0])
     noise = Noise({"t*": 1e-3, ("x", "y"): matrix, "z": [1.0, 2.0]})

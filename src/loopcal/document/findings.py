@@ -108,11 +108,13 @@ class Identifiability:
         return frozenset(name for u in self.not_identifiable for name in u.combination)
 
     def warnings(self) -> tuple[str, ...]:
-        """What the reader must know of each of these directions."""
-        return tuple(
-            f"Not identifiable: {loose.words}. The fit keeps such a combination near its start; "
-            f"fix a parameter, give it a prior sd, or measure other poses."
-            for loose in self.not_identifiable
+        """One sentence that names all of these directions, and the remedy."""
+        if not self.not_identifiable:
+            return ()
+        directions = "; ".join(loose.words for loose in self.not_identifiable)
+        return (
+            f"Not identifiable: {directions}. The fit keeps such a combination near its "
+            "start; fix a parameter, give it a prior sd, or measure other poses.",
         )
 
 

@@ -93,6 +93,8 @@ class NoiseEntry:
     share: Probability | None = None
     """Of chi-squared: what the corrections of these quantities contribute to it. A share far above
     what the sd deserves: the sensor is worse than stated, or the machine model lacks something."""
+    role: Literal["reading", "disturbance"] = "reading"
+    """reading: of sensors; disturbance: an error of the machine model, which no sensor reads."""
 
 
 @dataclass(frozen=True)

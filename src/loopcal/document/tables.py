@@ -14,8 +14,7 @@ from loopcal.document.accuracy import (
     ValidationEntry,
 )
 from loopcal.document.fit import NoiseEntry, ParameterEntry
-from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import by_sd, in_unit, size, unit_shown
+from loopcal.presentation.shown import by_sd, size, unit_shown
 from loopcal.presentation.text_table import columns
 
 
@@ -172,13 +171,10 @@ def parameter_table(parameters: Sequence[ParameterEntry]) -> list[str]:
     rows = [head]
     for p in parameters:
         unit, sd = p.unit, p.sd
-        change = in_unit(p.value, unit) - in_unit(p.nominal, unit)
         row = [p.name, by_sd(p.value, sd, unit), "", "fixed", unit_shown(unit)]
         if not p.fixed:
-            told = significant(change, 3)
-            if sd is not None:
-                told = by_sd(p.value - p.nominal, sd, unit, sign=True)
-            row[2:4] = [told, "unknown" if sd is None else size(sd, unit, 2)]
+            change = by_sd(p.value - p.nominal, sd, unit, sign=True)
+            row[2:4] = [change, "unknown" if sd is None else size(sd, unit, 2)]
         if with_error:
             row.insert(4, "" if p.error is None else by_sd(p.error, sd, unit, sign=True))
         rows.append(row)

@@ -278,12 +278,7 @@ class Result:
             unit = next((self.mechanism.quantities[q] for q in self.mechanism.outputs), "")
             found += self.chi_squared.warnings(self.model_discrepancy, unit)
         if self.estimate is not None:
-            found += words(
-                self.estimate,
-                self.noise,
-                self.chi_squared_shares,
-                self.problem.mechanism.disturbances,
-            )
+            found += words(self.estimate, self.noise, self.chi_squared_shares)
         return (*found, *self.notes)
 
     def noted(self, *notes: str) -> Result:

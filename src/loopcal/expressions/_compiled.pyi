@@ -53,6 +53,21 @@ class Engine:
         rows: _Array | None,
         total: _Array | None,
     ) -> None: ...
+    def close(
+        self,
+        readings: _Array,
+        corrections: _Array,
+        known: _Array | None,
+        noise: Noise,
+        exact: bool,
+        tolerance: float,
+        contraction: float,
+        correction: _Array,
+        step: _Array,
+        ratio: _Array,
+        rounds: NDArray[np.int32],
+        late: NDArray[np.uint8],
+    ) -> None: ...
     def search(
         self,
         readings: _Array,

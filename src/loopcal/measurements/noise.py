@@ -56,6 +56,7 @@ class Noise:
     def __init__(self, entries: Entries, *, estimate: Estimates | None = None) -> None:
         self.entries: dict[str | tuple[str, ...], Any] = {}  # of arrays and trackers
         for key, value in entries.items():
+            _check_key(key)
             self.entries[key] = _checked_entry(key, value)
         self.by_maker = frozenset(
             key for key, value in entries.items() if isinstance(value, Tracker | DatasheetSd)
@@ -65,6 +66,7 @@ class Noise:
         """Where the search for learnt sds begins, if not at the stated ones; see `begun_at`."""
         self.estimate: dict[str | tuple[str, ...], str] = dict((estimate or {}).items())
         for key, how in self.estimate.items():
+            _check_key(key)
             if how not in ESTIMATES:
                 raise InputError(
                     f"estimate of {key!r} is {how!r}",
@@ -265,6 +267,17 @@ def _row(name: str, sds: Mapping[str, Array], dataset: Dataset) -> Array:
             )
         return np.asarray(np.inf)
     return np.where(missing, np.inf, row) if missing.any() else row
+
+
+def _check_key(key: Any) -> None:
+    names = key if isinstance(key, tuple) else (key,)
+    if not all(isinstance(name, str) for name in names):
+        raise InputError(
+            f"the noise names {key!r:.60}, which is not the name of a quantity",
+            code="invalid-value",
+            remedy='name a quantity, glob or group ("theta_*"), or several in a tuple '
+            '(("x", "y", "z"))',
+        )
 
 
 def _checked_entry(key: str | tuple[str, ...], value: Any) -> Any:

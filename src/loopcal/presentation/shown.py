@@ -10,6 +10,8 @@ SHOWN = {"m": "mm", "rad": "deg", "m/K": "um/K", "rad/K": "urad/K"}
 FINE = {"m": "um", "rad": "urad"}
 """Units in which sds of sensors are printed."""
 NONE = "–"
+ROUNDING = 1e-12
+"""Without an sd, so little [m, rad] is what the arithmetic left of zero."""
 
 
 def unit_shown(unit: str, *, fine: bool = False) -> str:
@@ -43,6 +45,8 @@ def in_unit(value: float, unit: str, *, fine: bool = False) -> float:
 def by_sd(value: float, sd: float | None, unit: str, *, sign: bool = False) -> str:
     """An SI value in the unit shown, to the digits of its sd."""
     if sd is None:
+        if unit in FINE and abs(value) < ROUNDING:
+            return "0"
         return significant(in_unit(value, unit), 9 if not sign else 3)
     return rounded_by_sd(in_unit(value, unit), in_unit(sd, unit), sign=sign)
 

@@ -91,9 +91,7 @@ def _of_data(document: ResultDocument) -> list[tuple[str, str]]:
 def _of_model(document: ResultDocument) -> list[tuple[str, str]]:
     found = []
     for entry in document.noise:
-        first = entry.quantities[0]  # a disturbance is no quantity of the data
-        of_model = first.startswith("model_") and first not in document.data.quantities
-        if of_model and entry.sd:
+        if entry.role == "disturbance" and entry.sd:
             unit = entry.unit
             found.append(
                 (

@@ -28,9 +28,10 @@ from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import solve
-from loopcal.estimation.solve.sweep import NEGLIGIBLE, Sweeper
+from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.mechanisms.parameters import matching
 

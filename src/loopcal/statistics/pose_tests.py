@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from loopcal import chi_squared
 from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.problem.problem import Problem, left_unmeasured, taken
-from loopcal.estimation.solve.closing import Closed
-from loopcal.estimation.solve.sweep import NEGLIGIBLE, Sweeper
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
+from loopcal.estimation.solve.reduced import Closed
+from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]
 NO_REDUNDANCY = 1e-6

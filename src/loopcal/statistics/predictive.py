@@ -23,7 +23,8 @@ from loopcal.estimation.noise.linear_model import ModelBlock, linear_model
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import Result
-from loopcal.estimation.solve.sweep import NEGLIGIBLE, Sweeper
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
+from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 

@@ -176,6 +176,70 @@ def test_a_search_gives_the_same_bits_whatever_the_width_and_the_threads(
     assert len(found) == 1
 
 
+@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize("unmeasured", [(), (1,), (0, 5)])
+@pytest.mark.parametrize("kind", ["sd", "sds by pose", "covariance", "covariances by pose"])
+def test_loops_are_closed_as_by_numpy(
+    kind: str, unmeasured: tuple[int, ...], exact: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours, theirs = (kernel_on(e, monkeypatch, exact=exact) for e in ("compiled", "numpy"))
+    for poses in (1, 33, 200):
+        block = random_block(kind, unmeasured, poses)
+        for tolerance in (np.inf, 0.1, 1e-3):
+            a, b = (kernel.close(block, tolerance, 1.0) for kernel in (ours, theirs))
+            assert a.open.tolist() == b.open.tolist()
+            settled = ~a.open
+            alike(a.corrections[:, settled], b.corrections[:, settled], 1e-8)
+            assert a.evaluations == b.evaluations
+            assert a.step == pytest.approx(b.step, rel=1e-6, abs=1e-9)
+            if settled.all():
+                assert a.contraction == pytest.approx(b.contraction, rel=1e-6, abs=1e-9)
+
+
+def test_a_loop_that_leaves_its_domain_is_closed_with_shorter_steps_as_by_numpy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tape = trace(lambda x, p: [np.sqrt(x.a) - p.k * x.b + x.c], quantities="abc", parameters="k")
+    noise = BlockNoise(ReadingUncertainty(np.full((3, 1), 0.1)), (), (0, 1, 2))
+    rng = np.random.default_rng(5)
+    x = np.array([[0.25], [1.0], [0.0]]) + rng.normal(0.0, 0.01, (3, 60))
+    start = np.zeros_like(x)
+    start[0] = -x[0] * rng.uniform(0.5, 3.0, 60)
+    block = Block(slice(0, 60), x, start, np.zeros((0, 60)), noise)
+    found = []
+    for name in ENGINES:
+        monkeypatch.setenv("LOOPCAL_ENGINE", name)
+        engine = engine_for(tape, tape.parameters, 64)
+        engine.at(np.array([0.5]))
+        found.append(kernel_for(engine, whiten, exact=False).close(block, 1e-6, 1.0))
+    a, b = found
+    assert a.open.tolist() == b.open.tolist()
+    assert not a.open.all()
+    alike(a.corrections[:, ~a.open], b.corrections[:, ~a.open], 1e-8)
+    assert a.evaluations == b.evaluations
+    assert a.evaluations > 120
+
+
+@pytest.mark.usefixtures("restored")
+@pytest.mark.parametrize("unmeasured", [(), (0, 5)])
+def test_closing_gives_the_same_bits_whatever_the_width_the_threads_and_the_neighbours(
+    unmeasured: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    block = random_block("covariances by pose", unmeasured, 1000)
+    kernel = kernel_on("compiled", monkeypatch)
+    found = set()
+    for width in _compiled.widths():
+        for threads in (1, 3):
+            _compiled.use_width(width)
+            _compiled.use_threads(threads)
+            found.add(kernel.close(block, 1e-3, 1.0).corrections.tobytes())
+    assert len(found) == 1
+    together = kernel.close(block, 1e-3, 1.0).corrections
+    for pose in (0, 31, 500, 999):
+        alone = kernel.close(block.of(slice(pose, pose + 1)), 1e-3, 1.0).corrections
+        assert np.array_equal(alone[:, 0], together[:, pose])
+
+
 def test_no_pose_adds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     found = kernel_on("compiled", monkeypatch).equations(random_block("sd", (1,), 0), summed=True)
     assert found.total is not None

@@ -11,6 +11,7 @@ from scipy.special import chdtri
 import loopcal as lc
 from loopcal.estimation.methods.implicit_loop import METHOD
 from loopcal.estimation.problem.problem import build_problem
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.loss import (
     Huber,
     StudentT,
@@ -19,7 +20,7 @@ from loopcal.estimation.solve.loss import (
     loss_named,
 )
 from loopcal.estimation.solve.robust import solve_robust
-from loopcal.estimation.solve.sweep import NEGLIGIBLE, Sweeper
+from loopcal.estimation.solve.sweep import Sweeper
 from tests.reference.simulated import planar_arm
 from tests.refusals import refused
 

@@ -232,8 +232,8 @@ def test_a_base_under_the_seeds_chain_is_reported_not_inverted() -> None:
     involved = set().union(*(set(u.combination) for u in found.not_identifiable))
     assert {f"base_{key}" for key in ("x", "y", "z", "rz", "ry", "rx")} <= involved
     assert not involved & {"x6B", "y6B", "z6B", "x5", "y5", "z2"}
-    assert len(result.warnings) >= 6
-    assert "Not identifiable" in result.warnings[0]
+    (warning,) = [w for w in result.warnings if w.startswith("Not identifiable")]
+    assert all(loose.words in warning for loose in found.not_identifiable)
     # the fit itself is as good as with the minimal 27
     minimal = six_axis_poses(ma1400().truth)
     plain = calibrate(minimal.truth, read(minimal), noise=Noise(SDS), start="nominal")

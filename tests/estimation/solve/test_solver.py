@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,15 @@ from hypothesis import strategies as st
 
 from loopcal.errors import Code
 from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.solver import solve
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.planar import planar_two_link
 from loopcal.mechanisms.prior import Prior
+from loopcal.simulation.simulate import simulate
 from tests.reference.optimality import diagonal, optimality
 from tests.reference.random_cases import cases
 from tests.reference.simulated import Simulated, ma1400, planar_arm
@@ -130,6 +135,30 @@ def test_nearly_all_planar_fits_converge_however_uncertain(largest: float, least
         result = calibrate(start, data, noise=Noise(sds), start="nominal")
         converged += result.status.converged
     assert converged >= least
+
+
+def read_by_a_poor_second_joint(draw: int, factor: float = 1.0) -> Problem:
+    """Twelve random poses of the planar arm; factor: of the stated sd of that joint."""
+    rng = np.random.default_rng(draw)
+    arm, sds = planar_two_link(), {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-2}
+    poses = {joint: rng.uniform(0.0, math.pi / 2, 12) for joint in ("phi2", "phi3")}
+    truth = {p.name: p.nominal + rng.normal(0.0, 1e-3) for p in arm.parameters}
+    made = simulate(arm, Dataset.from_arrays(poses), noise=Noise(sds), seed=draw, truth=truth)
+    return build_problem(arm, made.dataset, Noise(sds | {"phi3": factor * 1e-2}))
+
+
+def test_open_loops_are_never_the_lowest_point() -> None:
+    """Their merit is an estimate, which may be lower than that of any point with closed loops."""
+    for draw in range(150):
+        assert solve(read_by_a_poor_second_joint(draw)).status.converged
+
+
+def test_a_fit_that_begins_at_its_end_converges() -> None:
+    """The loops of both ends of a short step are closed before their merits are compared."""
+    for draw in range(60):
+        end = solve(read_by_a_poor_second_joint(draw)).parameters
+        near = replace(read_by_a_poor_second_joint(draw, factor=1.0001), start=end)
+        assert solve(near).status.converged
 
 
 @pytest.mark.parametrize("name", cases())

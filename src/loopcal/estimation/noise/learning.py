@@ -87,7 +87,12 @@ def entries(
             continue
         unit = problem.mechanism.quantities[quantity]
         entry = NoiseEntry(
-            (quantity,), unit, float(np.median(measured)), None, problem.uncertainty.sources[i]
+            (quantity,),
+            unit,
+            float(np.median(measured)),
+            None,
+            problem.uncertainty.sources[i],
+            role="disturbance" if quantity in problem.mechanism.disturbances else "reading",
         )
         if i in estimated:
             component = estimated[i]
@@ -126,19 +131,15 @@ def _learnt(entry: NoiseEntry, component: EstimatedSd, stated: Problem) -> Noise
 
 
 def words(
-    estimate: NoiseEstimate,
-    noise: Sequence[NoiseEntry],
-    shares: Mapping[str, float],
-    disturbances: Sequence[str],
+    estimate: NoiseEstimate, noise: Sequence[NoiseEntry], shares: Mapping[str, float]
 ) -> tuple[str, ...]:
     """What the reader must know of the estimated sds.
 
-    shares: of each quantity in chi-squared; disturbances: quantities that are errors of the model.
+    shares: of each quantity in chi-squared.
     """
     said = []
     for entry in noise:
-        of_model = entry.quantities[0] in disturbances
-        if of_model and sum(shares[q] for q in entry.quantities) > 0.5:
+        if entry.role == "disturbance" and sum(shares[q] for q in entry.quantities) > 0.5:
             said.append(
                 "The machine model limits the accuracy, not a sensor: sensor noise does not "
                 f"explain an error of {with_unit(entry.sd, entry.unit, 2, fine=True)} in each "

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.patterns import Poses
+from loopcal.expressions.compiled_engine import native_noise
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
 Array = NDArray[np.float64]
@@ -30,6 +33,12 @@ class BlockNoise:
     def blocks(self) -> tuple[CovarianceBlock, ...]:
         """Quantities with a full covariance."""
         return self.uncertainty.blocks
+
+    @cached_property
+    def native(self) -> Any:
+        """The same as the compiled engine takes it, made once for all its calls."""
+        blocks = [([self.measured.index(i) for i in b.indices], b.factor) for b in self.blocks]
+        return native_noise(self.sd, self.unmeasured, self.measured, blocks)
 
     def of(self, chosen: NDArray[np.intp] | slice) -> BlockNoise:
         """The noise of some poses of the block."""

@@ -14,39 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.solve.block import Block, BlockNoise
-from loopcal.estimation.solve.closing import UNMEASURED_SCALE
+from loopcal.estimation.solve.gauss_newton import close_by_gauss_newton
 from loopcal.estimation.solve.kernel import Whitened
+from loopcal.estimation.solve.newton import UNMEASURED_SCALE
+from loopcal.estimation.solve.reduced import Closed, Reduced
 from loopcal.estimation.solve.scratch import scratch
 from loopcal.estimation.solve.searching import search
-from loopcal.expressions.compiled_engine import CompiledEngine, native_noise, side_by_side
+from loopcal.expressions.compiled_engine import CompiledEngine, side_by_side
 from loopcal.expressions.engine import Engine, LoopValues, Stage
 
 Array = NDArray[np.float64]
 Reduce = Callable[[LoopValues, Block], Whitened]
-
-
-@dataclass(frozen=True)
-class Reduced:
-    """A block of b poses, linearised at readings + corrections and reduced.
-
-    correction: (k, b) new corrections with these parameters held [SI]; step: (b,) the longest
-    move to them in sds; singular: (b,) poses whose loops cannot close; rows: (n + 1, r, b), the n
-    columns of D and last E, or total: (n + 1, n + 1), their products summed over loops and poses.
-    rows are overwritten by the next block.
-    """
-
-    correction: Array
-    step: Array
-    singular: NDArray[np.bool_]
-    rows: Array | None = None
-    total: Array | None = None
-
-    @property
-    def E(self) -> Array:
-        """Whitened misclosure, (r, b)."""
-        assert self.rows is not None
-        part: Array = self.rows[-1]
-        return part
 
 
 class BlockKernel(Protocol):
@@ -64,6 +42,9 @@ class BlockKernel(Protocol):
 
         into: (k, b) where the new corrections are to stand, if not in an array of their own.
         """
+
+    def close(self, block: Block, tolerance: float, contraction: float) -> Closed:
+        """Corrections that close the loops to so many sds (`gauss_newton.py`)."""
 
     def rounding(self, block: Block) -> Array:
         """L^-1 eps a, (r, b), a the size of a loop's terms: sum |J_x| (1 + |reading|)."""
@@ -92,6 +73,9 @@ class NumpyKernel:
         assert found.rows is not None
         rows = found.rows.reshape(len(found.rows), -1)
         return Reduced(found.correction, found.step, found.singular, total=rows @ rows.T)
+
+    def close(self, block: Block, tolerance: float, contraction: float) -> Closed:
+        return close_by_gauss_newton(self.corrected, block, tolerance, contraction)
 
     def rounding(self, block: Block) -> Array:
         x = block.corrected
@@ -128,6 +112,24 @@ class CompiledKernel:
             return self._reduced(block, total=total, into=into)
         r = self.engine.loops - len(block.noise.unmeasured)
         return self._reduced(block, rows=scratch("rows", n, r, block.count), into=into)
+
+    def close(self, block: Block, tolerance: float, contraction: float) -> Closed:
+        corrections, count = np.empty(block.readings.shape), block.count
+        step, ratio = np.empty(count), np.empty(count)
+        rounds, late = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.bool_)
+        self.engine.native.close(
+            *_native(block),
+            self.exact,
+            tolerance,
+            contraction,
+            corrections,
+            step,
+            ratio,
+            rounds,
+            late.view(np.uint8),
+        )
+        worst = float(ratio.max(initial=0.0))
+        return Closed(corrections, late, float(step.max(initial=0.0)), worst, int(rounds.sum()))
 
     def rounding(self, block: Block) -> Array:
         rows = self._misclosure(block)
@@ -171,13 +173,11 @@ class CompiledKernel:
 
 def _native(block: Block) -> tuple[Array, Array, Array, Any]:
     """Readings, corrections, known values and noise as the compiled engine takes them."""
-    noise = block.noise
-    blocks = [([noise.measured.index(i) for i in b.indices], b.factor) for b in noise.blocks]
     return (
         side_by_side(block.readings),
         side_by_side(block.corrections),
         side_by_side(block.known),
-        native_noise(noise.sd, noise.unmeasured, noise.measured, blocks),
+        block.noise.native,
     )
 
 

@@ -22,6 +22,9 @@ ROUNDING = 2e-15
 """A column this short beside others in its unit is what cancelled terms leave: no effect at all."""
 WEAK = 1e-6
 """Directions with a singular value this far below the largest are determined, but hardly."""
+_VANISHED, _LOOSE = 1e-4, 1e-2
+"""A parameter whose effect on the loops shrinks to this share of what it was has run away, unless
+data and prior still determine it."""
 WELL_CONDITIONED = 1e4
 """Up to this scaled condition number normal equations lose nothing that iterating cannot mend."""
 
@@ -209,6 +212,15 @@ def hardly_determined(spectrum: Spectrum, names: Sequence[str]) -> tuple[str, ..
         return ()
     shares = np.abs(spectrum.directions[:, weakest])
     return tuple(n for n, s in zip(names, shares, strict=True) if s >= 0.05 * shares.max())
+
+
+def vanished(spectrum: Spectrum, lengths: Array, before: Array) -> NDArray[np.bool_]:
+    """Which parameters have lost their effect and are not determined, (n,).
+
+    lengths, before: (n,) of their columns here and where the search began.
+    """
+    loose = np.square(spectrum.directions[:, ~spectrum.kept]).sum(axis=1) > _LOOSE
+    return np.asarray((lengths < _VANISHED * before) & loose)
 
 
 def _echelon(rows: Array) -> Array:

@@ -25,6 +25,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.solve.block import Block
 from loopcal.estimation.solve.block_kernel import BlockKernel, NumpyKernel
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.kernel import Whitened
 from loopcal.estimation.solve.loss import Loss
@@ -33,7 +34,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread, scratch
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.solve.status import Status
-from loopcal.estimation.solve.sweep import NEAR, NEGLIGIBLE, Sweeper
+from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.expressions.engine import Engine, LoopValues, Stage
 
 Array = NDArray[np.float64]

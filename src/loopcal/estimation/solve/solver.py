@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.checkpoint import Checkpoint, Point
 from loopcal.estimation.solve.course import MOST_DAMPING, Course
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import (
@@ -39,11 +40,12 @@ from loopcal.estimation.solve.reduction import (
     WELL_CONDITIONED,
     hardly_determined,
     spectrum,
+    vanished,
 )
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solution import End, Solution
 from loopcal.estimation.solve.status import Status, weakness
-from loopcal.estimation.solve.sweep import NEAR, NEGLIGIBLE, Sweeper
+from loopcal.estimation.solve.sweep import NEAR, Sweeper
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, float, float], None]
@@ -60,9 +62,6 @@ _LAST_STEP = 0.1
 """Steps this small are taken with closed loops, so that the point they end at is final."""
 _AWAY = 30
 """After so many iterations above its lowest merit the search returns to that point."""
-_VANISHED, _LOOSE = 1e-4, 1e-2
-"""A parameter whose effect on the loops shrinks to this share of what it was has run away, unless
-data and prior still determine it."""
 _FAR, _EXPLAINED = 100.0, 0.9
 """Where whitened residuals are this large (mean square) and parameters explain this share of
 them, the loops need not be closed yet."""
@@ -139,7 +138,6 @@ class _Solver(Generic[State]):
 
     def run(self, max_iterations: int, resume: Checkpoint[State] | None) -> End[State]:
         current = self._resumed(resume) if resume else self._first()
-        assert current.spectrum is not None
         if resume:
             self.first, self.lowest, self.effects = resume.first, resume.lowest, resume.effects
         else:
@@ -151,10 +149,10 @@ class _Solver(Generic[State]):
                 self.triangular = True
                 current = self._evaluate(current.parameters, current.found.state)
                 continue
-            if current.merit < self.lowest.merit:
+            if current.merit < self.lowest.merit and current.closed is not None:
                 self.lowest, self.away = current.place, 0
             elif self._higher(current) and (self.away > _AWAY or self._settled(current)):
-                current = self._returned()
+                current = self._returned(current)
                 continue
             if self._settled(current):
                 if current.found.step <= NEGLIGIBLE or current.closed == _CLOSED:
@@ -175,7 +173,7 @@ class _Solver(Generic[State]):
             self.away += 1
             trial = self._advance(current)
             if trial is None and self._higher(current):
-                trial = self._returned()
+                trial = self._returned(current)
             if trial is None:
                 return self._stalled(current)
             self.before = current.spectrum.decrement
@@ -186,10 +184,16 @@ class _Solver(Generic[State]):
         loops that are not quite closed make uncertain."""
         return point.merit > self.lowest.merit + self._limit(point, _LAST_STEP)
 
-    def _returned(self) -> Point[State]:
-        """The lowest point, from which every step must descend."""
+    def _returned(self, current: Point[State]) -> Point[State]:
+        """The lowest point, or the current one if that is lower once both have closed loops.
+
+        From there every step must descend.
+        """
         self.course, self.away, self.before = self.course.returned(), 0, np.inf
-        return self._evaluate(self.lowest.parameters, self.lowest.state, self.lowest.closing)
+        lowest = self._evaluate(self.lowest.parameters, self.lowest.state, _NEAR)
+        point = lowest if lowest.merit < current.merit else current
+        self.lowest = point.place
+        return point
 
     def _first(self) -> Point[State]:
         start = self.unknowns.start
@@ -267,12 +271,14 @@ class _Solver(Generic[State]):
                 gain = (current.merit - trial.merit) / predicted if predicted > 0 else 1.0
                 self.course = self.course.accepted(system, step, gain)
                 return trial
-            if current.closed in (None, _ONCE):
-                closed = self._evaluate(current.parameters, current.found.proposal, _NEAR)
+            # The merit of open loops is an estimate: close them as well as the trial's.
+            closing = _CLOSED if self._last(current, predicted) else _NEAR
+            if current.closed is None or current.closed > closing:
+                closed = self._evaluate(current.parameters, current.found.proposal, closing)
                 if math.isfinite(closed.merit) and closed.spectrum is not None:
                     current = closed
                     continue
-                current = replace(current, closed=_NEAR)
+                current = replace(current, closed=closing)
             self.course = self.course.rejected(system)
         return None
 
@@ -281,7 +287,7 @@ class _Solver(Generic[State]):
         assert current.spectrum is not None
         parameters = self.unknowns.moved(current.parameters, step)
         far = self._far(current, predicted)
-        last = predicted <= self._limit(current, _LAST_STEP)
+        last = self._last(current, predicted)
         start = current.found.state if far else current.found.proposal
         closings = [None, _NEAR] if far else [_CLOSED] if last else [_ONCE, _NEAR]
         for closing in closings:
@@ -295,6 +301,10 @@ class _Solver(Generic[State]):
     def _far(self, point: Point[State], predicted: float) -> bool:
         """Whether parameters explain nearly all of a large misclosure: then readings can wait."""
         return predicted > max(_EXPLAINED * point.merit, _FAR * point.found.equations)
+
+    def _last(self, point: Point[State], predicted: float) -> bool:
+        """Whether the step from a point is so small that the next point should be final."""
+        return predicted <= self._limit(point, _LAST_STEP)
 
     def _worth(self, current: Point[State], trial: Point[State], predicted: float) -> bool:
         if not math.isfinite(trial.merit) or trial.spectrum is None:
@@ -337,24 +347,16 @@ class _Solver(Generic[State]):
         parameters = self.unknowns.moved(point.parameters, point.spectrum.step())
         start, contraction = point.found.proposal, point.found.contraction
         closed = self.merit.close(parameters, start, RELATIVE_STEP, contraction)
-        reason = "runaway" if self._vanished(point).any() else "converged"
+        gone = vanished(point.spectrum, point.found.data.lengths, self.effects)
+        reason = "runaway" if gone.any() else "converged"
         if closed is None:
             return self._solution(point, reason)
         return self._solution(replace(point, parameters=parameters), reason, closed)
 
-    def _vanished(self, point: Point[State]) -> NDArray[np.bool_]:
-        """Which parameters have lost their effect on the way and are no longer determined, (n,)."""
-        assert point.spectrum is not None
-        loose = np.square(point.spectrum.directions[:, ~point.spectrum.kept]).sum(axis=1) > _LOOSE
-        gone = point.found.data.lengths < _VANISHED * self.effects
-        return np.asarray(gone & loose)
-
     def _stalled(self, current: Point[State]) -> End[State]:
         """The end where no step lowers the merit: given up, unless only rounding is in the way."""
         end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
-        if self._negligible(end):
-            return self._converged(end)
-        return self._give_up(current, "stalled")
+        return self._converged(end) if self._negligible(end) else self._give_up(current, "stalled")
 
     def _give_up(self, current: Point[State], reason: str) -> End[State]:
         end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
@@ -380,7 +382,7 @@ class _Solver(Generic[State]):
             detail = f"Poses: {', '.join(late.poses)}."
         assert end.spectrum is not None
         if reason == "runaway":
-            gone = np.flatnonzero(self._vanished(end))
+            gone = np.flatnonzero(vanished(end.spectrum, end.found.data.lengths, self.effects))
             detail = f"Parameters: {', '.join(self.unknowns.names[i] for i in gone)}."
         if reason in ("max_iterations", "stalled"):
             detail = weakness(hardly_determined(end.spectrum, self.unknowns.names))

@@ -10,6 +10,7 @@ linearisation did not hold), so that chi-squared is the true profile
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,20 +18,17 @@ from numpy.typing import NDArray
 from loopcal.estimation.problem.patterns import Pattern, Poses
 from loopcal.estimation.problem.problem import BLOCK, Problem
 from loopcal.estimation.solve.block import Block, BlockNoise
-from loopcal.estimation.solve.block_kernel import BlockKernel, Reduce, Reduced, kernel_for
-from loopcal.estimation.solve.closing import Closed, close_by_newton
+from loopcal.estimation.solve.block_kernel import BlockKernel, Reduce, kernel_for
 from loopcal.estimation.solve.kernel import unweighted, whiten
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import NAMED, NONE_FAILED, Evaluation, Failed
+from loopcal.estimation.solve.newton import close_by_newton
+from loopcal.estimation.solve.reduced import Closed, Reduced
 from loopcal.estimation.solve.reduction import Accumulator
 from loopcal.expressions.engine import Engine, engine_for
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
 Array = NDArray[np.float64]
-MOST_CLOSINGS = 8
-"""What Gauss-Newton has not closed by then is left to Newton, who knows the curvature."""
-NEGLIGIBLE = 1e-6
-"""A step of so many sds leaves a next one that only rounding sees."""
 NEAR = 0.1
 """On the way, loops count as closed when the next correction will be at most so many sds."""
 _SEARCHED = 1024
@@ -180,7 +178,8 @@ class Sweeper:
 
         At the parameters as they were set; infinite where it is no number.
         """
-        cost = np.square(self._corrected(pattern, block).E).sum(axis=0)
+        self.evaluations += block.count
+        cost = np.square(self.kernel(pattern).corrected(block).E).sum(axis=0)
         return np.where(np.isfinite(cost), cost, np.inf)
 
     def at(self, parameters: Array) -> None:
@@ -212,10 +211,6 @@ class Sweeper:
     def _made(self, engine: Engine) -> BlockKernel:
         return kernel_for(engine, self.reduce, exact=self.exact)
 
-    def _corrected(self, pattern: Pattern, block: Block) -> Reduced:
-        self.evaluations += block.count
-        return self.kernel(pattern).corrected(block)
-
     def _rounding(self, pattern: Pattern, block: Block) -> float:
         """Root mean square of |L^-1 eps a|, a the size of the terms in a loop value."""
         E = self.kernel(pattern).rounding(block.of(slice(0, _SAMPLE)))
@@ -225,50 +220,16 @@ class Sweeper:
         self, pattern: Pattern, block: Block, tolerance: float, contraction: float
     ) -> Closed:
         """Corrections that close the loops of a block, and the poses where that failed."""
-        start, count = block.corrections, block.count
         tolerance = max(tolerance, 8.0 * (self.rounding or 0.0))
-        done, late = start, np.zeros(count, dtype=bool)
-        active: NDArray[np.intp] | None = None  # None: all poses, without copying them
-        part = block
-        # the start is a step from the readings, halved where it leaves the domain of a loop
-        at, base = start, np.zeros((1, 1))
-        step, length = start, np.ones(count)
-        expected = np.full(count, np.inf)
-        last = ratio = 0.0
-        for _ in range(MOST_CLOSINGS):
-            found = self._corrected(pattern, part if at is part.corrections else part.at(at))
-            correction, size = found.correction, found.step
-            if active is None and (longest := float(size.max())) * contraction <= tolerance:
-                return Closed(correction, late, longest)
-            # A step larger than the one before, or one that is no number, overshot: halve it.
-            allowed = np.maximum(2.0 * expected, max(tolerance, NEGLIGIBLE))
-            overshot = ~(size <= allowed) & (length > 1e-3)
-            ratios = np.where(np.isinf(expected), contraction, size / expected)
-            following = size * ratios
-            ratio = max(ratio, float(ratios.max())) if np.isfinite(expected).all() else ratio
-            stuck = (expected <= NEGLIGIBLE) & (size > 0.25 * expected)  # by rounding
-            finished = ~overshot & ((following <= tolerance) | stuck)
-            last = max(last, float(size[finished].max(initial=0.0)))
-            if active is None:
-                if finished.all():
-                    return Closed(correction, late, last)
-                active, done = np.arange(count), start.copy()
-            done[:, active[finished]] = correction[:, finished]
-            rest = ~finished
-            if not rest.any():
-                return Closed(done, late, last, ratio)
-            base = np.where(overshot, base, at)[:, rest]
-            step = np.where(overshot, step, correction - at)[:, rest]
-            length = np.where(overshot, 0.5 * length, 1.0)[rest]
-            expected = np.where(overshot, expected, size)[rest]
-            active, part = active[rest], part.of(np.flatnonzero(rest))
-            at = base + length * step
-        assert active is not None
-        near = part.at(np.where(np.isfinite(base), base, start[:, active]))
-        tape = self.problem.tape(pattern)
-        closed = close_by_newton(tape, self.parameters, near, min(tolerance, 1e-3))
-        done[:, active], late[active] = closed.corrections, closed.open
-        return Closed(done, late, last, contraction=1.0)
+        closed = self.kernel(pattern).close(block, tolerance, contraction)
+        self.evaluations += closed.evaluations
+        if not closed.open.any():
+            return closed
+        some = np.flatnonzero(closed.open)
+        near, tape = block.at(closed.corrections).of(some), self.problem.tape(pattern)
+        found = close_by_newton(tape, self.parameters, near, min(tolerance, 1e-3))
+        closed.corrections[:, some], closed.open[some] = found.corrections, found.open
+        return replace(closed, contraction=1.0)
 
     def blocks(self, corrections: Array, most: int = BLOCK) -> Iterator[tuple[Pattern, Block]]:
         """All poses in blocks with corrections (k, N); a pose without any loop is in none."""

@@ -16,9 +16,9 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import AllPoses, Result
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.robust import RobustSums
 from loopcal.estimation.solve.solution import End
-from loopcal.estimation.solve.sweep import NEGLIGIBLE
 from loopcal.estimation.stream.chunks import Chunk, joined
 from loopcal.estimation.stream.merit import Task
 from loopcal.execution.executor import Crew, in_order

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.solve.block import Block, BlockNoise
+from loopcal.estimation.solve.reduced import Closed
 from loopcal.expressions.derivative import lagrangian_gradient
 from loopcal.expressions.engine import Engine, engine_for
 from loopcal.expressions.tape import Tape
@@ -28,20 +29,6 @@ Array = NDArray[np.float64]
 UNMEASURED_SCALE = 1e-3
 """What counts as one sd for the step of an unmeasured quantity: 1 mm or 1 mrad."""
 _MOST, _HALVINGS = 60, 25
-
-
-@dataclass(frozen=True)
-class Closed:
-    """Corrections (k, b) [SI], and the poses (b,) that did not settle.
-
-    step: the largest last step in sds; contraction: the worst ratio of a step to the one before,
-    0 where there was none before.
-    """
-
-    corrections: Array
-    open: NDArray[np.bool_]
-    step: float = np.inf
-    contraction: float = 0.0
 
 
 def close_by_newton(tape: Tape, parameters: Array, block: Block, tolerance: float) -> Closed:

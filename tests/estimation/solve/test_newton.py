@@ -7,7 +7,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.estimation.problem.problem import build_problem
-from loopcal.estimation.solve.closing import close_by_newton
+from loopcal.estimation.solve.newton import close_by_newton
 from loopcal.estimation.solve.sweep import Sweeper
 
 
