@@ -116,7 +116,7 @@ def test_what_is_not_identifiable_ends_with_4_where_that_was_asked(
     option = ["--require-identifiable"] if where == "option" else []
     done = run(*CALIBRATE, *option)
     assert done.code == 4
-    assert "cannot be told apart" in done.err
+    assert "cannot be distinguished" in done.err
     assert "Not identifiable" in done.out
     parameters = json.loads((folder / "project-result/result.json").read_bytes())["parameters"]
     loose = [p for p in parameters if not p["identifiable"]]

@@ -298,7 +298,7 @@ BAD: dict[str, tuple[Callable[[Path], None], list[str], int, list[str]]] = {
         ["t.json: parameters.l2", "deg"],
     ),
     "out is a file": (nothing, [*CALIBRATE, "--out", "readings.csv"], 3, ["readings.csv", "file"]),
-    "a folder is in the way": (
+    "a folder is there": (
         lambda folder: (folder / "o" / "residuals.csv").mkdir(parents=True),
         [*CALIBRATE, "--out", "o"],
         3,

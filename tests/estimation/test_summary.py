@@ -113,7 +113,7 @@ def test_an_undetermined_parameter_has_an_unknown_sd_and_a_warning() -> None:
 def test_wrong_sds_are_called_wrong_in_either_direction() -> None:
     simulated = planar_arm(200)
     data = simulated.read(SDS, seed=1)
-    for factor, words in ((0.1, "these sds cannot be right"), (10.0, "which are too large")):
+    for factor, words in ((0.1, "these sds are too small"), (10.0, "which are too large")):
         noise = Noise({q: factor * sd for q, sd in SDS.items()})
         fitted = calibrate(simulated.truth, data, noise=noise)
         assert words in str(fitted)

@@ -131,10 +131,10 @@ MALFORMED = {
         + link("e") + "</robot>", "which is fixed", "moves",
     ),
     "two parents": (
-        robot(LINKS + JOINTS + joint("ad", "a", "d")), "hangs on two joints, 'cd' and 'ad'", "tree"
+        robot(LINKS + JOINTS + joint("ad", "a", "d")), "'cd' and 'ad'", "tree"
     ),
     "circle": (
-        robot(LINKS + JOINTS.replace('parent link="a"', 'parent link="d"')), "in a circle", "parent"
+        robot(LINKS + JOINTS.replace('parent link="a"', 'parent link="d"')), "'d'", "parent"
     ),
     "circle through the base": (
         robot(LINKS + JOINTS + joint("da", "d", "a")), "lead back to it", "parent"

@@ -91,7 +91,7 @@ def test_the_station_and_rounding_are_in_the_unit_of_the_entry():
         ('xyz = { tracker = { ranje = "10 um" } }', "noise.xyz.tracker.ranje", "range"),
         ('xyz = { tracker = "leica-at500", station = [1, 2] }', "noise.xyz.station", "2 coord"),
         ('xyz = { tracker = "leica-at500", unit = "deg" }', "noise.xyz.unit", "angle"),
-        ("xyz = { station = [1, 2, 3], sd = 1 }", "noise.xyz.station", "without a tracker"),
+        ("xyz = { station = [1, 2, 3], sd = 1 }", "noise.xyz.station", "tracker"),
         ("x = { encoder = { bits = 20 } }", "noise.x.encoder", "angle"),
         ('q_1 = { encoder = { accuracy = "5 um" } }', "noise.q_1.encoder.accuracy", "length"),
         ('q_1 = { encoder = { accuracy = "5" } }', "noise.q_1.encoder", "cannot be read"),

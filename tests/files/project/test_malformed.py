@@ -83,7 +83,7 @@ WRONG_BYTES = {
     "no encoding we know": (b"x\n1\n# \x81\x8d\n", {}, ["UTF-8 or cp1252"]),
     "half a UTF-16 character": ("x\n1\n".encode("utf-16") + b"1", {}, ["utf-16"]),
     "the wrong delimiter": (GOOD.encode(), {"delimiter": ";"}, ["row 1", "';'", "state ','"]),
-    "no delimiter": (GOOD.encode(), {"delimiter": "ab"}, ["'ab' is no delimiter"]),
+    "no delimiter": (GOOD.encode(), {"delimiter": "ab"}, ["'ab'"]),
     "no decimal mark": (GOOD.encode(), {"decimal": "!"}, ["'!' is no decimal mark"]),
     "an unknown id": (GOOD.encode(), {"pose": "pose", "exclude": [4]}, ["no pose '4'", "1, 2, 3"]),
     "no pose left": (GOOD.encode(), {"pose": "pose", "exclude": [1, 2, 3]}, ["no pose is left"]),
