@@ -107,15 +107,14 @@ def refuse_noise(fit: Fit, noise: Noise | None) -> None:
     """Raise InputError where these settings need a noise, or cannot learn from this one."""
     if noise is None and not fit.method.exact:
         raise InputError(
-            f"the method {fit.method.name!r} needs to know how uncertain the readings are",
+            f"the method {fit.method.name!r} needs the sds of the readings",
             code="missing-sd",
             remedy="give noise=Noise({...}) with an sd for every quantity, or use "
             f"method={' or '.join(map(repr, names_where('exact')))}",
         )
     if noise is not None and noise.estimate and fit.robust_loss is not None:
         raise InputError(
-            f"sds cannot be estimated under the loss {fit.loss!r}: how bad readings scatter would "
-            "become part of them",
+            f"sds cannot be estimated under the loss {fit.loss!r}: outliers would inflate them",
             code="unsupported",
             remedy="find the outliers with this loss first and exclude them, then estimate; or "
             'take the sds as given (leave out "estimate")',

@@ -52,8 +52,8 @@ def test_what_was_tried_in_vain_is_said() -> None:
     found = solve_or_fall_back(problem(), lambda p: solve(p, max_iterations=0))
     assert found.status.reason == "max_iterations"
     assert found.status.message.endswith(
-        "Tried in vain to start from least squares, the iteration of the thesis, the best of "
-        "several starts."
+        "Starting from least squares, the iteration of the thesis, the best of several starts "
+        "did not help."
     )
 
 

@@ -71,7 +71,7 @@ def solve_or_fall_back(
             note = f"Started from {name}: from the stated start it ended {first.status.reason}."
             return _with_note(found, note)
     words = ", ".join(tried)
-    return _with_note(first, f"Tried in vain to start from {words}." if words else "")
+    return _with_note(first, f"Starting from {words} did not help." if words else "")
 
 
 def _or_lower(
