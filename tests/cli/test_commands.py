@@ -116,7 +116,7 @@ def test_what_is_not_identifiable_ends_with_4_where_that_was_asked(
     option = ["--require-identifiable"] if where == "option" else []
     done = run(*CALIBRATE, *option)
     assert done.code == 4
-    assert "cannot be told apart" in done.err
+    assert "cannot be distinguished" in done.err
     assert "Not identifiable" in done.out
     parameters = json.loads((folder / "project-result/result.json").read_bytes())["parameters"]
     loose = [p for p in parameters if not p["identifiable"]]
@@ -370,7 +370,7 @@ def test_what_is_waited_for_gets_a_line_of_its_own(monkeypatch: pytest.MonkeyPat
         progress.waiting()
     shown, blank, line = stream.getvalue().split("\r")[1:]
     assert (shown, blank.strip()) == ("1 of 10 folds", "")
-    assert line == "loopcal: waiting for the pieces that are being done\n"
+    assert line == "loopcal: waiting for running pieces to finish\n"
 
 
 def test_counted_work_says_what_time_is_left(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -301,7 +301,7 @@ class Result:
             raise InputError(
                 f"the method {self.method!r} with the loss {self.loss!r} has no variance factor",
                 code="unsupported",
-                remedy="use it with the implicit loop or reweighted, and the gaussian loss",
+                remedy="use the implicit loop or reweighted method with the gaussian loss",
             )
         if self.variance_factor_applied:
             return self

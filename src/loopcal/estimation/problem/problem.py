@@ -135,9 +135,9 @@ def build_problem(
     free = np.array([i for i, p in enumerate(parameters) if not p.fixed], dtype=np.intp)
     if not free.size:
         raise InputError(
-            "no parameter is left to estimate",
+            "every parameter is fixed, so there is nothing to estimate",
             code="no-free-parameter",
-            remedy="set at least one parameter free",
+            remedy="free at least one parameter",
         )
     estimated = [p for p in parameters if not p.fixed]
     problem = Problem(
@@ -208,9 +208,9 @@ def _check_units(mechanism: Mechanism, dataset: Dataset) -> None:
         given = dataset.units.get(name)
         if given is not None and given != unit:
             raise InputError(
-                f"the readings of {name!r} are in {given}, the mechanism reads {name!r} in {unit}",
+                f"the readings of {name!r} are in {given}, but the mechanism needs {unit}",
                 code="wrong-unit",
-                remedy=f"give column {name!r} a unit that can be turned into {unit}",
+                remedy=f"state a unit for column {name!r} that converts to {unit}",
             )
 
 
