@@ -50,7 +50,8 @@ def _module(name: str) -> Callable[[Problem], Run]:
     return lambda problem: partial(import_module(name).calibrate, problem)
 
 
-def _odrpack_on_tape(problem: Problem) -> Run:
+def odrpack_on_tape(problem: Problem) -> Run:
+    """odrpack, given loopcal's own model and derivatives."""
     import odrpack_explicit as odr
 
     return partial(odr.calibrate, odr.on_tape(problem))
@@ -69,7 +70,7 @@ PROGRAMS = [
     Program(
         "odrpack, NumPy by hand", 10_000, _module("odrpack_explicit"), "odrpack", demanded=150.0
     ),
-    Program("odrpack, loopcal's tape", 100_000, _odrpack_on_tape, "odrpack"),
+    Program("odrpack, loopcal's tape", 100_000, odrpack_on_tape, "odrpack"),
     Program("seed's loop, NumPy", 10_000, _module("seed_program"), demanded=400.0),
     Program("seed's loop, GNU Octave", 1_000, _module("octave_program"), needs="octave-cli"),
     Program("scipy least_squares", 10_000, _module("scipy_least_squares")),

@@ -8,6 +8,7 @@ import command
 import learning
 import memory
 import platform_poses
+import small_fits
 from both_engines import Engines
 from flatness import DEMANDED as DEMANDED_FLAT
 from flatness import FROM as FLAT_FROM
@@ -104,6 +105,22 @@ def engines(found: Sequence[Engines]) -> str:
     ]
     head = ["solve", "compiled [ms]", "NumPy [ms]", "ratio", "demanded"]
     return f"### Both engines\n\nParameters agree:\n\n{table(head, rows)}"
+
+
+def small(found: Sequence[small_fits.Small]) -> str:
+    """Small fits beside odrpack."""
+    rows = [
+        [
+            one.fits,
+            milliseconds(one.ours.median),
+            milliseconds(one.odrpack.median),
+            f"{one.ratio:.2f}",
+            f"{small_fits.DEMANDED:g}: {met(one.ratio <= small_fits.DEMANDED)}",
+        ]
+        for one in found
+    ]
+    head = ["planar arm", "loopcal [ms]", "odrpack, loopcal's tape [ms]", "ratio", "at most"]
+    return f"### Small fits\n\nOne thread each:\n\n{table(head, rows)}"
 
 
 def sizes(found: Sequence[memory.Size]) -> str:

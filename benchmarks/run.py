@@ -11,6 +11,7 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ import learning
 import memory
 import platform_poses
 import report
+import small_fits
 from machine import this_machine
 from measuring import DisagreementError
 from problems import PROBLEMS
@@ -77,6 +79,15 @@ def engines(found: Found, asked: argparse.Namespace) -> None:
     found.texts.append(report.engines(pairs))
 
 
+def small(found: Found, asked: argparse.Namespace) -> None:
+    """Small fits beside odrpack."""
+    if find_spec("odrpack") is None:
+        return
+    cases = small_fits.measure()
+    found.numbers["small"] = [asdict(case) for case in cases]
+    found.texts.append(report.small(cases))
+
+
 def arithmetic(found: Found, asked: argparse.Namespace) -> None:
     """Where the compiled engine's time goes."""
     if not AVAILABLE:
@@ -118,13 +129,14 @@ def learnt(found: Found, asked: argparse.Namespace) -> None:
 PARTS: dict[str, Callable[[Found, argparse.Namespace], None]] = {
     "programs": programs,
     "engines": engines,
+    "small": small,
     "floor": arithmetic,
     "memory": memories,
     "command": commands,
     "platform": platforms,
     "learning": learnt,
 }
-CHECKED = {"programs", "engines"}
+CHECKED = {"programs", "engines", "small"}
 """Parts that compare results: nothing is told before all of them have."""
 
 

@@ -3,16 +3,21 @@
 
 constexpr double SHORTEST = 1e-3, STUCK_AT = 0.25;
 
+// Rows (k) of a tile that is closed.
+struct Steps {
+    double *start, *at, *base, *step, *correction, *done;
+};
+
+static Steps steps(int k, Room& room) {
+    return {room.rows(k), room.rows(k), room.rows(k), room.rows(k), room.rows(k), room.rows(k)};
+}
+
 static void close_tile(const Closing& job, int pose, int count, double* workspace, const Linear& part,
-                       const Uncertainty& uncertainty, double* out, Room room) {
+                       const Uncertainty& uncertainty, double* out, const Whitening& whitening, const Steps& to) {
     const Reduction& reduction = job.reduction;
     const int k = part.program->inputs;
-    double* const start = room.rows(k);
-    double* const at = room.rows(k);
-    double* const base = room.rows(k);
-    double* const step = room.rows(k);
-    double* const correction = room.rows(k);
-    double* const done = room.rows(k);
+    double *const start = to.start, *const at = to.at, *const base = to.base;
+    double *const step = to.step, *const correction = to.correction, *const done = to.done;
     fill(start, reduction.corrections, k, pose, count);
     fill_by_pose(*reduction.noise, k, pose, count, uncertainty);
     // the start is a step from the readings, halved where it leaves the domain of a loop
@@ -30,7 +35,7 @@ static void close_tile(const Closing& job, int pose, int count, double* workspac
     for (int round = 0; round < MOST_CLOSINGS; round++) {
         vec size[TV];
         ivec singular[TV] = {}, left = {};
-        whiten_at(reduction, at, pose, count, workspace, part, uncertainty, room, out, correction, size, singular);
+        whiten_at(reduction, at, pose, count, workspace, part, uncertainty, whitening, out, correction, size, singular);
         EACH {
             const vec twice = all(2.0) * expected[v];
             // A step larger than the one before, or one that is no number, overshot: halve it.

@@ -76,6 +76,10 @@ struct Reflections {
     }
 };
 
+static Reflections reflections(int u, int m, Room& room) {
+    return {u, m, room.rows(u * m), room.rows(u), room.rows(u * m)};
+}
+
 // A derivative of all loops in the r that are left, from the loops in which it is not always zero.
 static void combine(const double* left, int r, int m, const View* derivative, Loops loops, double* out) {
     for (int i = 0; i < r; i++) {

@@ -217,7 +217,7 @@ public:
         const Reduction job{&program_, &plain, rows_of(readings, k, poses, "readings have a wrong shape"),
                             rows_of(corrections, k, poses, "corrections have a wrong shape"), known_rows(known, poses), exact, by_parameter, rounding,
                             correction.data(), static_cast<ptrdiff_t>(correction.stride(0)), step.data(), singular.data(),
-                            rows ? rows->data() : nullptr, static_cast<ptrdiff_t>(poses), room(plain, n)};
+                            rows ? rows->data() : nullptr, static_cast<ptrdiff_t>(poses), width->room(program_, plain, n)};
         const size_t square = total ? static_cast<size_t>(n + 1) * (n + 1) : 0;
         const std::unique_ptr<double[]> parts(new double[square * jobs_of(poses)]);
         struct Context { const Reduction& job; const Width& width; double* parts; size_t square; } context{job, *width, parts.get(), square};
@@ -239,7 +239,7 @@ public:
         const Closing job{{&program_, &plain, rows_of(readings, k, poses, "readings have a wrong shape"),
                            rows_of(corrections, k, poses, "corrections have a wrong shape"), known_rows(known, poses), exact, false, false,
                            correction.data(), static_cast<ptrdiff_t>(correction.stride(0)), step.data(), nullptr, nullptr, 0,
-                           room(plain, 0) + 6 * k * TILE},
+                           width->room(program_, plain, 0)},
                           tolerance, contraction, ratio.data(), rounds.data(), open.data()};
         struct Context { const Closing& job; const Width& width; } context{job, *width};
         share<Context>([](Context& c, int begin, int end, int, double* workspace) { c.width.close(c.job, begin, end, workspace); },
@@ -255,10 +255,10 @@ public:
         require(static_cast<int>(change.shape(0)) == plain.unmeasured_count && change.shape(1) == poses && (poses <= 1 || change.stride(1) == 1), "the change has a wrong shape");
         const Search job{&program_, &plain, rows_of(readings, k, poses, "readings have a wrong shape"),
                          rows_of(corrections, k, poses, "corrections have a wrong shape"), known_rows(known, poses),
-                         change.data(), static_cast<ptrdiff_t>(change.stride(0))};
+                         change.data(), static_cast<ptrdiff_t>(change.stride(0)), width->room(program_, plain, 0)};
         struct Context { const Search& job; const Width& width; } context{job, *width};
         share<Context>([](Context& c, int begin, int end, int, double* workspace) { c.width.search(c.job, begin, end, workspace); },
-                       context, poses, search_room(plain));
+                       context, poses, job.room);
     }
 
 private:
@@ -274,30 +274,6 @@ private:
                 for (int part = 0; part < count; part++) sum += parts[part * square + i * size + j];
                 total.data()[i * total.stride(0) + j] = total.data()[j * total.stride(0) + i] = sum;
             }
-    }
-
-    static size_t rows_of_views(size_t count) { return (count * sizeof(void*) + TILE * sizeof(double) - 1) / (TILE * sizeof(double)); }
-
-    // rows that are the same for all poses of a job; n: of the parameters in its outputs
-    size_t shared_rows(const Noise& noise, int n) const {
-        size_t rows = 2 * program_.inputs + noise.block_count + rows_of_views(static_cast<size_t>(program_.loops) * (1 + program_.inputs + n));
-        for (int i = 0; i < noise.block_count; i++) rows += static_cast<size_t>(noise.blocks[i].size) * noise.blocks[i].size;
-        return rows;
-    }
-
-    size_t search_room(const Noise& noise) const {
-        const size_t m = program_.loops, k = program_.inputs, u = noise.unmeasured_count;
-        const size_t rows = shared_rows(noise, 0) + k + m + 1 + u + (m + u) + 2 * (m + u * m + 1) + 2 * u * (m + u) + u;
-        return program_.room + rows * TILE;
-    }
-
-    size_t room(const Noise& noise, int n) const {
-        const size_t m = program_.loops, k = program_.inputs, u = noise.unmeasured_count, r = m - u;
-        const size_t K = noise.measured_count, width = n + 1, padded = (width + 3) / 4 * 4;
-        size_t rows = shared_rows(noise, n) + 3 * k + 2 * m;
-        if (u) rows += 2 * u * m + u + r * m + rows_of_views(k * r) + K * r + r + rows_of_views(r);
-        rows += r * K + 2 * r * r + K + r + K;
-        return program_.room + width * r * PIECE + padded * padded * SUMS + rows * TILE;
     }
 
     Rows known_rows(const std::optional<Matrix>& known, size_t poses) const {

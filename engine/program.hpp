@@ -119,11 +119,14 @@ struct Search {
     Rows readings, corrections, known;
     double* change;  // (u, poses)
     ptrdiff_t change_row;
+    size_t room;  // doubles in a workspace
 };
 
 // The code for one vector width.
 struct Width {
     const char* name;
+    // doubles in a workspace of any job but an evaluation; parameters: in its outputs
+    size_t (*room)(const Program&, const Noise&, int parameters);
     void (*evaluate)(const Evaluation&, int begin, int end, double* workspace);
     // total: (n + 1, n + 1), its lower triangle set to the sums over these poses; or null
     void (*reduce)(const Reduction&, int begin, int end, double* workspace, double* total);

@@ -1,13 +1,17 @@
 // Rows of TILE poses in a workspace.
 
-// Room for them, one after the other.
+// Room for them, one after the other. Without a workspace it only counts: the code that lays out a job says so how much
+// the job needs.
 struct Room {
-    double* next;
-    double* rows(int count) {
-        double* const begin = next;
-        next += (ptrdiff_t)count * TILE;
+    double* workspace;
+    size_t used, limit;  // doubles
+    double* doubles(size_t count) {
+        double* const begin = workspace ? workspace + used : nullptr;
+        used += count;
+        if (used > limit) __builtin_trap();
         return begin;
     }
+    double* rows(int count) { return doubles((size_t)count * TILE); }
 };
 
 // One row, somewhere.
@@ -37,9 +41,12 @@ struct Linear {
     Loops of_column(int c) const { return {program->loops_of + program->ends_of[c], program->loops_of + program->ends_of[c + 1]}; }
 };
 
-static Linear linear(const Program& program, const double* workspace, int parameters, Room& room) {
+static View* linear_views(const Program& program, int parameters, Room& room) {
+    return views(room, program.loops * (1 + program.quantities + parameters));
+}
+
+static Linear linear(const Program& program, const double* workspace, int parameters, View* to) {
     const int m = program.loops, k = program.quantities, outputs = m * (1 + k + parameters);
-    View* const all_views = views(room, outputs);
-    for (int i = 0; i < outputs; i++) all_views[i] = {workspace + program.outputs[i]};
-    return {all_views, all_views + m, all_views + m * (1 + k), &program};
+    for (int i = 0; i < outputs; i++) to[i] = {workspace + program.outputs[i]};
+    return {to, to + m, to + m * (1 + k), &program};
 }

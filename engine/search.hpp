@@ -85,25 +85,35 @@ INLINE void take_where(const ivec* where, const double* from, int rows, double* 
         }
 }
 
+// Rows of a tile that is searched.
+struct Trial {
+    double *start, *weight, *damping, *best, *step;  // (k), (m), (1), (u), (m + u)
+    Weighted now, trial;
+    Reflections damped;
+};
+
+static Trial trial_rows(const Program& program, const Noise& noise, Room& room) {
+    const int k = program.inputs, m = program.loops, u = noise.unmeasured_count;
+    return {room.rows(k),         room.rows(m),         room.rows(1), room.rows(u), room.rows(m + u),
+            weighted(u, m, room), weighted(u, m, room), reflections(u, m + u, room)};
+}
+
 static void search_tile(const Search& job, int pose, int count, double* workspace, const Linear& part,
-                        const double* sds, Room room) {
+                        const double* sds, const Trial& to) {
     const Program& program = *job.program;
     const Noise& noise = *job.noise;
     const int k = program.inputs, m = program.loops, u = noise.unmeasured_count;
     double* const x = workspace + program.first;
-    double* const start = room.rows(k);
+    double *const start = to.start, *const weight = to.weight, *const damping = to.damping;
+    double *const best = to.best, *const step = to.step;
+    const Weighted &now = to.now, &trial = to.trial;
+    const Reflections& damped = to.damped;
     fill(x, job.readings, k, pose, count);
     fill(start, job.corrections, k, pose, count);
     fill(x + k * TILE, job.known, program.known, pose, count);
     for (int i = 0; i < k * TILE; i += LANES) store(x + i, load(x + i) + load(start + i));
     run(program, workspace, 1);
 
-    double* const weight = room.rows(m);
-    double* const damping = room.rows(1);
-    double* const best = room.rows(u);
-    double* const step = room.rows(m + u);
-    const Weighted now = weighted(u, m, room), trial = weighted(u, m, room);
-    const Reflections damped = {u, m + u, room.rows(u * (m + u)), room.rows(u), room.rows(u * (m + u))};
     weights(part, sds, weight);
     weigh(part, noise, weight, now);
     ivec active[TV];

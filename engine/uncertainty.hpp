@@ -23,15 +23,20 @@ static void fill_factor(const Covariance& block, int pose, int count, double* to
             to[i * TILE + p] = block.factor[(pose + (p < count ? p : count - 1)) * block.by_pose + i];
 }
 
-// Room for it, filled as far as it is the same for all poses.
-static Uncertainty prepared(const Noise& noise, int k, Room& room) {
-    Uncertainty found = {room.rows(k), room.rows(k), (double**)room.rows(noise.block_count)};
-    if (!noise.by_pose) fill_sds(noise, k, 0, 1, found);
+static Uncertainty uncertainty_rows(const Noise& noise, int k, Room& room) {
+    const Uncertainty found = {room.rows(k), room.rows(k), (double**)room.rows(noise.block_count)};
     for (int b = 0; b < noise.block_count; b++) {
-        found.factors[b] = room.rows(noise.blocks[b].size * noise.blocks[b].size);
-        if (!noise.blocks[b].by_pose) fill_factor(noise.blocks[b], 0, 1, found.factors[b]);
+        double* const factor = room.rows(noise.blocks[b].size * noise.blocks[b].size);
+        if (found.factors) found.factors[b] = factor;
     }
     return found;
+}
+
+// Filled as far as it is the same for all poses.
+static void prepare(const Noise& noise, int k, const Uncertainty& to) {
+    if (!noise.by_pose) fill_sds(noise, k, 0, 1, to);
+    for (int b = 0; b < noise.block_count; b++)
+        if (!noise.blocks[b].by_pose) fill_factor(noise.blocks[b], 0, 1, to.factors[b]);
 }
 
 static void fill_by_pose(const Noise& noise, int k, int pose, int count, const Uncertainty& to) {

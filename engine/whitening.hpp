@@ -2,6 +2,35 @@
 
 constexpr double SINGULAR = 1e-13, REORTHOGONAL = 0.03, EPSILON = 0x1p-52;
 
+// Rows of a tile that is whitened.
+struct Whitening {
+    double *now, *correction;  // (k)
+    double *f, *rest;          // (m)
+    double* readings;          // (k)
+    Reflections reflections;
+    double *left, *combined;  // (r, m), (K, r): where quantities are unmeasured
+    View *slopes, *column;    // (k, r), (r)
+    double *G, *L, *inverse;  // (r, K), (r, r), (r, r)
+    double *again, *more;     // (K), (r)
+    double *rows, *normalised;  // (r), (K)
+};
+
+static Whitening whitening(const Program& program, const Noise& noise, Room& room) {
+    const int m = program.loops, k = program.inputs, u = noise.unmeasured_count, r = m - u, K = noise.measured_count;
+    Whitening found{};
+    found.now = room.rows(k), found.correction = room.rows(k);
+    found.f = room.rows(m), found.rest = room.rows(m), found.readings = room.rows(k);
+    if (u) {
+        found.reflections = reflections(u, m, room);
+        found.left = room.rows(r * m), found.combined = room.rows(K * r);
+        found.slopes = views(room, k * r), found.column = views(room, r);
+    }
+    found.G = room.rows(r * K), found.L = room.rows(r * r), found.inverse = room.rows(r * r);
+    found.again = room.rows(K), found.more = room.rows(r);
+    found.rows = room.rows(r), found.normalised = room.rows(K);
+    return found;
+}
+
 // Row minus its part in the span of orthonormal rows; overlaps: added to where they are wanted.
 static void project(double* row, const double* basis, int rows, int K, double* overlaps) {
     for (int j = 0; j < rows; j++) {
@@ -29,9 +58,8 @@ INLINE void squares(const double* row, int K, vec* length) {
 
 // G = L Q^T with Q^T left in G (r, K); L: (r, r). A row of which little is left is swept twice,
 // only for the poses where it is so: no pose depends on its neighbours.
-static void orthonormalise(double* G, int r, int K, double* L, Room room, ivec* singular) {
-    double* const row_again = room.rows(K);
-    double* const more = room.rows(r);
+static void orthonormalise(const Whitening& to, int r, int K, ivec* singular) {
+    double *const G = to.G, *const L = to.L, *const row_again = to.again, *const more = to.more;
     for (int i = 0; i < r; i++) {
         double* const row = G + (ptrdiff_t)i * K * TILE;
         double* const overlaps = L + (ptrdiff_t)i * r * TILE;
@@ -120,13 +148,12 @@ constexpr WhitenColumns WHITEN_COLUMNS[] = {whiten_columns<0>, whiten_columns<1>
                                             whiten_columns<4>, whiten_columns<5>, whiten_columns<6>};
 
 // The loop values; or what rounding does to each, eps times the size of its terms, sum |df/dx| (1 + |reading|).
-static void take_values(const Reduction& job, const Linear& part, int pose, int count, Room room, double* f) {
+static void take_values(const Reduction& job, const Linear& part, int pose, int count, double* readings, double* f) {
     const int m = job.program->loops, k = job.program->inputs;
     if (!job.rounding) {
         for (int i = 0; i < m; i++) EACH store(f + i * TILE + v * LANES, part.f[i][v]);
         return;
     }
-    double* const readings = room.rows(k);
     fill(readings, job.readings, k, pose, count);
     for (int i = 0; i < m; i++) {
         vec total[TV] = {};
@@ -153,27 +180,23 @@ static void add_moves(const Noise& noise, const Linear& part, Move move, double*
 }
 
 // What eliminates the unmeasured quantities from a tile.
-static Reflections eliminate(const Noise& noise, const Linear& part, Room& room) {
-    const int m = part.program->loops, u = noise.unmeasured_count;
-    const Reflections found = {u, m, room.rows(u * m), room.rows(u), room.rows(u * m)};
-    for (int j = 0; j < u; j++)
+static void eliminate(const Noise& noise, const Linear& part, const Reflections& to) {
+    const int m = part.program->loops;
+    for (int j = 0; j < noise.unmeasured_count; j++)
         for (int i = 0; i < m; i++)
-            EACH store(found.column(j, i) + v * LANES, part.J[noise.unmeasured[j] * m + i][v]);
-    found.triangularise();
-    return found;
+            EACH store(to.column(j, i) + v * LANES, part.J[noise.unmeasured[j] * m + i][v]);
+    to.triangularise();
 }
 
 // The derivatives (k, r) by measured quantities of the loops that are left.
-static const View* combined(const Noise& noise, const Linear& part, const double* left, Room& room) {
+static void combine_all(const Noise& noise, const Linear& part, const Whitening& to) {
     const int m = part.program->loops, r = m - noise.unmeasured_count;
-    View* const found = views(room, part.program->quantities * r);
     for (int k = 0; k < noise.measured_count; k++) {
         const int q = noise.measured[k];
-        double* const rows = room.rows(r);
-        combine(left, r, m, part.J + (ptrdiff_t)q * m, part.of_quantity(q), rows);
-        for (int i = 0; i < r; i++) found[q * r + i] = {rows + i * TILE};
+        double* const rows = to.combined + (ptrdiff_t)k * r * TILE;
+        combine(to.left, r, m, part.J + (ptrdiff_t)q * m, part.of_quantity(q), rows);
+        for (int i = 0; i < r; i++) to.slopes[q * r + i] = {rows + i * TILE};
     }
-    return found;
 }
 
 // G = J S, (r, K)
@@ -239,47 +262,37 @@ static void move_unmeasured(const Reflections& reflections, const Noise& noise, 
     }
 }
 
-// Rows of D, (n, r) at `out`, from the derivatives by parameters; `left` where quantities are unmeasured.
-static void whiten_parameters(const Linear& part, int n, int r, const double* left, const double* inverse, Room room,
-                              double* out) {
+// Rows of D, (n, r) at `out`, from the derivatives by parameters.
+static void whiten_parameters(const Linear& part, int n, int r, const Whitening& to, double* out) {
     const WhitenColumns whiten_them = WHITEN_COLUMNS[r <= 6 ? r : 0];
-    if (!left) return whiten_them(part.D, n, r, inverse, out);
+    if (!to.left) return whiten_them(part.D, n, r, to.inverse, out);
     const int m = part.program->loops;
-    double* const rows = room.rows(r);
-    View* const column = views(room, r);
-    for (int i = 0; i < r; i++) column[i] = {rows + i * TILE};
+    for (int i = 0; i < r; i++) to.column[i] = {to.rows + i * TILE};
     for (int p = 0; p < n; p++) {
-        combine_without_rounding(left, r, m, part.D + (ptrdiff_t)p * m, part.of_parameter(p), rows);
-        whiten_them(column, 1, r, inverse, out + (ptrdiff_t)p * r * PIECE);
+        combine_without_rounding(to.left, r, m, part.D + (ptrdiff_t)p * m, part.of_parameter(p), to.rows);
+        whiten_them(to.column, 1, r, to.inverse, out + (ptrdiff_t)p * r * PIECE);
     }
 }
 
 // The whitened equations E and the corrections they lead to; E at `out`, D ahead of it.
-static void whiten_uncertain(const Reduction& job, const Linear& part, const double* f, const double* now,
-                             const Uncertainty& uncertainty, Room room, double* out, double* correction,
-                             ivec* singular) {
+static void whiten_uncertain(const Reduction& job, const Linear& part, const double* now, const Uncertainty& uncertainty,
+                             const Whitening& to, double* out, double* correction, ivec* singular) {
     const Noise& noise = *job.noise;
     const int m = job.program->loops, skip = noise.unmeasured_count, r = m - skip;
     const int K = noise.measured_count, n = job.by_parameter ? job.program->parameters : 0;
     double* const E = out + (ptrdiff_t)n * r * PIECE;
-    double* const rest = room.rows(m);
+    double *const rest = to.rest, *const L = to.L;
     memset(rest, 0, sizeof(double) * m * TILE);
     add_moves(noise, part, [&](int q, int v) { return load(now + q * TILE + v * LANES); }, rest);
-    for (int i = 0; i < m * TILE; i += LANES) store(rest + i, load(rest + i) - load(f + i));
-    Reflections reflections{};
-    const View* slopes = part.J;
-    double* left = nullptr;
+    for (int i = 0; i < m * TILE; i += LANES) store(rest + i, load(rest + i) - load(to.f + i));
     if (skip) {
-        reflections = eliminate(noise, part, room);
-        reflections.apply(rest);
-        left = room.rows(r * m);
-        reflections.leave(left);
-        slopes = combined(noise, part, left, room);
+        eliminate(noise, part, to.reflections);
+        to.reflections.apply(rest);
+        to.reflections.leave(to.left);
+        combine_all(noise, part, to);
     }
-    double* const G = room.rows(r * K);
-    double* const L = room.rows(r * r);
-    load_rows(noise, slopes, r, uncertainty, G);
-    orthonormalise(G, r, K, L, room, singular);
+    load_rows(noise, skip ? to.slopes : part.J, r, uncertainty, to.G);
+    orthonormalise(to, r, K, singular);
     for (int i = 0; i < r; i++)
         EACH {
             vec e = load(rest + (skip + i) * TILE + v * LANES);
@@ -288,39 +301,37 @@ static void whiten_uncertain(const Reduction& job, const Linear& part, const dou
             store(E + (ptrdiff_t)i * PIECE + v * LANES, e / load(L + ((ptrdiff_t)i * r + i) * TILE + v * LANES));
         }
     if (n && r) {
-        double* const inverse = room.rows(r * r);
-        invert(L, r, inverse);
-        whiten_parameters(part, n, r, left, inverse, room, out);
+        invert(L, r, to.inverse);
+        whiten_parameters(part, n, r, to, out);
     }
-    unload(job, G, E, uncertainty, room.rows(K), correction);
+    unload(job, to.G, E, uncertainty, to.normalised, correction);
     if (!skip) return;
-    memcpy(rest, f, sizeof(double) * m * TILE);
+    memcpy(rest, to.f, sizeof(double) * m * TILE);
     add_moves(
         noise, part,
         [&](int q, int v) { return load(correction + q * TILE + v * LANES) - load(now + q * TILE + v * LANES); }, rest);
-    reflections.apply(rest);
-    move_unmeasured(reflections, noise, rest, now, correction);
+    to.reflections.apply(rest);
+    move_unmeasured(to.reflections, noise, rest, now, correction);
 }
 
 // The same for exact sensors: D = J_p, E = -f, and only unmeasured quantities are found.
-static void leave_unweighted(const Reduction& job, const Linear& part, double* f, const double* now, Room room,
-                             double* out, double* correction) {
+static void leave_unweighted(const Reduction& job, const Linear& part, const double* now, const Whitening& to, double* out,
+                             double* correction) {
     const Noise& noise = *job.noise;
     const int m = job.program->loops, k = job.program->quantities, skip = noise.unmeasured_count;
     const int r = m - skip, n = job.by_parameter ? job.program->parameters : 0;
+    double* const f = to.f;
     memcpy(correction, now, sizeof(double) * k * TILE);
     if (skip) {
-        const Reflections reflections = eliminate(noise, part, room);
-        reflections.apply(f);
-        double* const left = room.rows(r * m);
-        double* const rows = room.rows(r);
-        reflections.leave(left);
+        eliminate(noise, part, to.reflections);
+        to.reflections.apply(f);
+        to.reflections.leave(to.left);
         for (int p = 0; p < n; p++) {
-            combine_without_rounding(left, r, m, part.D + (ptrdiff_t)p * m, part.of_parameter(p), rows);
+            combine_without_rounding(to.left, r, m, part.D + (ptrdiff_t)p * m, part.of_parameter(p), to.rows);
             for (int i = 0; i < r; i++)
-                memcpy(out + ((ptrdiff_t)p * r + i) * PIECE, rows + i * TILE, sizeof(double) * TILE);
+                memcpy(out + ((ptrdiff_t)p * r + i) * PIECE, to.rows + i * TILE, sizeof(double) * TILE);
         }
-        move_unmeasured(reflections, noise, f, now, correction);
+        move_unmeasured(to.reflections, noise, f, now, correction);
     } else {
         for (int i = 0; i < n * m; i++) EACH store(out + (ptrdiff_t)i * PIECE + v * LANES, part.D[i][v]);
     }
@@ -342,39 +353,37 @@ static void longest(const double* now, const double* correction, const double* i
 // A tile linearised at readings + `now` (k): rows of D and E to out (n + 1, r, PIECE), the new corrections (k), their
 // longest moves in sds, and where loops cannot close.
 static void whiten_at(const Reduction& job, double* now, int pose, int count, double* workspace, const Linear& part,
-                      const Uncertainty& uncertainty, Room room, double* out, double* correction, vec* most,
+                      const Uncertainty& uncertainty, const Whitening& to, double* out, double* correction, vec* most,
                       ivec* singular) {
     const Program& program = *job.program;
-    const int k = program.inputs, m = program.loops;
+    const int k = program.inputs;
     double* const x = workspace + program.first;
     fill(x, job.readings, k, pose, count);
     fill(x + k * TILE, job.known, program.known, pose, count);
     for (int i = 0; i < k * TILE; i += LANES) store(x + i, load(x + i) + load(now + i));
     run(program, workspace, job.by_parameter ? 2 : 1);
 
-    double* const f = room.rows(m);
-    take_values(job, part, pose, count, room, f);
+    take_values(job, part, pose, count, to.readings, to.f);
     if (job.rounding) memset(now, 0, sizeof(double) * k * TILE);
     if (job.exact)
-        leave_unweighted(job, part, f, now, room, out, correction);
+        leave_unweighted(job, part, now, to, out, correction);
     else
-        whiten_uncertain(job, part, f, now, uncertainty, room, out, correction, singular);
+        whiten_uncertain(job, part, now, uncertainty, to, out, correction, singular);
     longest(now, correction, uncertainty.inverse, k, most);
 }
 
 // The same of the poses from `pose` on, `count` of them, at their corrections, with the results where the job wants them.
 static void whiten(const Reduction& job, int pose, int count, double* workspace, double* out,
-                   const Linear& part, const Uncertainty& uncertainty, Room room) {
+                   const Linear& part, const Uncertainty& uncertainty, const Whitening& to) {
     const Program& program = *job.program;
     const int k = program.inputs, r = program.loops - job.noise->unmeasured_count;
     const int width = job.by_parameter ? program.parameters + 1 : 1;
-    double* const now = room.rows(k);
-    double* const correction = room.rows(k);
+    double *const now = to.now, *const correction = to.correction;
     vec most[TV];
     ivec singular[TV] = {};
     fill(now, job.corrections, k, pose, count);
     fill_by_pose(*job.noise, k, pose, count, uncertainty);
-    whiten_at(job, now, pose, count, workspace, part, uncertainty, room, out, correction, most, singular);
+    whiten_at(job, now, pose, count, workspace, part, uncertainty, to, out, correction, most, singular);
     for (int q = 0; q < k; q++)
         take_row(job.correction + q * job.correction_row + pose, correction + q * TILE, count);
     EACH store(now + v * LANES, most[v]);  // its row is free

@@ -149,3 +149,16 @@ def test_flatness_is_the_longest_time_per_pose_beside_the_shortest(run: Any) -> 
     times = import_module("measuring").Times
     found = run.flatness.Flatness({10: times((20.0, 30.0, 90.0)), 100: times((200.0,))})
     assert found.ratio == 1.5
+
+
+@pytest.mark.usefixtures("run")
+def test_small_fits_are_compared_only_where_odrpack_finds_the_same() -> None:
+    pytest.importorskip("odrpack")
+    small, problems = import_module("small_fits"), import_module("problems")
+    ours, programs = import_module("ours"), import_module("programs")
+    drawn = [problems.planar(small.POSES, seed) for seed in (1, 2)]
+    mine = [ours.solver(problem) for problem in drawn]
+    theirs = [programs.odrpack_on_tape(problem) for problem in drawn]
+    assert small.compared("two fits", mine, theirs, rounds=0).ours.seconds == ()
+    with pytest.raises(import_module("measuring").DisagreementError, match="two fits"):
+        small.compared("two fits", mine, theirs[::-1], rounds=0)

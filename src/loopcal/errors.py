@@ -50,6 +50,7 @@ Code = Literal[
     "no-scheduler",
     "no-trustworthy-result",
     "not-converged",
+    "not-identifiable",
     "open-loops",
     "outside-domain",
     "too-few-poses",

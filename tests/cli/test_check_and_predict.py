@@ -156,7 +156,7 @@ def test_check_says_why_parameters_of_a_urdf_are_fixed(
     ):
         assert run(*command).code == 0
     said = run("check", "arm/project.toml")
-    reason = "'flange_z' is fixed: it does to the readings what 'tool_z' does."
+    reason = "'flange_z' is fixed: indistinguishable from 'tool_z'."
     assert reason in said.out
     document = json.loads(run("check", "arm/project.toml", "--json").out)
     assert reason in document["remarks"]

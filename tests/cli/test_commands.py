@@ -116,7 +116,7 @@ def test_what_is_not_identifiable_ends_with_4_where_that_was_asked(
     option = ["--require-identifiable"] if where == "option" else []
     done = run(*CALIBRATE, *option)
     assert done.code == 4
-    assert "cannot be told apart" in done.err
+    assert "cannot be distinguished" in done.err
     assert "Not identifiable" in done.out
     parameters = json.loads((folder / "project-result/result.json").read_bytes())["parameters"]
     loose = [p for p in parameters if not p["identifiable"]]
@@ -286,7 +286,8 @@ def test_no_heavy_library_is_loaded_without_need(folder: Path) -> None:
         "aside = 'report.page statistics.validation statistics.models statistics.intervals '\n"
         "aside += 'workflow.checking workflow.streams simulation.simulate statistics.causes '\n"
         "aside += 'estimation.stream.merit mechanisms.effects.registry files.machines.chains '\n"
-        "aside += 'mechanisms.parallel.registry files.machines.declared_function'\n"
+        "aside += 'mechanisms.parallel.registry files.machines.declared_function '\n"
+        "aside += 'estimation.noise.estimation estimation.noise.variance_components'\n"
         "heavy = {'scipy', 'jinja2', *(f'loopcal.{name}' for name in aside.split())}\n"
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
         "from loopcal.files.toml.model import Model\n"
@@ -369,7 +370,7 @@ def test_what_is_waited_for_gets_a_line_of_its_own(monkeypatch: pytest.MonkeyPat
         progress.waiting()
     shown, blank, line = stream.getvalue().split("\r")[1:]
     assert (shown, blank.strip()) == ("1 of 10 folds", "")
-    assert line == "loopcal: waiting for the pieces that are being done\n"
+    assert line == "loopcal: waiting for running pieces to finish\n"
 
 
 def test_counted_work_says_what_time_is_left(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -298,7 +298,7 @@ BAD: dict[str, tuple[Callable[[Path], None], list[str], int, list[str]]] = {
         ["t.json: parameters.l2", "deg"],
     ),
     "out is a file": (nothing, [*CALIBRATE, "--out", "readings.csv"], 3, ["readings.csv", "file"]),
-    "a folder is in the way": (
+    "a folder is there": (
         lambda folder: (folder / "o" / "residuals.csv").mkdir(parents=True),
         [*CALIBRATE, "--out", "o"],
         3,
@@ -429,7 +429,7 @@ def test_a_folder_that_may_not_be_written_to(
     monkeypatch.setattr(Path, "open", refusing)
     done = run(*CALIBRATE)
     assert done.code == 3
-    assert "you may not write here" in done.err
+    assert "no permission to write here" in done.err
     assert contents(folder) == before
 
 
@@ -479,5 +479,5 @@ def test_an_unreadable_folder_for_real(folder: Path, run: Run) -> None:
     locked.mkdir(mode=0o500)
     done = run(*CALIBRATE, "--out", "locked")
     assert done.code == 3
-    assert "you may not write here" in done.err
+    assert "no permission to write here" in done.err
     assert list(locked.iterdir()) == []

@@ -132,7 +132,7 @@ def test_the_right_arm_by_the_implicit_loop_says_that_the_sds_cannot_be_right(
     assert result.chi_squared.p_value == pytest.approx(0.0, abs=1e-12)
     warning = next(w for w in result.warnings if "Chi-squared" in w)
     assert "Chi-squared per degree of freedom is 1081" in warning
-    assert "these sds cannot be right" in warning
+    assert "these sds are too small" in warning
     assert "model error" in warning
     assert warning in str(result)
     # a closed loop is no accuracy: told from the joints alone it is no better than before

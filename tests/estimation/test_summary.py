@@ -113,7 +113,7 @@ def test_an_undetermined_parameter_has_an_unknown_sd_and_a_warning() -> None:
 def test_wrong_sds_are_called_wrong_in_either_direction() -> None:
     simulated = planar_arm(200)
     data = simulated.read(SDS, seed=1)
-    for factor, words in ((0.1, "these sds cannot be right"), (10.0, "which are too large")):
+    for factor, words in ((0.1, "these sds are too small"), (10.0, "which are too large")):
         noise = Noise({q: factor * sd for q, sd in SDS.items()})
         fitted = calibrate(simulated.truth, data, noise=noise)
         assert words in str(fitted)
@@ -125,7 +125,7 @@ def test_a_loop_without_outputs_has_no_accuracy_to_speak_of() -> None:
     noise = Noise({"crank": 1e-3, "rocker": 1e-3, "coupler": np.inf})
     fitted = calibrate(simulated.truth, simulated.read(), noise=noise)
     assert fitted.accuracy_after is None
-    assert "accuracy: the mechanism names no outputs that a model could predict" in str(fitted)
+    assert "accuracy unknown: the mechanism has no outputs to predict" in str(fitted)
 
 
 def test_poses_left_out_are_counted() -> None:

@@ -208,7 +208,7 @@ def test_a_scheduler_that_is_gone_is_not_asked(
 
 def test_workers_must_be_as_we_are(cluster: DaskCluster) -> None:
     executor = Cluster(cluster.address)
-    assert executor.ready().startswith("no worker yet")
+    assert executor.ready().startswith("waiting for the first worker")
     cluster.start_workers("without_loopcal")
     with refused("version-mismatch", "tcp://", "loopcal"):
         executor.ready()

@@ -93,7 +93,7 @@ def test_a_script_that_starts_processes_unguarded_is_told_of_the_guard(tmp_path:
     done = subprocess.run(
         [sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=60
     )
-    assert "do the work under if __name__ ==" in done.stderr
+    assert "put the work under if __name__ ==" in done.stderr
 
 
 def test_threads_tell_that_they_are_waited_for() -> None:

@@ -68,8 +68,8 @@ def test_a_link_stays_a_link_and_a_device_a_device(folder):
 FAILURES = {
     "a full disk": (errno.ENOSPC, ["disk is full", "free some space"]),
     "a quota": (errno.EDQUOT, ["disk is full"]),
-    "a read-only disk": (errno.EROFS, ["may not write", "choose a folder"]),
-    "no permission": (errno.EACCES, ["may not write"]),
+    "a read-only disk": (errno.EROFS, ["no permission", "choose a folder"]),
+    "no permission": (errno.EACCES, ["no permission"]),
     "a broken disk": (errno.EIO, [os.strerror(errno.EIO)]),
 }
 

@@ -107,7 +107,7 @@ def test_a_joint_that_hardly_moves_among_others_in_degrees_is_no_reason_to_warn(
 def test_a_unit_of_another_dimension_stops():
     message = stopped(filed({"x": POINT}, x="rad"), x="m")
     assert "arm.csv, column 'X'" in message
-    assert "'x' is given in rad (angle), but the mechanism expects length (m)" in message
+    assert "'x' is in rad (angle), but the mechanism expects length (m)" in message
     assert "unit of length" in message
     with pytest.raises(InputError):
         check_units(filed({"x": POINT}, x="rad"), {"x": "m"})

@@ -103,7 +103,7 @@ def test_an_arrow_table_and_a_structured_array_will_do():
         ({"x": [1.0]}, {"sds": {"x": [-1.0]}}, ["sd of 'x'", "below zero", "pose '1'"]),
         ({"x": [1.0]}, {"sds": {"x": [math.nan]}}, ["sd of 'x'", "missing", "pose '1'"]),
         ({"x": [1.0]}, {"sds": {"x": [1.0, 2.0]}}, ["sd of 'x'", "2 values for 1 poses"]),
-        ({1: [1.0]}, {}, ["1", "no text"]),
+        ({1: [1.0]}, {}, ["1", "not text"]),
         ([1.0, 2.0], {}, ["list", "dict"]),
     ],
 )
@@ -142,7 +142,7 @@ def test_thinning_keeps_the_first_and_every_nth(filed):
     assert thin.source.every == 2
     assert thin.thin(2).source.every == 4
     for wrong in (0, -1, 1.5, True):
-        with refused("invalid-value", f"every = {wrong!r}"):
+        with refused("invalid-value", f"every is {wrong!r}"):
             filed.thin(wrong)
 
 

@@ -150,8 +150,8 @@ def test_a_dh_arm_loses_the_six_that_everyone_fixes():
 
 def test_the_reasons_name_what_does_the_same():
     remarks = dict(zip(fixed(seen(SIX, point())), seen(SIX, point()).remarks, strict=True))
-    assert remarks["q1_x"] == "'q1_x' is fixed: it does to the readings what 'base_x' does."
-    assert remarks["flange_z"] == "'flange_z' is fixed: it does to the readings what 'tool_z' does."
+    assert remarks["q1_x"] == "'q1_x' is fixed: indistinguishable from 'base_x'."
+    assert remarks["flange_z"] == "'flange_z' is fixed: indistinguishable from 'tool_z'."
     assert "'tool_x' and 'tool_y' do together." in remarks["q6_rz"]
 
 

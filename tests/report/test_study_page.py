@@ -60,7 +60,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> StudyDone:
 def test_words_say_where_a_method_helps_and_where_not(done: StudyDone) -> None:
     poor, exact = (words(scenario) for scenario in done.tables.scenarios)
     assert any("implicit-loop has smaller rms errors than least-squares" in w for w in poor)
-    assert any("Intervals of least-squares that hold too seldom" in w for w in poor)
+    assert any("Intervals of least-squares too narrow" in w for w in poor)
     assert exact == ["Every error is rounding, below 1e-12 m or rad: all methods are right."]
 
 

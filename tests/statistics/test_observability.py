@@ -102,13 +102,15 @@ def test_data_beside_the_prior_by_hand() -> None:
     said = lc.findings(lc.calibrate(LINEAR, data, noise=NOISE, prior=prior)).identifiability
     learned = {entry.parameter: entry for entry in said.learned}
     assert learned["b"].ratio == pytest.approx(1.0, rel=1e-12)
-    assert learned["b"].words.startswith("the data say nothing about 'b': sd 0.0200 1 of 0.0200")
+    assert learned["b"].words.startswith(
+        "the data do not determine 'b': sd 0.0200 1 of prior 0.0200"
+    )
     J = np.column_stack([data["u"], np.ones(40)]) / SD
     C = np.linalg.inv(J.T @ J + np.diag([1e2, 1.0]))
     assert learned["a"].ratio == pytest.approx(math.sqrt(C[0, 0]) / 0.1, rel=1e-9)
     assert learned["c"].ratio < 0.01 < SAYS_NOTHING
     assert said.words()[0] == (
-        "these poses say nothing about 'b'; only what was known beforehand holds it"
+        "these poses do not determine 'b'; only prior knowledge determines it"
     )
 
 
@@ -122,9 +124,9 @@ def test_redundant_parameters_are_named_with_and_without_a_prior() -> None:
     noise = lc.Noise({"u": 0.0, "y": SD})
     flat = lc.findings(lc.calibrate(double, linear(), noise=noise)).identifiability.weak
     assert [set(d.combination) for d in flat] == [{"base", "tool"}]
-    assert flat[0].words == "'base' and 'tool' cannot be told apart by these poses"
+    assert flat[0].words == "'base' and 'tool' cannot be distinguished by these poses"
     held = lc.calibrate(double, linear(), noise=noise, prior=lc.Prior({"tool": 1e-3}))
-    assert "only what was known beforehand" in lc.findings(held).identifiability.weak[0].words
+    assert "only prior knowledge" in lc.findings(held).identifiability.weak[0].words
 
 
 def test_a_nearly_null_direction_says_how_far_one_sd_goes() -> None:
@@ -140,7 +142,7 @@ def test_a_nearly_null_direction_says_how_far_one_sd_goes() -> None:
     for name in "ab":
         assert abs(weak.one_sd[name]) == pytest.approx(result.sd[name], rel=1e-3)
     assert weak.one_sd["a"] * weak.one_sd["b"] < 0
-    assert "'a' and 'b' can hardly be told apart" in weak.words or "'b' and 'a'" in weak.words
+    assert "'a' and 'b' are weakly distinguished" in weak.words or "'b' and 'a'" in weak.words
 
 
 def test_least_squares_scales_its_directions_by_its_residuals() -> None:

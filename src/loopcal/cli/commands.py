@@ -33,20 +33,22 @@ FunctionOption = Annotated[
     typer.Option(
         "--mechanism",
         metavar="FILE.py:NAME",
-        help="The loops f(x, p) of a project of the type 'function', or a Mechanism.",
+        help="Use these loops f(x, p), or this Mechanism, for a project of type 'function'.",
     ),
 ]
 WorkersOption = Annotated[
     int | None,
     typer.Option(
-        metavar="N", min=1, help="Threads that share out folds, models, profiles or chunks."
+        metavar="N",
+        min=1,
+        help="Compute folds, models, profiles or chunks on N threads [default: 1].",
     ),
 ]
 ClusterOption = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS",
-        help="Share the work out on a Dask cluster: tcp://HOST:PORT, or the scheduler's file.",
+        help="Compute on a Dask cluster: tcp://HOST:PORT, or the scheduler's file [default: here].",
     ),
 ]
 
@@ -76,20 +78,22 @@ def calibrate(
         str | None,
         typer.Option(
             metavar="METHOD",
-            help=f"{', '.join(METHODS)}; overrides fit.method of the project.",
+            help=f"Fit by {', '.join(METHODS)} [default: the project's fit.method].",
         ),
     ] = None,
     truth: Annotated[
         str | None,
         typer.Option(
             metavar="FILE",
-            help="The truth of a simulation: adds every parameter's error, true minus estimate.",
+            help="Compare with the truth of a simulation: print every parameter's error, true "
+            "minus estimate.",
         ),
     ] = None,
     out: Annotated[
         str | None,
         typer.Option(
-            metavar="DIR", help="Folder of the results [default: NAME-result beside NAME.toml]."
+            metavar="DIR",
+            help="Write the results to this folder [default: NAME-result beside NAME.toml].",
         ),
     ] = None,
     as_json: JsonOption = False,
@@ -97,7 +101,7 @@ def calibrate(
     require_identifiable: Annotated[
         bool,
         typer.Option(
-            "--require-identifiable", help="End with 4 unless every parameter is determined."
+            "--require-identifiable", help="Exit with code 4 unless every parameter is determined."
         ),
     ] = False,
     folds: Annotated[
@@ -105,26 +109,27 @@ def calibrate(
         typer.Option(
             metavar="N",
             min=2,
-            help="Predict each of N parts of the poses by a fit of the others, instead of the "
-            "project's fit.validation.",
+            help="Validate by N-fold cross-validation [default: the project's fit.validation].",
         ),
     ] = None,
     profile: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="GLOB", help="Parameters that get a profile likelihood interval; repeatable."
+            metavar="GLOB",
+            help="Compute profile likelihood intervals of these parameters; "
+            "repeatable [default: none].",
         ),
     ] = None,
     compare: Annotated[
         bool,
         typer.Option(
             "--compare",
-            help="Judge the project's [[compare.model]] on poses not used, and calibrate with the "
-            "one recommended.",
+            help="Compare the project's [[compare.model]] on held-out poses and calibrate with "
+            "the recommended one.",
         ),
     ] = False,
     no_report: Annotated[
-        bool, typer.Option("--no-report", help="Write no report.html; an earlier one goes.")
+        bool, typer.Option("--no-report", help="Skip report.html and delete an existing one.")
     ] = False,
     workers: WorkersOption = None,
     cluster: ClusterOption = None,
@@ -173,7 +178,7 @@ def calibrate(
 def check(
     project: ProjectArgument, as_json: JsonOption = False, mechanism: FunctionOption = None
 ) -> None:
-    """Before any fit: ranges, what the poses can determine, and the sds to expect."""
+    """Check a project before a fit: ranges, what the poses can determine, the expected sds."""
     from loopcal.workflow.checking import run_check
 
     done = run_check(project, function=mechanism)
@@ -197,13 +202,13 @@ def predict(
         str | None,
         typer.Option(
             metavar="FILE",
-            help="Table to write (.csv, .tsv or .parquet) [default: CSV on stdout].",
+            help="Write the table to this file (.csv, .tsv or .parquet) [default: CSV on stdout].",
         ),
     ] = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
-    """End points for given readings, with their covariance; warns of extrapolation."""
+    """Predict end points for given readings, with their covariance; warn of extrapolation."""
     from loopcal.workflow.checking import prediction_table, run_prediction
 
     done = run_prediction(result, file, out=out, function=mechanism)
@@ -222,25 +227,26 @@ def compare(
     a: Annotated[
         str, typer.Argument(metavar="A", help="Folder of a calibration, or its result.json.")
     ],
-    b: Annotated[str, typer.Argument(metavar="B", help="Another calibration of that machine.")],
+    b: Annotated[str, typer.Argument(metavar="B", help="Another calibration of the same machine.")],
     poses: Annotated[
         str | None,
         typer.Option(
             metavar="FILE",
-            help="Readings where they are compared, in the columns of A's project [default: the "
-            "poses of both].",
+            help="Compare at these readings, in the columns of A's project [default: the poses "
+            "of both].",
         ),
     ] = None,
     same_frame: Annotated[
         bool,
         typer.Option(
-            "--same-frame", help="The instrument stood still: compare its placement as well."
+            "--same-frame",
+            help="Compare the instrument's placement too; it must not have moved between A and B.",
         ),
     ] = False,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
-    """Two calibrations of one machine: what differs, with its sd, and whether it means anything."""
+    """Compare two calibrations of one machine: differences, their sds and their significance."""
     from loopcal.cli.comparing import run_comparison
 
     done = run_comparison(a, b, poses=poses, align=not same_frame, function=mechanism)
@@ -261,11 +267,12 @@ def report(
     out: Annotated[
         str | None,
         typer.Option(
-            metavar="FILE", help="The page [default: report.html beside the only result]."
+            metavar="FILE",
+            help="Write the page to this file [default: report.html beside a single result].",
         ),
     ] = None,
 ) -> None:
-    """One self-contained HTML page of one result, or of several side by side."""
+    """Write one self-contained HTML page of one result, or of several side by side."""
     from loopcal.cli.reporting import run_report
 
     print_out(f"written to {run_report(results, out)}")
@@ -275,7 +282,9 @@ def report(
 def noise(
     files: Annotated[
         list[str],
-        typer.Argument(metavar="FILE...", help="Repeated readings of one pose; a series each."),
+        typer.Argument(
+            metavar="FILE...", help="Repeated readings of one pose, one series per file."
+        ),
     ],
     project: Annotated[
         str | None,
@@ -285,13 +294,18 @@ def noise(
     ] = None,
     columns: Annotated[
         str | None,
-        typer.Option(metavar="NAME=UNIT,...", help="Columns that are sensors: S=rad,L=rad,x=m."),
+        typer.Option(
+            metavar="NAME=UNIT,...",
+            help="Read these columns: S=rad,L=rad,x=m [default: all columns of numbers].",
+        ),
     ] = None,
-    pose: Annotated[str | None, typer.Option(metavar="COLUMN", help="Column of the ids.")] = None,
+    pose: Annotated[
+        str | None, typer.Option(metavar="COLUMN", help="Skip this column of ids [default: none].")
+    ] = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
-    """Sensor sds from repeated readings of one pose, drift told apart from scatter."""
+    """Estimate sensor sds from repeated readings of one pose, separating drift from scatter."""
     from loopcal.workflow.sensors import sensor_noise
 
     done = sensor_noise(files, project=project, columns=columns, pose=pose, function=mechanism)
@@ -307,11 +321,13 @@ def simulate(
     out: Annotated[
         str, typer.Option(metavar="FILE", help="Readings to write: .csv, .tsv or .parquet.")
     ],
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of all random numbers.")] = 0,
+    seed: Annotated[
+        int, typer.Option(metavar="N", min=0, help="Seed of all random numbers [default: 0].")
+    ] = 0,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
-    """Write readings of the project's mechanism with its noise, the truth kept beside them."""
+    """Simulate readings of the project's mechanism with its noise; write the truth beside them."""
     from loopcal.workflow.simulation import run_simulation
 
     done = run_simulation(project, out=out, seed=seed, function=mechanism)
@@ -332,24 +348,25 @@ def study(
     ],
     draws: Annotated[
         int | None,
-        typer.Option(metavar="N", min=1, help="Draws of each scenario, not the study's."),
+        typer.Option(metavar="N", min=1, help="Draws per scenario [default: the study's]."),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Processes [default: one for each core].")
+        int | None,
+        typer.Option(metavar="N", min=1, help="Compute on N processes [default: one per core]."),
     ] = None,
     cluster: ClusterOption = None,
     out: Annotated[
         str | None,
         typer.Option(
             metavar="DIR",
-            help="Folder of the draws; goes on with those it holds [default: NAME-study beside "
-            "NAME.toml].",
+            help="Write the draws to this folder, and resume from those in it [default: "
+            "NAME-study beside NAME.toml].",
         ),
     ] = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
-    """Monte Carlo: the errors of one or more methods over many draws of each scenario."""
+    """Run a Monte Carlo study: errors of one or more methods over many draws per scenario."""
     from loopcal.cli.progress import Counted
     from loopcal.cli.working import executor_of, try_cluster
     from loopcal.report.study_page import PAGE, write_study_page

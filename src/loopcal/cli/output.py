@@ -60,7 +60,7 @@ def _print(text: str) -> None:
             f"cannot be written: {error.strerror or error}",
             code="unwritable-file",
             place="standard output",
-            remedy="send it somewhere else",
+            remedy="redirect the output to another place",
         ) from None
 
 

@@ -41,7 +41,7 @@ class _Line:
     def waiting(self) -> None:
         """Say what is waited for after an interrupt."""
         self.clear()
-        log("waiting for the pieces that are being done")
+        log("waiting for running pieces to finish")
 
     def clear(self) -> None:
         """Leave the line empty."""
@@ -69,7 +69,8 @@ class Progress(_Line):
         """Show iteration, chi-squared and its predicted decrease, if it is time to."""
         self.show(
             lambda _: (
-                f"iteration {iteration}: chi-squared {chi_squared:.6g}, to gain {decrease:.2g}"
+                f"iteration {iteration}: chi-squared {chi_squared:.6g}, expected decrease "
+                f"{decrease:.2g}"
             )
         )
 

@@ -19,8 +19,8 @@ def run_report(results: Sequence[str | Path], out: str | Path | None) -> Path:
     """
     if out is None and len(results) > 1:
         raise UsageError(
-            "a report of several results belongs to no folder of theirs",
-            remedy="name the file: --out report.html",
+            "a report of several results needs a file of its own",
+            remedy="name it: --out report.html",
         )
     page = report_html([read_source(path) for path in results])
     path = Path(out) if out is not None else _folder(results[0]) / "report.html"

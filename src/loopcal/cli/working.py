@@ -35,8 +35,8 @@ def executor_of(
         return Processes(workers) if waiting is None else Threads(workers, waiting)
     if workers is not None:
         raise UsageError(
-            "--workers counts those of this machine, and with --cluster the work is elsewhere",
-            remedy="give one of the two",
+            "--workers and --cluster exclude each other: --workers is for this machine only",
+            remedy="give only one of them",
         )
     if not cluster.strip():
         raise UsageError(
@@ -66,8 +66,9 @@ def _stated(path: str) -> str:
     except (OSError, ValueError, KeyError, TypeError) as error:
         reason = getattr(error, "strerror", None) or "it states no address"
         raise InputError(
-            f"this is no file of a scheduler ({reason})",
+            f"this is not a scheduler file ({reason})",
             code="wrong-file-type",
             place=path,
-            remedy="give the one of dask scheduler --scheduler-file FILE, or tcp://HOST:PORT",
+            remedy="give the file written by dask scheduler --scheduler-file FILE, or "
+            "tcp://HOST:PORT",
         ) from None

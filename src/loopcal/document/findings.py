@@ -24,9 +24,9 @@ class Undetermined:
         names = [repr(name) for name in combination]
         listed = ", ".join(names[:-1]) + f" and {names[-1]}"
         words = (
-            f"{names[0]} has no effect that these poses could show"
+            f"{names[0]} has no effect in these poses"
             if len(names) == 1
-            else f"{listed} cannot be told apart by these poses"
+            else f"{listed} cannot be distinguished by these poses"
         )
         return cls(dict(combination), words)
 
@@ -113,8 +113,8 @@ class Identifiability:
             return ()
         directions = "; ".join(loose.words for loose in self.not_identifiable)
         return (
-            f"Not identifiable: {directions}. The fit moves along such a direction as little as "
-            "it can; fix a parameter, give it a prior sd, or measure other poses.",
+            f"Not identifiable: {directions}. The fit keeps such a combination near its "
+            "start; fix a parameter, give it a prior sd, or measure other poses.",
         )
 
 
@@ -249,8 +249,8 @@ class ColumnFault:
         unit = " m" if self.placed else ""
         before = "inf" if self.before is None else f"{self.before:.3g}"
         return (
-            f"{self.words}: put right, {meets} to {self.after:.3g}{unit} rms "
-            f"instead of {before}{unit}"
+            f"{self.words}: once corrected, {meets} to {self.after:.3g}{unit} rms instead of "
+            f"{before}{unit}"
         )
 
 

@@ -65,9 +65,8 @@ class ChiSquared:
             )
         return (
             f"Chi-squared per degree of freedom is {text}: the corrections are about "
-            f"{math.sqrt(factor):.2g} times as large as the stated sds allow, so these sds cannot "
-            "be right. Either the sensors are worse than stated, or the machine model lacks "
-            f"something real (a model error).{explained} The sd of every parameter below is too "
-            "small in that case, and a closed loop is no sign of accuracy: compare the accuracy "
-            "lines instead."
+            f"{math.sqrt(factor):.2g} times as large as the stated sds allow, so these sds are "
+            f"too small. Either the sensors are worse than stated, or the machine model is "
+            f"incomplete (a model error).{explained} The parameter sds below are then too small "
+            f"too. Closed loops do not show accuracy; compare the accuracy lines."
         )

@@ -237,8 +237,8 @@ def _accuracy(document: ResultDocument) -> list[str]:
     accuracy, validation = document.accuracy, document.validation
     if accuracy is None:
         if document.mechanism is not None and not document.mechanism.outputs:
-            return ["accuracy: the mechanism names no outputs that a model could predict"]
-        return ["accuracy: unknown, no pose has readings for an output and its inputs"]
+            return ["accuracy unknown: the mechanism has no outputs to predict"]
+        return ["accuracy unknown: no pose has readings for all outputs and their inputs"]
     note = "(computed from the other readings minus measured, on the poses used for the fit"
     if validation is not None and validation.accuracy is not None:
         note += f"; poses not used: {validation.words}"

@@ -131,14 +131,14 @@ def recommendation(models: Sequence[ModelEntry]) -> str:
     taken = next(m for m in known if m.recommended)
     if best is not taken:
         return (
-            f"Recommended: {taken.name}, the simplest of those that predict as well as "
-            f"{best.name} within what chance explains."
+            f"Recommended: {taken.name}, the simplest that is not significantly worse than "
+            f"{best.name}."
         )
     if all(m is best or m.parameters >= best.parameters for m in known):
         return f"Recommended: {best.name}, which predicts best and is the simplest."
     return (
-        f"Recommended: {best.name}, which predicts best; every simpler model is behind by more "
-        "than chance explains."
+        f"Recommended: {best.name}, which predicts best; every simpler model is significantly "
+        f"worse."
     )
 
 
@@ -196,5 +196,5 @@ def interval_table(parameters: Sequence[ParameterEntry]) -> list[str]:
         rows.append([p.name, *told, "differs" if its.differs else "", unit])
     lines = columns(rows)
     if any(its.differs for _, its in known):
-        lines.append("(differs: trust the profile; the covariance misses how the model curves)")
+        lines.append("(differs: use the profile; the covariance ignores the model's curvature)")
     return lines

@@ -8,7 +8,6 @@ from typing import Any, Unpack
 from loopcal.errors import InputError
 from loopcal.estimation.fit import Fit, FitOptions, Start
 from loopcal.estimation.methods.registry import names_where
-from loopcal.estimation.noise.estimation import estimate_noise
 from loopcal.estimation.noise.learning import components, with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.problem import Problem, build_problem
@@ -80,16 +79,20 @@ def calibrate(
             return solve_robust(problem, loss, method=fit.method, **limits)
         return fit.method.solve(problem, **limits)
 
+    judged = not (fit.method.exact or fit.robust_loss or (told and told.estimate))
+
     def solved(problem: Problem) -> Solution:
         # an undamped method is for study: it shows how its own iteration ends
         if fit.method.damped:
             return fitted(problem)
-        return solve_or_fall_back(problem, fitted, fit.max_iterations)
+        return solve_or_fall_back(problem, fitted, fit.max_iterations, judged=judged)
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)
         if told is None or not told.estimate:
             return Result(fit, data, problem, solved(problem), problem)
+        from loopcal.estimation.noise.estimation import estimate_noise
+
         estimate = estimate_noise(
             problem,
             components(problem, told),
@@ -105,15 +108,14 @@ def refuse_noise(fit: Fit, noise: Noise | None) -> None:
     """Raise InputError where these settings need a noise, or cannot learn from this one."""
     if noise is None and not fit.method.exact:
         raise InputError(
-            f"the method {fit.method.name!r} needs to know how uncertain the readings are",
+            f"the method {fit.method.name!r} needs the sds of the readings",
             code="missing-sd",
             remedy="give noise=Noise({...}) with an sd for every quantity, or use "
             f"method={' or '.join(map(repr, names_where('exact')))}",
         )
     if noise is not None and noise.estimate and fit.robust_loss is not None:
         raise InputError(
-            f"sds cannot be estimated under the loss {fit.loss!r}: how bad readings scatter would "
-            "become part of them",
+            f"sds cannot be estimated under the loss {fit.loss!r}: outliers would inflate them",
             code="unsupported",
             remedy="find the outliers with this loss first and exclude them, then estimate; or "
             'take the sds as given (leave out "estimate")',

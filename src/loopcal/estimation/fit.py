@@ -65,8 +65,8 @@ class Fit:
         if loss_named(loss) is not None and not chosen.robust:
             known = " or ".join(f'"{name}"' for name in names_where("robust"))
             raise InputError(
-                f"the method {chosen.name!r} cannot use the loss {loss!r}: it does not know how "
-                "far off a pose may be",
+                f"the method {chosen.name!r} cannot use the loss {loss!r}: it does not use the "
+                f"sds of the readings",
                 code="unsupported",
                 remedy=f"use method = {known} with the sds of the readings",
             )

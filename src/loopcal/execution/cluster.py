@@ -70,7 +70,7 @@ class Cluster(Executor):
                 f"{_counted(len(found['workers']), 'worker')} with {_counted(threads, 'thread')} "
                 f"at {self.name}"
                 if threads
-                else f"no worker yet at {self.name}: the work waits for the first"
+                else f"waiting for the first worker at {self.name}"
             )
 
     @property
@@ -130,8 +130,8 @@ def _check(there: Mapping[str, str | None], here: Mapping[str, str], who: str) -
 
 _REMEDY = "give workers and this process the same environment (versions of " + ", ".join(PACKAGES)
 _REMEDY += " and Python)"
-_ENGINE = "the engines agree to some twelve digits only: set LOOPCAL_ENGINE=numpy here and for all "
-_ENGINE += "workers, or install loopcal with a compiler on those that have none"
+_ENGINE = "engines agree to about twelve digits only: set LOOPCAL_ENGINE=numpy here and for all "
+_ENGINE += "workers, or install loopcal with a compiler on all of them"
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def _distributed() -> ModuleType:
         import distributed
     except ImportError:
         raise UsageError(
-            "work on a cluster needs dask.distributed, which is not installed",
+            "--cluster needs dask.distributed, which is not installed",
             code="missing-dependency",
             remedy="pip install 'loopcal[cluster]'",
         ) from None
@@ -195,14 +195,14 @@ def _connected(address: Any, name: str) -> Any:
             f"no scheduler answers ({error})",
             code="no-scheduler",
             place=name,
-            remedy="start one (dask scheduler), or give the address that it states",
+            remedy="start one (dask scheduler), or give the address it prints",
         ) from None
     except (ValueError, ImportError) as error:
         raise UsageError(
-            f"there is no way to this scheduler: {error}",
+            f"this scheduler cannot be reached: {error}",
             code="no-scheduler",
             place=name,
-            remedy="give the address that it states, such as tcp://host:8786",
+            remedy="give the address it prints, such as tcp://host:8786",
         ) from None
 
 
@@ -237,11 +237,10 @@ async def _meet(address: str, how: Mapping[str, Any]) -> None:
         scheduler = False
     if not scheduler:
         raise InputError(
-            "something answers there that is no scheduler",
+            "the program at this address is not a Dask scheduler",
             code="no-scheduler",
             place=address,
-            remedy="give the scheduler's own address: its port is usually 8786, and 8787 that of "
-            "its dashboard",
+            remedy="give the scheduler's address; its port is usually 8786 (8787 is the dashboard)",
         )
 
 
@@ -314,21 +313,22 @@ def _failure(error: BaseException) -> BaseException:
     distributed = _distributed()
     if isinstance(error, distributed.KilledWorker):
         return InputError(
-            f"a piece of the work ended all of the {error.allowed_failures + 1} workers that "
-            "tried it, killed or out of memory",
+            f"a task ended all {error.allowed_failures + 1} workers that tried it: killed or "
+            f"out of memory",
             code="worker-lost",
-            remedy="give the workers more memory, or fewer threads each; a study or a stream "
-            "goes on where it was",
+            remedy="give the workers more memory or fewer threads; a study or stream resumes",
         )
     if isinstance(error, ModuleNotFoundError) and str(error.name).startswith("loopcal"):
         return InputError(
-            "a worker has no loopcal of this version", code="version-mismatch", remedy=_REMEDY
+            "a worker has another version of loopcal, or none",
+            code="version-mismatch",
+            remedy=_REMEDY,
         )
     if isinstance(error, CancelledError | OSError):
         return InputError(
             "the connection to the scheduler was lost",
             code="no-scheduler",
-            remedy="see whether it still runs, and begin again; a study or a stream goes on "
-            "where it was",
+            remedy="check that the scheduler runs, then repeat the command; a study or stream "
+            "resumes",
         )
     return error

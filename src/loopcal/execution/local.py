@@ -49,7 +49,7 @@ class _Local(Executor):
     def __post_init__(self) -> None:
         if not 1 <= self.workers <= MOST_WORKERS:
             raise UsageError(
-                f"{self.workers} workers cannot be started",
+                f"workers is {self.workers}, outside 1 to {MOST_WORKERS}",
                 remedy=f"give a number from 1 to {MOST_WORKERS}",
             )
 
@@ -164,15 +164,15 @@ def _ended(some_done: bool) -> InputError:
     """What it means that a process ended, once some pieces were done or before any was."""
     if some_done:
         return InputError(
-            "a worker ended before its work was done, killed or out of memory",
+            "a worker ended early: killed or out of memory",
             code="worker-lost",
-            remedy="use fewer workers (--workers); a study or a stream goes on where it was",
+            remedy="use fewer workers (--workers); a study or stream resumes",
         )
     return InputError(
-        "a worker ended before any work was done: it was killed, or out of memory, or the script "
-        "that starts workers would do so in each of them, because they import it anew",
+        "a worker ended before any work was done: killed, out of memory, or the script started "
+        "workers again when each worker imported it",
         code="worker-lost",
-        remedy='in a script, do the work under if __name__ == "__main__":, otherwise use fewer '
+        remedy='in a script, put the work under if __name__ == "__main__":, otherwise use fewer '
         "workers (--workers)",
     )
 

@@ -45,7 +45,8 @@ def chosen_engine() -> str:
         raise UsageError(
             "LOOPCAL_ENGINE is 'compiled', but loopcal was installed without the compiled engine",
             code="missing-dependency",
-            remedy="install CMake, make and a C++ compiler, then loopcal once more; or unset it",
+            remedy="install CMake, make and a C++ compiler and reinstall loopcal, or unset the "
+            "variable",
         )
     return name
 
@@ -73,7 +74,7 @@ def use_threads() -> int:
     else:
         raise UsageError(
             f"LOOPCAL_THREADS is {text!r}",
-            remedy=f"give a whole number of threads from 1 to {MOST}, or unset it",
+            remedy=f"give a whole number of threads from 1 to {MOST}, or unset the variable",
         )
     if AVAILABLE:
         _compiled.use_threads(count)

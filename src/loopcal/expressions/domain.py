@@ -38,7 +38,7 @@ def explain_domain(
                     f"{text} in {part}loop equation {loop!r} at pose {pose!r}",
                     remedy=(remedies or {}).get(loop)
                     or "check the readings and units of this pose, and the nominal "
-                    "parameters; leave the pose out with data.exclude if its reading is wrong",
+                    "parameters; exclude the pose (data.exclude) if its reading is wrong",
                 )
     return DomainError(
         "the loop equations overflow: some value is not finite",

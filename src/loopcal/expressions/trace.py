@@ -37,9 +37,7 @@ _NO_BRANCH = (
     "a loop is traced once, so it cannot branch on a value; write it as one formula, "
     "for example with np.abs, np.hypot or np.arctan2, or make two mechanisms"
 )
-_NO_STEP = (
-    "a step has no derivative; angles need no wrapping, for sin and cos do not mind whole turns"
-)
+_NO_STEP = "a step has no derivative; angles need no wrapping, since sin and cos are periodic"
 
 
 class Scalar:
@@ -58,7 +56,7 @@ class Scalar:
             if isinstance(argument, Scalar):
                 if argument.graph is not self.graph:
                     raise TraceError(
-                        "a value of another trace is used",
+                        "the loop function uses a value of another trace",
                         remedy="use only the x and p that the function is given",
                     )
                 nodes.append(argument.node)
@@ -66,8 +64,8 @@ class Scalar:
                 number = float(argument)
                 if not math.isfinite(number):
                     raise TraceError(
-                        f"the constant {number} stands in a loop",
-                        remedy="a loop holds finite numbers only",
+                        f"the loop contains the constant {number}",
+                        remedy="use finite numbers only",
                     )
                 nodes.append(self.graph.constant(number))
             else:
@@ -135,7 +133,7 @@ class Scalar:
         if method != "__call__" or options or name not in _UFUNCS:
             raise TraceError(
                 f"np.{name} cannot be recorded on a tape",
-                remedy="recorded are + - * / ** and np." + ", np.".join(sorted(set(_UFUNCS))),
+                remedy="use + - * / ** and np." + ", np.".join(sorted(set(_UFUNCS))),
             )
         if any(isinstance(value, np.ndarray) and value.ndim for value in inputs):
             each = np.frompyfunc(
@@ -282,7 +280,7 @@ def trace(
     names = loops or [f"loop {i + 1}" for i in range(len(equations))]
     if len(names) != len(equations):
         raise TraceError(
-            f"{len(equations)} loop equations are returned, {len(names)} are named",
+            f"{len(equations)} loop equations are returned but {len(names)} names are given",
             remedy="name every equation once",
         )
     for name, equation in zip(names, equations, strict=True):
@@ -302,7 +300,7 @@ def trace(
     for name, inputs in zip(names, tape.depends_on(), strict=True):
         if not inputs.intersection(quantities):
             raise TraceError(
-                f"{name} contains no quantity that is read",
+                f"{name} contains no measured quantity",
                 remedy="every loop equation must contain at least one quantity",
             )
     return tape

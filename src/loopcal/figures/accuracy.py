@@ -56,8 +56,8 @@ def distance_histogram(before: Array, after: Array, unit: str) -> Figure | None:
     return Figure(
         "histogram",
         "Distances between computed and measured points",
-        "Each step counts the poses at that distance. The calibration helped where blue lies left "
-        f"of grey; a tail to the right of blue is poses worth a look.{hint}",
+        "Each step counts the poses at that distance. Where blue lies left of grey, the "
+        f"calibration improved them; inspect the poses in the right tail of blue.{hint}",
         f"Histogram of distances before and after calibration: {told}.",
         tuple(data),
         layout(
@@ -110,9 +110,9 @@ def over_poses(
     return Figure(
         "residuals",
         f"{what} against pose number",
-        "Mind the two scales. Before, patterns show what is wrong with the nominal model; after, "
-        "only scatter without pattern should be left. A drift or a step points to something that "
-        f"moved during the measurement.{chosen.words}",
+        "The two panels have different scales. Before: patterns show errors of the nominal "
+        "model. After: only scatter without pattern should remain. A drift or step means that "
+        f"something moved during the measurement.{chosen.words}",
         f"{what} of {len(sizes)} poses in order, {told}.",
         tuple(data),
         layout(

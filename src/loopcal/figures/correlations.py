@@ -37,8 +37,8 @@ def correlations(covariance: Array, parameters: Sequence[str]) -> Figure | None:
     return Figure(
         "correlations",
         "Correlations of the estimated parameters",
-        "Strong colour off the diagonal: these poses tell only the sum or the difference of the "
-        "two, so each by itself is uncertain, though their common effect may be well known.",
+        "Strong colour off the diagonal: these poses determine only the sum or difference of "
+        "the two, so each alone is uncertain.",
         f"Map of the correlations of {len(sds)} parameters: {told}",
         (data,),
         layout(

@@ -71,9 +71,9 @@ def error_bars(
     return Figure(
         key,
         title,
-        "Points are means over the draws, bars hold the middle 95 % of them, open diamonds are the "
-        "draw in print. A mean away from zero is bias: no number of draws takes it away. A bar too "
-        "short to be seen is a method far better on this scale.",
+        "Points are means over the draws, bars contain the middle 95 % of them, open diamonds "
+        "are the published draw. A mean away from zero is bias. An invisible bar is too short "
+        "for this scale.",
         f"{title} by method: {told}.",
         tuple(data),
         layout(

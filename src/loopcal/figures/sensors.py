@@ -58,9 +58,9 @@ def normalised(corrections: Mapping[str, Array]) -> Figure | None:
     return Figure(
         "normalised",
         "Corrections over their sds, beside the normal curve",
-        "A sensor that the loops hardly check is corrected by less than its sd, so its curve is "
-        "narrower than the dotted one. Wider, skewed or with two humps: its sd is too small, or "
-        "something else than noise is in it. Values beyond the ends are counted at the ends.",
+        "A weakly checked sensor is corrected by less than its sd, so its curve is narrower "
+        "than the dotted one. A wider, skewed or two-humped curve: its sd is too small, or its "
+        "errors are not only noise. Values beyond the ends are counted at the ends.",
         f"Distributions of corrections over their sds beside the normal curve: {told}.",
         tuple(data),
         layout(340, xaxis=axis("correction / sd"), yaxis=axis("density", rangemode="tozero")),
@@ -100,8 +100,8 @@ def drift(corrections: Mapping[str, Array], ids: Sequence[str]) -> Figure | None
     return Figure(
         "drift",
         "Corrections over their sds against pose number",
-        "Each panel should be a level band without pattern. A slope is drift, a step is something "
-        f"that was touched, waves are errors that depend on the position.{words}",
+        "Each panel should be a level band without pattern. A slope is drift, a step is a "
+        f"disturbance, waves are errors that depend on position.{words}",
         f"Corrections over their sds against pose number, one panel for each of {count} sensors.",
         tuple(data),
         layout(

@@ -48,8 +48,8 @@ def arrows(
         "arrows",
         "Where the calibrated model still differs",
         f"Arrows from measured to computed point, drawn {times} times as long as they are and "
-        "coloured by size. Neighbours that point the same way tell of something the model lacks; "
-        f"arrows in all directions are noise.{chosen.words}",
+        "coloured by size. Parallel neighbours indicate a missing effect in the model; arrows "
+        f"in all directions are noise.{chosen.words}",
         f"{chosen.index.size} arrows at the measured points, {times} times enlarged; the largest "
         f"difference is {largest} {unit}.",
         tuple(data),

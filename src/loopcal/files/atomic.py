@@ -158,11 +158,11 @@ def _unwritable(path: Path, error: OSError) -> InputError:
     if error.errno in _NO_SPACE:
         why, remedy = "the disk is full", "free some space, or choose another folder"
     elif error.errno in _NO_RIGHT:
-        why, remedy = "you may not write here", "choose a folder you may write to"
+        why, remedy = "no permission to write here", "choose a folder with write permission"
     elif error.errno == errno.EISDIR:
-        why, remedy = "a folder of this name is in the way", "choose another name"
+        why, remedy = "a folder has this name", "choose another name"
     elif error.errno in (errno.ENOTDIR, errno.EEXIST):
-        why, remedy = "a file stands where a folder is needed", "choose another folder"
+        why, remedy = "a file has the name of a needed folder", "choose another folder"
     elif error.errno == errno.ENAMETOOLONG:
         why, remedy = "the name is too long", "choose a shorter name"
     else:

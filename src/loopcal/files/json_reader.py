@@ -55,7 +55,7 @@ def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:
             ) from None
     if not isinstance(document, dict) or "schema" not in document:
         raise InputError(
-            f"this is no {kind}: it does not say its schema",
+            f"this is no {kind}: it states no schema",
             code="wrong-file-type",
             place=str(path),
             remedy=remedy,
@@ -65,7 +65,7 @@ def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:
             f"schema is {document['schema']!r}, and only schema {schema} can be read",
             code="wrong-schema",
             place=f"{path}: schema",
-            remedy="use the loopcal that wrote this file, or write it anew",
+            remedy="use the loopcal version that wrote this file, or write the file again",
         )
     return document
 

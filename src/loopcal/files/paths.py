@@ -23,6 +23,6 @@ def expanded(path: str, folder: Path, place: Place) -> Path:
                 f"the path {path!r} needs the environment variable {name}, which is not set",
                 code="missing-file",
                 place=str(place),
-                remedy=f"set it to the folder that is meant: export {name}=/path/to/folder",
+                remedy=f"set it to the folder: export {name}=/path/to/folder",
             )
     return folder / Path(_VARIABLE.sub(lambda match: os.environ[match[1]], path))

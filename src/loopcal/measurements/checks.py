@@ -88,7 +88,7 @@ def check_units(dataset: Dataset, quantities: Mapping[str, str]) -> None:
         stated = dataset.source.stated.get(quantity, dataset.units.get(quantity))
         if stated is not None and not convertible(stated, expected):
             raise InputError(
-                f"{quantity!r} is given in {stated} ({unit(stated).dimension}), but the mechanism "
+                f"{quantity!r} is in {stated} ({unit(stated).dimension}), but the mechanism "
                 f"expects {unit(expected).dimension} ({expected})",
                 code="wrong-unit",
                 place=_column(dataset, quantity),
@@ -107,11 +107,11 @@ def refuse_lost(
     if where.size:
         raise InputError(
             f"{', '.join(names)} all read 0 in {where.size} of {len(dataset)} poses "
-            f"({_few([dataset.poses[i] for i in where])}): instruments write 0 where the reflector "
-            "was lost",
+            f"({_few([dataset.poses[i] for i in where])}): instruments write 0 for a lost "
+            f"reflector",
             code="lost-reflector",
             place=dataset.place(int(where[0]), names[0]),
-            remedy=f"leave these cells blank; {otherwise}",
+            remedy=f"blank these cells; {otherwise}",
         )
 
 
@@ -140,7 +140,7 @@ def _stop_if_all_missing(dataset: Dataset, quantity: str) -> None:
             f"{quantity!r} has no reading in any of {len(dataset)} poses",
             code="no-data",
             place=_column(dataset, quantity),
-            remedy="map the column that holds it, or leave it out if it was not measured",
+            remedy="map its column, or remove it if it was not measured",
         )
 
 
@@ -161,7 +161,7 @@ def _stop_if_far(dataset: Dataset, quantity: str, si: str) -> None:
             f"{size.size} readings lie beyond {bound:.3g} {si}; they look like {looks}",
             code="implausible-unit",
             place=_value(dataset, index, quantity),
-            remedy=f'state unit = "{likely}"; if {si} is right, say check = false for {quantity!r}',
+            remedy=f'state unit = "{likely}"; if {si} is right, set check = false for {quantity!r}',
         )
 
 
@@ -190,7 +190,7 @@ def _repeated_poses(dataset: Dataset) -> Iterator[DataWarning]:
         yield DataWarning(
             None,
             f"pose ids that occur more than once: {_few(list(repeated))}; "
-            "leaving one of them out leaves out all of its rows",
+            "excluding one excludes all of its rows",
         )
 
 
@@ -212,7 +212,7 @@ def _wild_values(dataset: Dataset, suspects: Mapping[str, str]) -> Iterator[Data
                 quantity,
                 f"{_value(dataset, index, quantity)}: {quantity!r} reads "
                 f"{dataset.readings[quantity][index]:.6g} {si}, beyond {_BOUNDS[si][0][0]:.3g}; "
-                "leave the pose out if it is a mistake",
+                "exclude the pose if this is an error",
             )
 
 
@@ -245,7 +245,7 @@ def _constant(dataset: Dataset, suspects: Mapping[str, str]) -> Iterator[DataWar
             yield DataWarning(
                 quantity,
                 f"{_column(dataset, quantity)}: {quantity!r} reads {here[0]:.6g} in all of "
-                f"{here.size} poses: nothing is learnt from its motion",
+                f"{here.size} poses: its parameters may be undetermined",
             )
 
 
@@ -274,8 +274,8 @@ def _partly_exact(dataset: Dataset, suspects: Mapping[str, str]) -> Iterator[Dat
             yield DataWarning(
                 quantity,
                 f"{dataset.place(int(exact[0]), quantity, sd=True)}: the sd of {quantity!r} is 0 "
-                f"in {exact.size} of {len(dataset)} poses, which calls those readings exact; "
-                "if it was rounded to 0, give the smallest sd instead",
+                f"in {exact.size} of {len(dataset)} poses, which makes those readings exact; if "
+                f"it was rounded to 0, give the smallest sd instead",
             )
 
 

@@ -75,7 +75,7 @@ class Dataset:
         for name in (*units, *sds):
             if name not in names:
                 raise InputError(
-                    f"a unit or sd is given for {name!r}, which is no quantity of the table",
+                    f"a unit or sd is given for {name!r}, which is not in the table",
                     code="unknown-name",
                     remedy=nearest(name, names),
                 )
@@ -220,7 +220,7 @@ def checked_every(every: int) -> int:
     """The step of thinning as an int; InputError unless it is a whole number from 1 on."""
     if isinstance(every, bool) or every != int(every) or every < 1:
         raise InputError(
-            f"every = {every!r} cannot thin the poses",
+            f"every is {every!r}",
             code="invalid-value",
             remedy="give a whole number, 1 or more",
         )
@@ -251,7 +251,7 @@ def _check_shapes(data: Dataset) -> None:
             "no pose is left",
             code="no-data",
             place=data.source.name,
-            remedy="give one pose at least",
+            remedy="give at least one pose",
         )
     for quantity in data.sds:
         if quantity not in data.readings:

@@ -106,13 +106,13 @@ class Tracker:
         if name is not None:
             if range is not None or transverse is not None or kind is not None:
                 raise InputError(
-                    f"the tracker {name!r} is named and figures are given as well",
+                    f"the tracker {name!r} is named, but figures are given as well",
                     code="conflicting-keys",
                     remedy="give the name, or range, transverse and kind",
                 )
             if name not in PRESETS:
                 raise InputError(
-                    f"no figures are known here for the tracker {name!r}",
+                    f"the tracker {name!r} is not known",
                     code="unknown-name",
                     remedy=f"{nearest(name, PRESETS).rstrip('?')}, or give its maker's figures, "
                     'say { range = "10 um + 0.3 um/m", transverse = "15 um + 6 um/m" }',
@@ -128,8 +128,7 @@ class Tracker:
             )
         if native and (station is not None or rounded_to):
             raise InputError(
-                "a station and a rounding belong to a tracker's coordinates, and ranges and angles "
-                "are read",
+                "station and rounded_to are for coordinates, but ranges and angles are read",
                 code="conflicting-keys",
                 remedy="leave them out",
             )
@@ -167,9 +166,9 @@ class Tracker:
         lost = self.at_station(r)
         if lost.size:
             raise InputError(
-                f"point {int(lost[0]) + 1} lies where the tracker stands",
+                f"point {int(lost[0]) + 1} is at the tracker itself",
                 code="lost-reflector",
-                remedy="leave it out: a tracker writes 0, 0, 0 for a lost reflector",
+                remedy="exclude it: a tracker writes 0, 0, 0 for a lost reflector",
             )
         if self.native:
             return self._of_readings(r)
@@ -261,7 +260,7 @@ def encoder_sd(
         )
     if accuracy is None and (kind is not None or coverage is not None):
         raise InputError(
-            "kind and coverage say nothing without an accuracy",
+            "kind and coverage need an accuracy",
             code="conflicting-keys",
             remedy='give accuracy = "5 arcsec", or leave them out',
         )
@@ -277,7 +276,7 @@ def encoder_sd(
         variance, parts = variance + sd**2, True
     if not parts:
         raise InputError(
-            "nothing is said of the encoder",
+            "the encoder has no figures",
             code="missing-key",
             remedy='give bits = 20, counts = 4096 or accuracy = "5 arcsec"',
         )
@@ -304,9 +303,9 @@ def sd_per_figure(kind: str, coverage: float | str | None) -> float:
     if kind == "sd":
         if coverage is not None:
             raise InputError(
-                "a coverage is given for what is an sd already",
+                "coverage does not apply to an sd",
                 code="conflicting-keys",
-                remedy='leave coverage out, or say kind = "mpe"',
+                remedy='remove coverage, or set kind = "mpe"',
             )
         return 1.0
     if isinstance(coverage, str):
@@ -336,7 +335,7 @@ def length_figure(text: str, factor: float = 1.0) -> LengthFigure:
             slope += number * its.factor / unit(per).factor
         else:
             raise InputError(
-                f"{text!r} is no length that grows with distance",
+                f"{text!r} is not a length that grows with distance",
                 code="unknown-unit",
                 remedy='give lengths and lengths per length, say "15 um + 6 um/m"',
             )

@@ -48,8 +48,8 @@ def join(parts: Sequence[Dataset], machine: Sequence[bool]) -> Joined:
             "the files have no pose in common",
             code="mismatched-poses",
             place=" and ".join(_name(part, i) for i, part in enumerate(parts)),
-            remedy="name the column of the pose ids of each file (pose = ...); ids are compared "
-            "as they are written",
+            remedy="name the column of the pose ids of each file (pose = ...); ids must match "
+            "exactly",
         )
     rows = [_rows(part, kept) for part in parts]
     stays = set(kept)
@@ -121,9 +121,9 @@ def _refuse_doubles(parts: Sequence[Dataset]) -> None:
         for i, pose in enumerate(part.poses):
             if pose in seen:
                 raise InputError(
-                    f"the pose {pose!r} is there twice, and readings are joined by pose",
+                    f"the pose {pose!r} occurs twice, but readings are joined by pose",
                     code="duplicate-name",
                     place=part.place(i),
-                    remedy="give every pose an id of its own, or average the repeated readings",
+                    remedy="give every pose a unique id, or average the repeated readings",
                 )
             seen.add(pose)

@@ -69,7 +69,7 @@ class Noise:
             _check_key(key)
             if how not in ESTIMATES:
                 raise InputError(
-                    f"the noise of {key!r} is to be estimated {how!r}",
+                    f"estimate of {key!r} is {how!r}",
                     code="unknown-name",
                     remedy=nearest(how, ESTIMATES),
                 )
@@ -232,11 +232,11 @@ def _where_taken(tracker: Tracker, names: Sequence[str], dataset: Dataset) -> Ar
     lost = tracker.at_station(points[whole])
     if lost.size:
         raise InputError(
-            f"{', '.join(names)} were read where the tracker itself stands",
+            f"{', '.join(names)} were read at the tracker itself",
             code="lost-reflector",
             place=dataset.place(int(np.flatnonzero(whole)[lost[0]])),
-            remedy="leave that pose out (a tracker writes 0, 0, 0 for a lost reflector), or give "
-            "the station of the tracker in the frame of its readings",
+            remedy="exclude that pose (a tracker writes 0, 0, 0 for a lost reflector), or give "
+            "the tracker's station in the frame of its readings",
         )
     points[~whole] = points[whole][0]
     return tracker.covariance(points)
@@ -252,7 +252,7 @@ def _row(name: str, sds: Mapping[str, Array], dataset: Dataset) -> Array:
     if row.ndim and np.isnan(row).any():
         without = np.flatnonzero(np.isnan(row))
         raise InputError(
-            f"{len(without)} readings of {name!r} have no sd, the first at pose "
+            f"{len(without)} readings of {name!r} have no sd, first at pose "
             f"{dataset.poses[without[0]]!r}",
             code="missing-sd",
             remedy=remedy,
@@ -285,11 +285,11 @@ def _checked_entry(key: str | tuple[str, ...], value: Any) -> Any:
         size = len(key) if isinstance(key, tuple) else 1
         if size not in (2, 3) or len(value.station or key) != size:
             raise InputError(
-                f"a tracker measures points, and {key!r} are not the readings of one"
+                f"a tracker measures points, but {key!r} are not coordinates of a point"
                 if value.station is None or size not in (2, 3)
                 else f"the tracker's station has {len(value.station)} coordinates, {key!r} {size}",
                 code="wrong-shape",
-                remedy="name the coordinates in their order, say (x, y, z)",
+                remedy="name the coordinates in order, say (x, y, z)",
             )
         return value
     try:
@@ -345,7 +345,7 @@ def _check_covariance(key: Any, array: Array) -> None:
         raise InputError(
             f"the covariance of {key!r} has the negative eigenvalue {smallest:.6g}",
             code="invalid-covariance",
-            remedy="a covariance has no negative eigenvalue: check signs and units",
+            remedy="check signs and units; a covariance has no negative eigenvalue",
         )
 
 

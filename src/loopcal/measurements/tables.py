@@ -38,7 +38,7 @@ def column_names(table: Any) -> tuple[str, ...]:
     for name in names:
         if not isinstance(name, str):
             raise InputError(
-                f"the column name {name!r} is no text",
+                f"the column name {name!r} is not text",
                 code="invalid-value",
                 remedy="name columns by quantity",
             )
@@ -80,7 +80,7 @@ def as_numbers(values: Any, what: str) -> NDArray[np.float64]:
     raise InputError(
         f"{what} holds {array.dtype.name} values ({array[0]!s}), not real numbers",
         code="invalid-number",
-        remedy="convert it to numbers, or leave it out",
+        remedy="convert it to numbers, or remove it",
     )
 
 

@@ -91,7 +91,7 @@ def unit_direction(axis: Sequence[float], joint: str) -> Triple:
     norm = math.hypot(x, y, z)
     if norm == 0.0 or not math.isfinite(norm):
         raise InputError(
-            f"the axis ({x:g}, {y:g}, {z:g}) of the joint {joint!r} is no direction",
+            f"the axis ({x:g}, {y:g}, {z:g}) of the joint {joint!r} is zero or not finite",
             code="invalid-value",
             remedy="give a unit vector, as 0 0 1 for the z axis",
         )
@@ -99,10 +99,10 @@ def unit_direction(axis: Sequence[float], joint: str) -> Triple:
     if abs(norm - 1.0) > ROUNDED:
         words = " ".join(f"{v:.9g}" for v in unit)
         raise InputError(
-            f"the axis ({x:g}, {y:g}, {z:g}) of the joint {joint!r} has the norm {norm:.6g}, "
-            "and that of a direction is 1",
+            f"the axis ({x:g}, {y:g}, {z:g}) of the joint {joint!r} has the norm {norm:.6g}; a "
+            f"unit vector is needed",
             code="invalid-value",
-            remedy=f"write {words} if this direction is meant; else a digit is wrong",
+            remedy=f"write {words} if this direction is meant; otherwise check the digits",
         )
     return unit
 

@@ -29,7 +29,7 @@ def refuse_long_chain(joints: int) -> None:
     """Raise InputError for a chain of more than 64 joints."""
     if joints > MOST_JOINTS:
         raise InputError(
-            f"the chain has {joints} joints, and at most {MOST_JOINTS} can be calibrated together",
+            f"the chain has {joints} joints; the limit is {MOST_JOINTS}",
             code="too-large",
             remedy="calibrate a shorter part of it (another base or tip)",
         )

@@ -63,7 +63,7 @@ def _axes(nominal: Sequence[float], called: str, dimension: int) -> tuple[Any, A
         )
     if dimension == 2 and given[2]:
         raise InputError(
-            f"{called} is {list(nominal)}, and the machine moves in a plane",
+            f"{called} is {list(nominal)}, but the machine is planar",
             code="unsupported",
             remedy="give a direction in the plane, say [0, 1, 0]",
         )

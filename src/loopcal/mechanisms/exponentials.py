@@ -91,14 +91,16 @@ def exponentials(
     joints = tuple(joints)
     if not joints:
         raise InputError(
-            "the machine has no joints", code="missing-key", remedy="list at least one joint"
+            "the machine has no joint", code="missing-key", remedy="list at least one joint"
         )
     refuse_long_chain(len(joints))
     names = [joint.name for joint in joints]
     for joint in names:
         if names.count(joint) > 1:
             raise InputError(
-                f"{joint!r} names two joints", code="duplicate-name", remedy="name each differently"
+                f"two joints are named {joint!r}",
+                code="duplicate-name",
+                remedy="give each a unique name",
             )
     steps = merged([*(s for joint in joints for s in joint.steps()), *fixed_frame(*home)])
     own = [Parameter(s.parameter, 0.0, s.unit) for j in joints for s in j.own if s.parameter]

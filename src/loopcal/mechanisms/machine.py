@@ -132,10 +132,9 @@ def assemble(
     known = {name + end: u for end in ENDS[:ends] for name, u in machine.known.items()}
     if not closure and not instruments:
         raise InputError(
-            f"{machine.name!r} has no loop: nothing is read but its joints, and they may stand "
-            "anywhere",
+            f"{machine.name!r} has no loop: only its joints are read",
             code="undetermined-quantities",
-            remedy="add an instrument that looks at it",
+            remedy="add an instrument that measures it",
         )
     parameters: dict[str, Parameter] = {}
     for part in (
@@ -234,9 +233,9 @@ def _refuse_repeated(names: Sequence[str], what: str = "readings") -> None:
     for name in names:
         if names.count(name) > 1:
             raise InputError(
-                f"{name!r} names two {what} of the mechanism",
+                f"two {what} of the mechanism are named {name!r}",
                 code="duplicate-name",
-                remedy="name each differently",
+                remedy="give each a unique name",
             )
 
 
@@ -244,7 +243,7 @@ def _refuse_misfits(machine: Machine, instruments: Sequence[Instrument]) -> None
     for i in instruments:
         if i.dimension != machine.dimension:
             raise InputError(
-                f"the instrument {i.name!r} looks at machines in {i.dimension} dimensions, and "
+                f"the instrument {i.name!r} measures in {i.dimension} dimensions, but "
                 f"{machine.name!r} moves in {machine.dimension}",
                 code="unsupported",
                 remedy=f"make it for {machine.dimension} dimensions",
@@ -268,8 +267,8 @@ def _refuse_misfits(machine: Machine, instruments: Sequence[Instrument]) -> None
 
 def _refuse_shared(instrument: Instrument, other: str, shared: set[str]) -> None:
     raise InputError(
-        f"{min(shared)!r} would say both where the instrument {instrument.name!r} stands and "
-        f"{other}, which are not of the same kind",
+        f"{min(shared)!r} would be a parameter of both the placement of the instrument "
+        f"{instrument.name!r} and {other}, which are not of the same kind",
         code="duplicate-name",
-        remedy="give one of them another name; what shares a name shares its parameters",
+        remedy="rename one of them; equal names share their parameters",
     )

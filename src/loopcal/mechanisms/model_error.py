@@ -43,7 +43,7 @@ def with_model_error(mechanism: Mechanism) -> Mechanism:
     if len(units) > 1:
         both = " and ".join(sorted(units))
         raise InputError(
-            f"an error of the machine model is one sd for all outputs, and these are in {both}",
+            f"a model error is one sd for all outputs, but these are in {both}",
             code="wrong-unit",
             remedy="read points in x, y, z with the instrument's covariance, or leave it out",
         )

@@ -132,12 +132,14 @@ def joint_chain(
     for joint in names:
         if names.count(joint) > 1:
             raise InputError(
-                f"{joint!r} names two joints", code="duplicate-name", remedy="name each differently"
+                f"two joints are named {joint!r}",
+                code="duplicate-name",
+                remedy="give each a unique name",
             )
     reads = [read for joint in joints if (read := joint.reads)]
     if not reads:
         raise InputError(
-            "nothing moves between the base and the tip: all joints are fixed",
+            "all joints between the base and the tip are fixed",
             code="missing-key",
             remedy="name a base and a tip with moving joints between them",
         )

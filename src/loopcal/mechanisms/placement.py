@@ -123,7 +123,8 @@ def _transition(T: Array, own: Sequence[Step], axis: str) -> dict[str, float]:
     point, direction = T[:3, 3], T[:3, k]
     if abs(direction[k]) < 1e-9:
         raise InputError(
-            f"the {axis} axis after {own[0].parameter!r} lies in the plane that it should pierce",
+            f"the {axis} axis after {own[0].parameter!r} is parallel to the plane it must "
+            f"intersect",
             code="unsupported",
             remedy="turn the instrument's frame by about 90 degrees (a fixed motion `before` the "
             "first joint), so that the axis meets its plane",

@@ -54,9 +54,9 @@ class Redundant:
         if more := len(self.instead) - len(named):
             named.append(f"{more} more")
         if len(named) == 1:
-            return f"{self.parameter!r} is fixed: it does to the readings what {named[0]} does."
+            return f"{self.parameter!r} is fixed: indistinguishable from {named[0]}."
         together = f"{', '.join(named[:-1])} and {named[-1]}"
-        return f"{self.parameter!r} is fixed: it does to the readings what {together} do together."
+        return f"{self.parameter!r} is fixed: indistinguishable from a combination of {together}."
 
 
 def fix_redundant(
@@ -86,9 +86,10 @@ def fix_redundant(
     """
     if mechanism.home and readings is None:
         raise InputError(
-            f"the quantities of {mechanism.name!r} cannot stand anywhere: its loops tie them",
+            f"the quantities of {mechanism.name!r} cannot vary freely, because the loops "
+            f"constrain them",
             code="undetermined-quantities",
-            remedy="give readings that fit each other, say readings=simulate(...).quantities",
+            remedy="give consistent readings, such as readings=simulate(...).quantities",
         )
     kept = [name for key in keep for name in mechanism.parameters.matching(key)]
     chain = {step.parameter for step in mechanism.chain}

@@ -244,5 +244,5 @@ def _check_distinct(names: Sequence[str]) -> None:
             raise InputError(
                 f"{name!r} names two readings of the arm (joints and measured coordinates)",
                 code="duplicate-name",
-                remedy="give every joint and every coordinate a name of its own",
+                remedy="give every joint and every coordinate a unique name",
             )

@@ -110,10 +110,10 @@ def words(table: ScenarioTable) -> list[str]:
             told.append(f"{method.method} ended at another optimum in {method.other_optimum}.")
         low = [s.name for s in method.spreads if s.held < 0.9 and s.bias != 0.0]
         if low:
-            told.append(f"Intervals of {method.method} that hold too seldom: {', '.join(low)}.")
+            told.append(f"Intervals of {method.method} too narrow: {', '.join(low)}.")
         out = [s.name for s in method.spreads if s.published and s.published.outside]
         if out:
-            told.append(f"The printed draw of {method.method} does not belong: {', '.join(out)}.")
+            told.append(f"The published draw of {method.method} is an outlier in {', '.join(out)}.")
     return told
 
 
@@ -167,7 +167,7 @@ def _residuals(result: Result, poses: Sequence[str]) -> Figure | None:
     )
     if figure is None or result.fit.method.exact:
         return figure
-    closed = " That corrected readings close the loops to rounding is no accuracy."
+    closed = " Corrected readings close the loops to rounding; this does not show accuracy."
     return replace(figure, caption=figure.caption + closed)
 
 

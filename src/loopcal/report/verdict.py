@@ -32,8 +32,8 @@ def verdict(document: ResultDocument) -> Verdict:
         return Verdict(
             "bad",
             "Columns at fault: do not use this result",
-            f"{used:,} poses were read as they stand, and {faults}. Put right, the machine meets "
-            "the readings far better. Next: correct the file, or the columns in the project, and "
+            f"{used:,} poses were read as given, but {faults}. Once corrected, the machine fits "
+            f"the readings far better. Next: correct the file, or the columns in the project, and "
             "calibrate again.",
         )
     if not status.converged:
@@ -49,16 +49,16 @@ def verdict(document: ResultDocument) -> Verdict:
         reasons = "; ".join(reason for reason, _ in doubts)
         todo = "; ".join(dict.fromkeys(remedy for _, remedy in doubts))
         sentences += [f"Take care: {reasons}.", f"Next: {todo}."]
-        return Verdict("care", "Converged, to be used with care", " ".join(sentences))
-    sentences.append("Nothing in the data speaks against it: sds, poses and model agree.")
-    sentences.append("Next: put the calibrated mechanism.toml to use, and check it now and then.")
+        return Verdict("care", "Usable with care", " ".join(sentences))
+    sentences.append("Sds, poses and model are consistent.")
+    sentences.append("Next: use the calibrated mechanism.toml, and check it regularly.")
     return Verdict("good", "Converged and trustworthy", " ".join(sentences))
 
 
 def _accuracy(document: ResultDocument) -> list[str]:
     accuracy = document.accuracy
     if accuracy is None:
-        return ["Its accuracy is not known, for there are no outputs that it could predict."]
+        return ["Its accuracy is unknown: the mechanism has no outputs to predict."]
     unit = accuracy.unit
     before, after = (size(d.rms, unit) for d in (accuracy.before, accuracy.after))
     told = (
@@ -67,9 +67,9 @@ def _accuracy(document: ResultDocument) -> list[str]:
     )
     validation = document.validation
     if validation is None or validation.accuracy is None:
-        return [f"{told}; on poses not used it was not tried."]
+        return [f"{told}; it was not validated on other poses."]
     unseen = size(validation.accuracy.rms, unit)
-    return [f"{told}, and to {unseen} {unit_shown(unit)} rms on poses that the fit had not seen."]
+    return [f"{told}, and to {unseen} {unit_shown(unit)} rms on held-out poses."]
 
 
 def _doubts(document: ResultDocument) -> list[tuple[str, str]]:
@@ -84,9 +84,7 @@ def _of_data(document: ResultDocument) -> list[tuple[str, str]]:
         named = ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")
         count = f"{len(poses)} pose{'s do' if len(poses) > 1 else ' does'} not fit the others"
         worst = ", worst first" if len(poses) > 1 else ""
-        found.append(
-            (f"{count} ({named}{worst})", "look at these poses, and put right or leave out")
-        )
+        found.append((f"{count} ({named}{worst})", "inspect these poses; correct or exclude them"))
     return found
 
 
@@ -97,20 +95,20 @@ def _of_model(document: ResultDocument) -> list[tuple[str, str]]:
             unit = entry.unit
             found.append(
                 (
-                    "apart from every sensor, the model of the machine is off by an sd of "
+                    "besides the sensors, the machine model has an error with an sd of "
                     f"{size(entry.sd, unit, 3)} {unit_shown(unit)}",
-                    "look for what the model lacks (compliance, eccentric gears, drift)",
+                    "check for missing effects (compliance, eccentric gears, drift)",
                 )
             )
     for other in document.other_optima or []:
-        found.append((other.words, "say by a prior what the drawing says"))
+        found.append((other.words, "state priors from the drawing"))
     loose = document.identifiability.not_identifiable
     if loose:
         names = sorted({name for entry in loose for name in entry.combination})
         found.append(
             (
                 f"these poses do not determine {', '.join(names)}",
-                "fix or give a prior to what is not determined, or measure other poses",
+                "fix these or give them a prior, or measure other poses",
             )
         )
     chi = document.chi_squared
@@ -124,14 +122,14 @@ def _of_model(document: ResultDocument) -> list[tuple[str, str]]:
             (
                 "the corrections are larger than the stated sds allow "
                 f"(p = {chance(chi.p_value)}{more}), so the sds of the parameters are too small",
-                "check the sds of the sensors, estimate them, or allow for an error of the model",
+                "check the sds of the sensors, estimate them, or allow for a model error",
             )
         )
     if document.sensors_exact:
         found.append(
             (
-                "all sensors but the output were taken as exact",
-                "compare with the implicit loop, which weighs every sensor",
+                "all sensors except the output were taken as exact",
+                "compare with the implicit loop, which weights every sensor",
             )
         )
     return found
@@ -141,12 +139,12 @@ def _of_validation(document: ResultDocument) -> list[tuple[str, str]]:
     accuracy, validation = document.accuracy, document.validation
     found = []
     if accuracy is not None and accuracy.after.rms >= accuracy.before.rms:
-        found.append(("the calibration did not improve the accuracy", "look at the residuals"))
+        found.append(("the calibration did not improve the accuracy", "inspect the residuals"))
     if accuracy is not None and validation is None:
         found.append(
             (
-                "the accuracy is that of the poses the fit has seen",
-                "validate it on others (--folds 10)",
+                "this is in-sample accuracy; expect worse on other poses",
+                "validate it on other poses (--folds 10)",
             )
         )
         return found
@@ -155,7 +153,7 @@ def _of_validation(document: ResultDocument) -> list[tuple[str, str]]:
         found.append(
             (
                 "poses not used are predicted much worse than those used",
-                "measure more poses, or poses more like those the machine shall go to",
+                "measure more poses, or poses closer to those used in operation",
             )
         )
     return found

@@ -104,6 +104,6 @@ def _refuse_open(mechanism: Mechanism, f: Array, x: Array, poses: Sequence[str])
             f"the loops of {int(still_open.sum())} poses cannot close; at pose {poses[first]!r} "
             f"the loop equation {loop!r} stays {worst[first]:.3g} away from zero",
             code="open-loops",
-            remedy="drive the mechanism within its reach, or give better start values"
-            + ("; leave undriven as many quantities as things touch" if mechanism.implied else ""),
+            remedy="keep the mechanism within its reach, or give better start values"
+            + ("; leave one quantity undriven per contact" if mechanism.implied else ""),
         )

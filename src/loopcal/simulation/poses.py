@@ -33,9 +33,9 @@ def random_poses(
     """
     if number < 1:
         raise InputError(
-            f"{number} poses are asked for",
+            f"{number} poses are requested",
             code="invalid-value",
-            remedy="ask for one pose at least",
+            remedy="request at least one pose",
         )
     for name, (low, high) in ranges.items():
         if not (math.isfinite(low) and math.isfinite(high) and low <= high):

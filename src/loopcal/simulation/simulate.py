@@ -161,7 +161,7 @@ def _values(
     for key in [*driven.quantities, *start]:
         if key not in (*names, *mechanism.tape.known):
             raise InputError(
-                f"{key!r} is no quantity of {mechanism.name!r}",
+                f"{key!r} is not a quantity of {mechanism.name!r}",
                 code="unknown-name",
                 remedy=nearest(key, [*names, *mechanism.tape.known]),
             )
@@ -181,8 +181,8 @@ def _values(
                 f"the driven quantity {name!r} has no value at pose "
                 f"{driven.poses[int(np.argmax(missing))]!r}",
                 code="missing-reading",
-                remedy="give its true value in every pose, or leave the quantity out altogether "
-                "where the loops can say what it is",
+                remedy="give its true value in every pose, or omit the quantity if the loops "
+                "determine it",
             )
         row[:] = np.where(missing, 0.0, values)
     return x, unknown

@@ -129,7 +129,7 @@ class Check:
             lines.append(f"condition number of the poses {significant(condition, 3)}")
         lines += [self.observability.words(), self.identifiability.index.words()]
         lines += [
-            f"prediction to expect: {words} at 95 % of these poses"
+            f"expected prediction: {words} at 95 % of these poses"
             for words in usual_words(self.expected_at_poses)
         ]
         lines += self.identifiability.words()
@@ -226,7 +226,7 @@ def _verdict(problem: Problem, said: WhatDataSay, loose: set[str]) -> _Verdict:
             "undetermined",
             f"Neither these readings nor the prior determine {names}. Fix a parameter of each "
             "combination named above, state how well it is known ([prior]), or measure poses "
-            "that tell it from the others.",
+            "that distinguish it from the others.",
         )
     condition = said.condition_number
     if condition is None or condition > SCHROER:
@@ -234,9 +234,10 @@ def _verdict(problem: Problem, said: WhatDataSay, loose: set[str]) -> _Verdict:
         return _Verdict(
             "weak",
             f"The condition number of these poses {size}, and poses are good up to "
-            f"{SCHROER:.0f}: they are too alike, or their readings too few in kind. The fit will "
-            "hold near these poses only. Spread the joints over their whole ranges, above all "
-            "those that turn the parameters named above; or state what the drawing says ([prior]).",
+            f"{SCHROER:.0f}: they are too alike, or too few quantities are read. The fit will "
+            f"be valid near these poses only. Spread the joints over their whole ranges, above "
+            f"all the joints of the parameters named above; or state priors from the drawing "
+            f"([prior]).",
         )
     share = problem.equations / len(problem.free)
     if share < FEW:

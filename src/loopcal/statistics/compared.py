@@ -140,7 +140,7 @@ class Compared:
         """The answer in a sentence or two."""
         p = self.p_value
         if p is None:
-            return "Nothing that both calibrations determine could differ."
+            return "Both calibrations determine nothing that could differ."
         where = "" if self.points is None else _where(self.points)
         told = f"p = {p:.2g}"
         if p >= SIGNIFICANT:
@@ -149,7 +149,8 @@ class Compared:
         tested = [q for q in own if q.z is not None and abs(q.z) > 2.0]
         most = sorted(tested, key=lambda q: -abs(q.z or 0.0))[:_NAMED]
         named = ", ".join(f"{q.name} (z = {q.z:+.1f})" for q in most)
-        blame = f" Most: {named}." if named else " No single parameter shows it, together they do."
+        blame = f" Most: {named}." if named else " No single parameter differs significantly; "
+        "together they do."
         return (
             "The two machines differ by more than their stated uncertainty explains: "
             f"{where}{told}.{blame}"

@@ -115,9 +115,9 @@ def _points(a: Calibrated, b: Calibrated, poses: Dataset | None) -> _Points | No
     sets = [poses] if poses is not None else [c.poses for c in (a, b) if c.poses is not None]
     if not sets:
         raise InputError(
-            "no common poses are known at which the machines could be compared",
+            "the two calibrations have no common poses to compare at",
             code="mismatched-poses",
-            remedy="give poses: the readings of the joints",
+            remedy="give poses with readings of the joints",
         )
     chosen = sets if poses is not None else [_thinned(s) for s in sets]
     y_a, y_b = (np.hstack([_predicted(c.mechanism, s) for s in chosen]) for c in (a, b))
@@ -250,19 +250,19 @@ def _notes(a: Calibrated, b: Calibrated, aligned: bool) -> tuple[str, ...]:
     notes: list[str] = []
     if not aligned:
         notes.append(
-            "The parameters are compared as they stand: differences include where the "
-            "instrument stood, if it was moved in between."
+            "The parameters are compared without alignment: differences include any move of the "
+            "instrument in between."
         )
     if _share_readings(a, b):
         notes.append(
-            "Both come from the same readings, so they share the errors of these: the sds of the "
-            "differences, which take them as independent, are too large and p errs towards 1."
+            "Both come from the same readings and share their errors: the sds of the "
+            "differences, computed as if independent, are too large and p is too close to 1."
         )
     doubtful = [c.name for c in _rejected((a, b))]
     if doubtful:
         notes.append(
-            f"Chi-squared rejects the sds of {' and '.join(doubtful)} itself: the sds here are too "
-            "small, and a small p may say no more than that."
+            f"Chi-squared rejects the sds of {' and '.join(doubtful)} itself: the sds here are "
+            f"too small, and a small p may mean only that."
         )
     return tuple(notes)
 

@@ -135,9 +135,9 @@ def folds(groups: Index, number: int, seed: int) -> tuple[Index, ...]:
     _check_seed(seed)
     if number < 2 or number > len(found):
         raise InputError(
-            f"{number} folds cannot be made of {len(found)} different poses",
+            f"folds is {number}, but there are {len(found)} different poses",
             code="too-few-poses",
-            remedy=f"ask for 2 to {len(found)} folds",
+            remedy=f"use 2 to {len(found)} folds",
         )
     order = np.random.Generator(np.random.PCG64(seed)).permutation(len(found))
     order = order[np.argsort(-sizes[order], kind="stable")]

@@ -113,14 +113,14 @@ def _learned(
             continue
         ratio = sd / prior
         shown = SHOWN.get(unit, unit)
-        both = f"sd {_in(sd, shown)} {shown} of {_in(prior, shown)} known beforehand"
-        verdict = f"the data tell {name!r}"
+        both = f"sd {_in(sd, shown)} {shown} of prior {_in(prior, shown)}"
+        verdict = f"the data determine {name!r}"
         if ratio > 1.0 + 1e-6:  # only a method that leaves the prior unused gets here
-            verdict = f"{name!r} was better known before than these data tell by themselves"
+            verdict = f"{name!r} is determined more by its prior than by the data"
         elif ratio > SAYS_NOTHING:
-            verdict = f"the data say nothing about {name!r}"
+            verdict = f"the data do not determine {name!r}"
         elif ratio > SAYS_LITTLE:
-            verdict = f"the data say little about {name!r}"
+            verdict = f"the data weakly determine {name!r}"
         entries.append(Learned(name, ratio, f"{verdict}: {both}"))
     return tuple(entries)
 
@@ -131,11 +131,11 @@ def _undetermined(problem: Problem, system: Spectrum) -> list[WeakDirection]:
     found = []
     for combination in undetermined(system, problem.names):
         names = list(combination)
-        words = f"{_list(names)} cannot be told apart by these poses"
+        words = f"{_list(names)} cannot be distinguished by these poses"
         if len(names) == 1:
-            words = f"these poses say nothing about {_list(names)}"
+            words = f"these poses do not determine {_list(names)}"
         if any(prior[name] for name in names):
-            words += "; only what was known beforehand holds " + ("them" if names[1:] else "it")
+            words += "; only prior knowledge determines " + ("them" if names[1:] else "it")
         found.append(WeakDirection(dict(combination), {}, None, words))
     return found
 
@@ -166,9 +166,9 @@ def _weak_direction(
     leading = [int(i) for i in order if abs(direction[i]) >= _LEADING]
     shares = {names[i]: float(direction[i]) for i in leading}
     steps: dict[str, float] = {}
-    words = f"{_list([names[i] for i in leading])} can hardly be told apart by these poses"
+    words = f"{_list([names[i] for i in leading])} are weakly distinguished by these poses"
     if len(leading) == 1:
-        words = f"{names[leading[0]]!r} is hardly shown by these poses"
+        words = f"{names[leading[0]]!r} is weakly determined by these poses"
     words += f" (condition {significant(condition, 3)}"
     if unit_sd is not None:
         along = system.directions[:, which]

@@ -114,7 +114,9 @@ def intervals(
     """
     if not 0.0 < level < 1.0:
         raise InputError(
-            f"{level:g} is no level", code="invalid-value", remedy="give a number below 1, say 0.95"
+            f"the level is {level:g}",
+            code="invalid-value",
+            remedy="give a number between 0 and 1, say 0.95",
         )
     _check(result)
     patterns = [patterns] if isinstance(patterns, str) else list(patterns)
@@ -131,15 +133,15 @@ def intervals(
 def _check(result: Result) -> None:
     if not result.fit.method.likelihood:
         raise InputError(
-            f"the method {result.method!r} maximises no likelihood that could be profiled",
+            f"the method {result.method!r} has no likelihood to profile",
             code="unsupported",
             remedy=f"calibrate with one of {', '.join(names_where('likelihood'))}",
         )
     if result.fit.robust_loss is not None:
         raise InputError(
-            f"under the loss {result.loss!r} there is no likelihood that could be profiled",
+            f"the loss {result.loss!r} has no likelihood to profile",
             code="unsupported",
-            remedy='leave out the outliers it finds and calibrate with loss = "gaussian"',
+            remedy='exclude the outliers it finds and calibrate with loss = "gaussian"',
         )
     if not result.status.converged:
         raise InputError(

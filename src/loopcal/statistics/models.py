@@ -203,7 +203,7 @@ def _judged(models: Sequence[ComparedModel], groups: Mapping[str, int]) -> list[
         raise NoTrustworthyResult(
             "no model could be validated: " + "; ".join(f"{m.name}: {m.failed}" for m in models),
             code="not-converged",
-            remedy="calibrate one of them alone and see what its summary says",
+            remedy="calibrate one of them alone and read its summary",
         )
     common = set(known[0].poses).intersection(*(v.poses for v in known))
     if not common:

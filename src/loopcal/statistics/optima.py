@@ -105,8 +105,8 @@ def _told(result: Result, parameters: Array, chi_squared: float) -> OtherOptimum
     if chi_squared >= best:
         times = significant(math.sqrt(chi_squared / max(best, 1e-300)), 3)
         verdict = (
-            f"it would fit as well with sds {times} times as large: make sure, by the drawing or a "
-            "prior, which one is meant"
+            f"it would fit as well with sds {times} times as large: check against the drawing, "
+            f"or state a prior"
         )
     numbers = f"chi-squared {significant(chi_squared, 4)} beside {significant(best, 4)}"
     words = f"another optimum: {told}, {numbers}; {verdict}"

@@ -72,7 +72,7 @@ class Outliers:
         """In words: the rule of the tests, what it found, at most so many poses."""
         lines = [f"columns: {fault}" for fault in self.columns]
         if self.columns:
-            return [*lines, "outliers: the poses are tested once the columns are right"]
+            return [*lines, "outliers: not tested until the columns are corrected"]
         rule = f"{self.tested} poses tested, family-wise level {100 * self.level:g} %"
         if self.by_residuals:
             rule += f", residuals as scale (factor {significant(self.scale, 3)})"

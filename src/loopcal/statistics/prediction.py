@@ -143,7 +143,7 @@ class Prediction:
         parts = [("parameters", self.from_parameters), ("readings", self.from_readings)]
         for name, covariance in parts:
             if covariance is None:
-                lines.append("sd caused by readings: not known, for no sds of readings are")
+                lines.append("sd caused by readings: unknown, because their sds are unknown")
                 continue
             for group, of in zip(self.groups, self._named(), strict=True):
                 lines.append(f"sd{of} caused by {name}: {_spread(covariance, group)}")
@@ -161,9 +161,9 @@ class Prediction:
         finite = self.ratio[beyond & np.isfinite(self.ratio)]
         times = f" (up to {significant(float(finite.max()), 2)} times)" if finite.size else ""
         return [
-            f"EXTRAPOLATION  in {int(beyond.sum())} of {len(self.poses)} poses the calibration is "
-            f"far less sure than at its own poses{times}: the accuracy it states does not hold "
-            "there. Calibrate again with poses like these among the measured ones."
+            f"EXTRAPOLATION  in {int(beyond.sum())} of {len(self.poses)} poses the calibration "
+            f"is far less certain than at its own poses{times}: its stated accuracy does not "
+            f"apply there. Calibrate again with poses like these among the measured ones."
         ]
 
 
@@ -198,7 +198,7 @@ def predict(
     known = calibration if isinstance(calibration, Predictor) else predictor(calibration)
     if known is None:
         raise InputError(
-            "the mechanism names no outputs, so there is nothing to predict",
+            "the mechanism has no outputs to predict",
             code="no-outputs",
             remedy="name the quantities that its loops predict: outputs = (...)",
         )

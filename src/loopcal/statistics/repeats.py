@@ -140,7 +140,7 @@ def repeated_readings(series: Dataset | Sequence[Dataset]) -> Repeats:
     every = [series] if isinstance(series, Dataset) else list(series)
     if not every:
         raise InputError(
-            "there are no repeated readings", code="no-data", remedy="give one series at least"
+            "there are no repeated readings", code="no-data", remedy="give at least one series"
         )
     names = every[0].quantities
     for one in every:
@@ -150,7 +150,7 @@ def repeated_readings(series: Dataset | Sequence[Dataset]) -> Repeats:
                 f"{', '.join(one.quantities)}",
                 code="wrong-shape",
                 place=one.source.name,
-                remedy="name the columns that all of them have",
+                remedy="name columns that all of them have",
             )
     for one in every:
         refuse_lost(one, *lost_rows(one), "or delete the rows")
@@ -215,10 +215,10 @@ def _read(one: Dataset, name: str) -> Array:
     values = values[~np.isnan(values)]
     if len(values) < FEWEST:
         raise InputError(
-            f"{name!r} was read {len(values)} times, which says nothing of its scatter",
+            f"{name!r} was read {len(values)} times, too few to estimate its scatter",
             code="too-few-poses",
             place=one.source.name,
-            remedy=f"read one pose {FEWEST} times at least, better 20, or name other columns",
+            remedy=f"read one pose at least {FEWEST} times, better 20, or name other columns",
         )
     return values
 

@@ -31,7 +31,8 @@ def sentence(sensor: SensorScatter) -> str:
     reasons = []
     if sensor.about_mean.sd == 0.0:
         if sensor.rounding_sd is None:
-            return f"{sensor.name}: it never changed, so these readings say nothing of its sd."
+            return f"{sensor.name}: it never changed, so its sd cannot be estimated from these "
+            "readings."
         return (
             f"{its}, what rounding to {_shown(sensor.resolution, sensor)} leaves; it never "
             "changed, so its scatter is below what it can show."
@@ -69,22 +70,22 @@ def sentence(sensor: SensorScatter) -> str:
 def separated(separation: Separation) -> list[str]:
     """What the loops say of joints and instrument, as lines."""
     lines = [
-        f"Told apart by the loops ({separation.readings} rows; real motion, which all sensors see "
-        "alike, is not in these):"
+        f"Separated by the loops ({separation.readings} rows; without real motion, which all "
+        f"sensors share):"
     ]
     for group in separation.groups:
         lines.append(f"  {group.name} ({', '.join(group.quantities)}): {_separated(group)}")
     if not separation.told_apart:
         lines.append(
-            "  These readings cannot tell them apart: what one gains the other loses. Repeats of a "
+            "  These readings cannot distinguish them. Repeats of a "
             "fixed target with the machine still give the instrument's sd alone; poses with other "
             "lever arms help as well."
         )
     unsure = [group.name for group in separation.groups if group.upper is not None]
     if separation.told_apart and unsure:
         lines.append(
-            f"  The noise of {' and '.join(unsure)} is too small beside the rest to be seen here; "
-            "its bound is what can be said. A fixed target with the machine still would show it."
+            f"  The noise of {' and '.join(unsure)} is too small to detect here; only its bound "
+            f"is known. To measure it, read a fixed target with the machine at rest."
         )
     lines.append(
         "  What a joint does behind its encoder (gears, bending) counts as noise of the joints; "
@@ -104,11 +105,11 @@ def noise_table(repeats: Repeats) -> str:
         sd, why = sensor.sd, ""
         if group is not None:
             sd = group.upper if group.upper is not None else group.sd
-            why = "  # 95 % bound" if group.upper is not None else "  # told apart by the loops"
+            why = "  # 95 % bound" if group.upper is not None else "  # separated by the loops"
             if sensor.rounding_sd is not None and sensor.rounding_sd > sd:
                 sd, why = sensor.rounding_sd, "  # what its steps leave"
         if sd == 0.0:
-            lines.append(f"# {_key(sensor.name)}: it never changed, and no sd can be told")
+            lines.append(f"# {_key(sensor.name)}: it never changed, so its sd is unknown")
             continue
         if not sensor.unit:
             why += "  # no unit was stated: SI?"
@@ -175,7 +176,7 @@ def _correlated(repeats: Repeats) -> list[str]:
     if repeats.separation is None:
         lines.append(
             "Sensors that move together saw something move: these sds hold real motion as well and "
-            "are upper bounds. With --project the loops tell them apart."
+            "are upper bounds. Use --project to separate them by the loops."
         )
     return lines
 
@@ -187,9 +188,9 @@ def _separated(group: SeparatedSd) -> str:
 
     raw = f"of {text(group.raw)} raw scatter"
     if group.sd == 0.0:
-        words = f"no noise of its own found {raw}"
+        words = f"no separate noise detected {raw}"
     elif group.sd_of_sd is None:
-        words = f"sd = {text(group.sd)} {raw}, and not told apart from the rest"
+        words = f"sd = {text(group.sd)} {raw}, not distinguished from the rest"
     else:
         words = f"sd = {text(group.sd)} +- {text(group.sd_of_sd)} {raw}"
     return words if group.upper is None else f"{words}; below {text(group.upper)} (95 %)"

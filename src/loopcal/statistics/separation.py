@@ -151,10 +151,10 @@ def _miss(problem: Problem) -> float | None:
     if miss > _ELSEWHERE:
         raise InputError(
             f"the machine as described misses the measured points by up to {miss:.3g} m: the "
-            "instrument stood elsewhere, or a column or unit is wrong",
+            f"instrument was placed elsewhere, or a column or unit is wrong",
             code="implausible-readings",
             remedy="give the placement of these readings as nominal parameters, or series of three "
-            "or more poses that spread in space, so that it can be found; or leave --project out",
+            "or more poses that spread in space to determine it; or omit --project",
         )
     return miss
 
@@ -168,7 +168,7 @@ def _complete(one: Dataset, mechanism: Mechanism) -> Dataset:
             f"{int(there.sum())} rows have all of {', '.join(needed)}",
             code="missing-reading",
             place=one.source.name,
-            remedy="read all of them in three rows at least, or leave --project out",
+            remedy="read all of them in at least three rows, or omit --project",
         )
     kept = one.take(np.flatnonzero(there))
     return replace(kept, readings={q: kept[q] for q in needed}, sds={})
@@ -183,9 +183,9 @@ def _groups(mechanism: Mechanism, raw: Mapping[str, float]) -> list[SeparatedSd]
             members.setdefault((role, its), []).append(quantity)
     if not members:
         raise InputError(
-            "no quantity of the mechanism scatters in these readings",
+            "these readings show no scatter",
             code="no-data",
-            remedy="leave --project out, or give readings with all their digits",
+            remedy="omit --project, or give readings with all their digits",
         )
     several = [role for role, _ in members]
     return [

@@ -265,7 +265,7 @@ def _pooled(
         raise NoTrustworthyResult(
             f"no part could be predicted ({words}): {failed[0].reason}",
             code="not-converged",
-            remedy="use fewer parts, or see what the summary says of the fit of all poses",
+            remedy="use fewer folds, or check the summary of the fit of all poses",
         )
     if failed:
         words += f"; {len(parts)} of {len(made)} folds predicted"

@@ -120,7 +120,7 @@ def run_calibration(
     folded = run.validation is not None and run.validation.folds
     if executor and not (folded or stream or run.patterns or request.compare):
         raise UsageError(
-            "one fit of poses in memory is not shared out, and nothing else is asked for",
+            "a single fit in memory cannot use --workers or --cluster",
             remedy="add --folds N or --profile GLOB, or leave out --workers and --cluster",
         )
     return run.in_memory() if stream is None else run.streamed(stream)
@@ -359,7 +359,7 @@ def _objection(result: Result, told: Findings, require_identifiable: bool) -> st
     """Why the result must not be used, where that is so."""
     if told.outliers.columns:
         faults = "; ".join(str(fault) for fault in told.outliers.columns)
-        return f"the file has columns at fault: {faults}. Put them right in the file or in [data]"
+        return f"the file has columns at fault: {faults}. Correct them in the file or in [data]"
     if not result.status.converged:
         return f"the fit did not converge ({result.status.reason}): {result.status.message}"
     loose = result.identifiability.not_identifiable

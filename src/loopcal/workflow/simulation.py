@@ -45,10 +45,10 @@ def run_simulation(
     read = named_project(project, function)
     if read.simulation is None:
         raise InputError(
-            "the project does not say what to simulate",
+            "the project has no simulation",
             code="missing-key",
             place=read.name,
-            remedy="add [simulation.ranges], one line for every quantity that is driven",
+            remedy="add [simulation.ranges], one line per driven quantity",
         )
     noise = read.simulation.noise.noise()
     try:

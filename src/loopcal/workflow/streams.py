@@ -20,7 +20,8 @@ from loopcal.files.result.progress_file import ProgressFile
 from loopcal.files.result.residual_parts import ResidualParts, residual_part
 from loopcal.files.versions import versions
 
-DROPPED = "left by a run with another project, readings, method or version; starting anew"
+DROPPED = "left by a run with another project, readings, method or version; starting from the "
+"beginning"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +54,10 @@ def refuse_without_all_poses(project: Project, fit: Fit, asked: Mapping[str, Any
     for words, wanted in asked.items():
         if wanted:
             raise InputError(
-                f"{words} needs all poses in memory, and these come as a stream",
+                f"{words} needs all poses in memory, but they are read as a stream",
                 code="unsupported",
                 place=project.name,
-                remedy="leave it out, or thin the poses (data.every) and say stream = false",
+                remedy="leave it out, or thin the poses (data.every) and set stream = false",
             )
 
 

@@ -255,7 +255,7 @@ def test_the_28th_parameter_is_named_and_moved_least() -> None:
     assert set(loose.combination) == {"base_z", "z1"}
     # lifting the base is lowering the shoulder, so both share with opposite signs
     assert loose.combination["base_z"] == pytest.approx(-loose.combination["z1"], rel=1e-4)
-    assert "'base_z' and 'z1' cannot be told apart" in loose.words
+    assert "'base_z' and 'z1' cannot be distinguished" in loose.words
     assert result.sd["base_z"] == result.sd["z1"] == math.inf
     # only their sum is determined; what they differ by stays as it was at the start
     before = start.parameters["base_z"].nominal - start.parameters["z1"].nominal

@@ -104,37 +104,37 @@ def changed(old, new):
 
 BOMB = '<!DOCTYPE r [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
 MALFORMED = {
-    "no XML": ("joints:\n  - a", "no XML", "URDF"),
-    "cut off": (robot(LINKS)[:-9], "no XML", "URDF"),
+    "no XML": ("joints:\n  - a", "XML", "URDF"),
+    "cut off": (robot(LINKS)[:-9], "XML", "URDF"),
     "another kind": ("<sdf><model/></sdf>", "<sdf>, not <robot>", "URDF"),
     "entities": (robot(LINKS + JOINTS, BOMB), "document type", "DOCTYPE"),
     "entities in UTF-16": (robot(LINKS, BOMB).encode("utf-16"), "document type", "DOCTYPE"),
     "external": (robot(LINKS, '<!DOCTYPE r SYSTEM "http://[::1]/r">'), "document", "DOCTYPE"),
     "xacro macro": (robot('<xacro:arm name="x"/>' + LINKS + JOINTS), "xacro", "expand it"),
     "xacro formula": (changed("1 2 3", "${height} 0 0"), "formula of xacro", "expand it"),
-    "no link d": (robot(LINKS.replace('"d"', '"e"') + JOINTS), "'d', which is not", "'e'"),
-    "two links": (robot(LINKS + link("a") + JOINTS), "two links are called 'a'", "differently"),
-    "two joints": (changed('"bc"', '"ab"'), "two joints are called 'ab'", "differently"),
+    "no link d": (robot(LINKS.replace('"d"', '"e"') + JOINTS), "'d'", "'e'"),
+    "two links": (robot(LINKS + link("a") + JOINTS), "two links are called 'a'", "unique name"),
+    "two joints": (changed('"bc"', '"ab"'), "two joints are called 'ab'", "unique name"),
     "no name": (robot(LINKS + "<link/>" + JOINTS), "a link has no name", "give it one"),
     "planar": (changed("prismatic", "planar"), "'bc' has the type 'planar'", "revolute"),
     "no type": (changed(' type="prismatic"', ""), "'bc' has no type", "revolute"),
     "no child": (changed('<child link="c"/>', ""), "'bc' names no child", "<child"),
-    "zero axis": (changed("0 0 1", "0 0 0"), "no direction", "unit vector"),
+    "zero axis": (changed("0 0 1", "0 0 0"), "(0, 0, 0)", "unit vector"),
     "long axis": (changed("0 0 1", "0 3 4"), "norm 5", "0 0.6 0.8"),
     "two numbers": (changed("1 2 3", "1 2"), "xyz='1 2' is not 3", "m and rad"),
     "comma": (changed("1 2 3", "1,5 2 3"), "is not 3 finite", "m and rad"),
     "not finite": (changed("0.1 0.2 0.3", "0 nan 0"), "is not 3 finite", "m and rad"),
     "mimic of none": (changed('joint="ab"', 'joint="ob"'), "mimics 'ob'", "'ab'"),
-    "mimic of itself": (changed('joint="ab"', 'joint="cd"'), "mimics itself", "by itself"),
+    "mimic of itself": (changed('joint="ab"', 'joint="cd"'), "mimics itself", "mimic"),
     "mimic of a fixed": (
         changed('joint="ab"', 'joint="x"').replace("</robot>", joint("x", "d", "e", "", "fixed"))
         + link("e") + "</robot>", "which is fixed", "moves",
     ),
     "two parents": (
-        robot(LINKS + JOINTS + joint("ad", "a", "d")), "hangs on two joints, 'cd' and 'ad'", "tree"
+        robot(LINKS + JOINTS + joint("ad", "a", "d")), "'cd' and 'ad'", "tree"
     ),
     "circle": (
-        robot(LINKS + JOINTS.replace('parent link="a"', 'parent link="d"')), "in a circle", "parent"
+        robot(LINKS + JOINTS.replace('parent link="a"', 'parent link="d"')), "'d'", "parent"
     ),
     "circle through the base": (
         robot(LINKS + JOINTS + joint("da", "d", "a")), "lead back to it", "parent"

@@ -69,8 +69,8 @@ def test_the_station_and_rounding_are_in_the_unit_of_the_entry():
     [
         ('xyz = { tracker = "leica-at50" }', "noise.xyz.tracker", "leica-at500"),
         ("xyz = { tracker = 5 }", "noise.xyz.tracker", "name"),
-        ('x = { tracker = "leica-at500" }', "noise.x.tracker", "together"),
-        ('"q_1,q_2" = { tracker = "leica-at500" }', 'noise."q_1,q_2".tracker', "together"),
+        ('x = { tracker = "leica-at500" }', "noise.x.tracker", "not x"),
+        ('"q_1,q_2" = { tracker = "leica-at500" }', 'noise."q_1,q_2".tracker', "not q_1, q_2"),
         ('xyz = { tracker = "leica-at500", sd = 1 }', "noise.xyz", "sd"),
         ('xyz = { tracker = { range = "10 um" } }', "noise.xyz.tracker", "transverse"),
         (
@@ -81,7 +81,7 @@ def test_the_station_and_rounding_are_in_the_unit_of_the_entry():
         (
             'xyz = { tracker = { range = "10 kg", transverse = "1 um" } }',
             "noise.xyz.tracker",
-            "no length",
+            "'10 kg'",
         ),
         (
             'xyz = { tracker = { range = "10 furlong", transverse = "1 um" } }',
@@ -91,13 +91,13 @@ def test_the_station_and_rounding_are_in_the_unit_of_the_entry():
         ('xyz = { tracker = { ranje = "10 um" } }', "noise.xyz.tracker.ranje", "range"),
         ('xyz = { tracker = "leica-at500", station = [1, 2] }', "noise.xyz.station", "2 coord"),
         ('xyz = { tracker = "leica-at500", unit = "deg" }', "noise.xyz.unit", "angle"),
-        ("xyz = { station = [1, 2, 3], sd = 1 }", "noise.xyz.station", "without a tracker"),
+        ("xyz = { station = [1, 2, 3], sd = 1 }", "noise.xyz.station", "tracker"),
         ("x = { encoder = { bits = 20 } }", "noise.x.encoder", "angle"),
         ('q_1 = { encoder = { accuracy = "5 um" } }', "noise.q_1.encoder.accuracy", "length"),
         ('q_1 = { encoder = { accuracy = "5" } }', "noise.q_1.encoder", "cannot be read"),
         ("q_1 = { encoder = { bits = 0 } }", "noise.q_1.encoder.bits", "too small"),
         ("q_1 = { encoder = { bits = 20, counts = 5 } }", "noise.q_1.encoder", "both"),
-        ("q_1 = { encoder = {} }", "noise.q_1.encoder", "nothing"),
+        ("q_1 = { encoder = {} }", "noise.q_1.encoder", "encoder"),
         ('q_1 = { encoder = { bits = 3, kind = "mpe" } }', "noise.q_1.encoder", "accuracy"),
         ("q_1 = { rounded_to = -1 }", "noise.q_1.rounded_to", "too small"),
         ('q_1 = { rounded_to = 1, unit = "mm" }', "noise.q_1.unit", "length"),

@@ -119,7 +119,7 @@ def test_no_covariance_is_needed_of_what_was_not_read(tmp_path):
 @pytest.mark.parametrize(
     ("csv", "columns", "words"),
     [
-        (COVARIANCE.replace("4,1,2", "4,,2"), '["xx", "xy", "yy"]', "not there in 1 poses"),
+        (COVARIANCE.replace("4,1,2", "4,,2"), '["xx", "xy", "yy"]', "in 1 poses"),
         (COVARIANCE.replace("4,1,2", "4,9,2"), '["xx", "xy", "yy"]', "negative eigenvalue"),
         (COVARIANCE, '["xx", "xy", "xy", "yz"]', "'yz'"),
         (COVARIANCE, '["xx", "X", "yy"]', "twice"),

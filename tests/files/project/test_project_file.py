@@ -196,7 +196,7 @@ def test_a_project_without_mechanism_takes_a_whole_one():
         ("schema = 1", None, "standard input", "describes no mechanism"),
         ("schema = 1", loops, "standard input", "declares no quantities"),
         (PLANAR, loops, "mechanism", "a function is named"),
-        (FUNCTION, None, "mechanism", "none is named"),
+        (FUNCTION, None, "mechanism", "Python function"),
         (FUNCTION.replace("gain", "gian"), loops, "mechanism", "gain"),
         (FUNCTION.replace('unit = "mm", ', ""), loops, "parameters.shift", "without a unit"),
         (FUNCTION.replace("value = 2, ", ""), loops, "parameters.gain", "without a value"),

@@ -88,7 +88,7 @@ def test_a_covariance_of_the_data_may_be_replaced_for_the_simulation():
         ("poses = 3", "simulation", "'ranges' is missing"),
         ("poses = 3\nranges = {}", "simulation.ranges", "too few"),
         (f"poses = 0\n{BOTH}", "simulation.poses", "too small"),
-        (BOTH, "simulation", "how many poses"),
+        (BOTH, "simulation", "number of poses"),
         (f"poses = {10**12}\n{BOTH}", "simulation.poses", "more than"),
         ("poses = 1\nranges = { phi2 = { from = 0, to = 1 } }", "simulation.ranges", "'phi3'"),
         ("ranges = { phi4 = { from = 0, to = 1 } }", "simulation.ranges.phi4", "no quantity"),
@@ -123,7 +123,7 @@ def test_a_covariance_of_the_data_may_be_replaced_for_the_simulation():
         (
             f"poses = 1\n{BOTH}noise = {{ xPyP = {{ covariance_columns = [1, 2, 3] }} }}",
             "simulation.noise.xPyP",
-            "no noise to simulate",
+            "covariance from columns",
         ),
     ],
 )

@@ -108,7 +108,7 @@ def test_broken_files(save, keep):
     with pytest.raises(InputError) as caught:
         read_dataset(path)
     assert "arm.mat" in str(caught.value)
-    assert ("empty" if not keep else "no MATLAB file") in str(caught.value)
+    assert ("empty" if not keep else "MATLAB file") in str(caught.value)
 
 
 def test_garbage_of_any_kind_is_refused(tmp_path):

@@ -98,7 +98,7 @@ def test_broken_files(path, keep):
     with pytest.raises(InputError) as caught:
         read_dataset(path)
     assert "arm.parquet" in str(caught.value)
-    assert ("empty" if not keep else "no Parquet file") in str(caught.value)
+    assert ("empty" if not keep else "Parquet") in str(caught.value)
 
 
 def test_a_file_without_rows(tmp_path):

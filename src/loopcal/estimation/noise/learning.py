@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from loopcal.document.fit import NoiseEntry
 from loopcal.errors import InputError
-from loopcal.estimation.noise.estimation import EstimatedSd, NoiseEstimate
-from loopcal.estimation.noise.variance_components import Component
 from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.presentation.shown import with_unit
+
+if TYPE_CHECKING:
+    from loopcal.estimation.noise.estimation import EstimatedSd, NoiseEstimate
+    from loopcal.estimation.noise.variance_components import Component
 
 
 def with_model(mechanism: Mechanism, data: Dataset, noise: Noise) -> tuple[Mechanism, Dataset]:
@@ -34,6 +37,8 @@ def components(problem: Problem, noise: Noise) -> tuple[Component, ...]:
     Raises InputError for a quantity that has no sd to begin from, and for a part of quantities
     that share a covariance.
     """
+    from loopcal.estimation.noise.variance_components import Component
+
     quantities = problem.mechanism.tape.quantities
     owner: dict[int, str] = {}
     for key, how in noise.estimate.items():
@@ -53,7 +58,7 @@ def components(problem: Problem, noise: Noise) -> tuple[Component, ...]:
         if touched and not any(set(block.indices) <= set(c.quantities) for c in found):
             shared = ", ".join(quantities[i] for i in block.indices)
             raise InputError(
-                f"{shared} share a covariance, so their sds have one factor",
+                f"{shared} share a covariance, so their sds can only be scaled together",
                 code="invalid-covariance",
                 remedy=f'estimate them together: estimate = "group" for {shared}',
             )
@@ -67,9 +72,9 @@ def _check_start(problem: Problem, position: int) -> None:
         return
     name = problem.mechanism.tape.quantities[position]
     raise InputError(
-        f"the sd of {name!r} is to be estimated and has no size to begin from",
+        f"the sd of {name!r} cannot be estimated without a start value",
         code="missing-sd",
-        remedy=f"state a rough sd of {name!r} above zero, or leave its estimate out",
+        remedy=f"state a rough sd of {name!r} above zero, or do not estimate it",
     )
 
 
@@ -141,9 +146,9 @@ def words(
     for entry in noise:
         if entry.role == "disturbance" and sum(shares[q] for q in entry.quantities) > 0.5:
             said.append(
-                "The machine model limits the accuracy, not a sensor: in each coordinate an error "
-                f"of {with_unit(entry.sd, entry.unit, 2, fine=True)} remains that no sensor noise "
-                "explains. Look for what the model lacks (compliance, gear or encoder "
+                "The machine model limits the accuracy, not a sensor: sensor noise does not "
+                f"explain an error of {with_unit(entry.sd, entry.unit, 2, fine=True)} in each "
+                "coordinate. Check for missing effects (compliance, gear or encoder "
                 "eccentricity, drift, bad poses)."
             )
     for one, other in estimate.alike:
@@ -158,7 +163,7 @@ def words(
             said.append(f"{names}: noise not detectable (sd below {bound} with 95 % confidence).")
     if not estimate.settled:
         said.append(
-            "The learnt sds did not settle and are rough values. State more of the sds; where the "
-            "fit did not converge, first make it converge with stated sds."
+            "The estimated sds did not converge and are rough. State more of the sds; if the "
+            "fit did not converge, first calibrate with stated sds."
         )
     return tuple(said)

@@ -133,8 +133,8 @@ def estimate_ratios(
         current = fit(model, ratios)
     if current is None:
         raise NoTrustworthyResult(
-            "the sds cannot be learnt: where the fit ended, the loops have no usable noise model",
-            remedy="calibrate with stated sds first, and see whether that converges",
+            "the sds cannot be estimated: the loops have no usable noise model where the fit ended",
+            remedy="calibrate with stated sds first and check that the fit converges",
         )
     for _ in range(_MOST):
         step = _scoring_step(current, ratios, lowest, free)

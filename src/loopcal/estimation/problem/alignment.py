@@ -48,8 +48,8 @@ def align(points: Array, targets: Array) -> RigidMotion:
     R, shift, s = _nearest(P, T)
     if s[d - 2] <= 1e-9 * max(float(s[0]), 1e-300):
         raise InputError(
-            "the measured points lie on a line or coincide, so they do not show how the "
-            "instrument stands",
+            "the measured points coincide or lie on a line, so they do not determine the "
+            "instrument's orientation",
             code="too-few-poses",
             remedy="measure poses that spread in space, or start from the nominal placement",
         )

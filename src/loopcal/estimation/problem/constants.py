@@ -49,7 +49,7 @@ def known_constants(mechanism: Mechanism, data: Dataset) -> Array:
                 else f"pose {data.poses[int(np.argmax(np.isnan(values)))]!r} lacks it"
             )
             raise InputError(
-                f"the known constant {name!r} must be there in every pose ({which})",
+                f"the known constant {name!r} is missing in some poses ({which})",
                 code="missing-reading",
                 remedy="name its column, or exclude the poses without it",
             )
@@ -68,8 +68,8 @@ def _refuse_other_directions(data: Dataset, name: str) -> None:
             f"no direction in {wrong.size} of {len(data)} poses",
             code="invalid-value",
             place=data.place(int(wrong[0]), name),
-            remedy="give 1 where the reading grew until it stopped, -1 where it fell, 0 where the "
-            "play was taken out",
+            remedy="give 1 for an approach with a growing reading, -1 for a falling one, 0 "
+            "where backlash was removed",
         )
 
 
@@ -82,7 +82,7 @@ def _orientation(orientation: Orientation, data: Dataset) -> dict[str, Array]:
     filled = {name: np.where(lost, anywhere[name], values) for name, values in given.items()}
     for i in orientation.senseless(filled)[:1]:
         raise InputError(
-            f"the quaternion {', '.join(orientation.columns)} is 0 and says of no orientation",
+            f"the quaternion {', '.join(orientation.columns)} is 0, which is no orientation",
             code="lost-reflector",
             place=data.place(int(i), orientation.columns[0]),
             remedy="leave its numbers blank (NaN) where no orientation was measured",

@@ -60,17 +60,17 @@ def _without_redundancy(mechanism: Mechanism, patterns: Sequence[Pattern]) -> In
     """Sensors that just say where the machine stands leave nothing to learn from."""
     if not patterns:
         return InputError(
-            "no pose has readings from which a loop could be closed",
+            "no pose has enough readings to close a loop",
             code="no-data",
-            remedy="give the columns of the instrument's readings, or measure with it",
+            remedy="name the columns of the instrument's readings",
         )
     pattern = patterns[0]
     names = _unmeasured(mechanism, pattern)
     unread = f" such as {names[0]}" if names else ""
     return InputError(
         f"{mechanism.name!r} cannot be calibrated from these sensors: its calibration "
-        f"index is {_words(mechanism, pattern)}. They measure where the machine stands and nothing "
-        "else, so any parameters would fit",
+        f"index is {_words(mechanism, pattern)}. They measure only the position of the machine, "
+        f"so any parameters would fit",
         code="undetermined-quantities",
         remedy="add an instrument, or read a passive joint or another quantity that has no sensor"
         f"{unread}: each adds one equation to every pose",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.problem.constants import known_constants, with_implied
 from loopcal.estimation.problem.enough import refuse_too_few, refuse_without_redundancy
+from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
 from loopcal.estimation.problem.patterns import Pattern, Poses, held_loops, patterns_of
 from loopcal.estimation.problem.size import refuse_without_length
 from loopcal.estimation.problem.unknowns import Unknowns
@@ -116,8 +117,10 @@ def build_problem(
     [SI] to begin from, where not the nominal ones; whole: these are all poses, not a chunk of them.
 
     Raises InputError where readings or sds are missing, a unit does not fit, there are fewer
-    equations than parameters, or nothing says how large the machine is.
+    equations than parameters, nothing says how large the machine is, or parallel axes are described
+    by parameters that have no solution.
     """
+    refuse_parallel_axes(mechanism)
     quantities = mechanism.tape.quantities
     dataset = with_implied(mechanism, dataset)
     _check_units(mechanism, dataset)
@@ -132,9 +135,9 @@ def build_problem(
     free = np.array([i for i, p in enumerate(parameters) if not p.fixed], dtype=np.intp)
     if not free.size:
         raise InputError(
-            "no parameter is left to estimate",
+            "every parameter is fixed, so there is nothing to estimate",
             code="no-free-parameter",
-            remedy="set at least one parameter free",
+            remedy="free at least one parameter",
         )
     estimated = [p for p in parameters if not p.fixed]
     problem = Problem(
@@ -205,9 +208,9 @@ def _check_units(mechanism: Mechanism, dataset: Dataset) -> None:
         given = dataset.units.get(name)
         if given is not None and given != unit:
             raise InputError(
-                f"the readings of {name!r} are in {given}, the mechanism reads {name!r} in {unit}",
+                f"the readings of {name!r} are in {given}, but the mechanism needs {unit}",
                 code="wrong-unit",
-                remedy=f"give column {name!r} a unit that can be turned into {unit}",
+                remedy=f"state a unit for column {name!r} that converts to {unit}",
             )
 
 

@@ -48,12 +48,11 @@ def refuse_without_length(mechanism: Mechanism, readings: Array, known: Array, s
     longest = max(links, key=lambda p: abs(p.nominal)).name
     listed = ", ".join(names[i] for i in lengths)
     raise InputError(
-        f"no length is measured: by construction 0 is read of {listed}, and would be of a machine "
-        "of any size",
+        f"no reading determines the size of the machine: {listed} read 0 by construction",
         code="unknown-size",
-        remedy=f"hold a length that is known, say {longest} = {{ fixed = true }} under "
-        "[parameters], or give it a prior sd; or measure one, with a ball-bar of known length or "
-        "as the distance of two poses",
+        remedy=f"fix a known length, say {longest} = {{ fixed = true }} under "
+        "[parameters], or give it a prior sd; or measure a length, such as a ball-bar or the "
+        "distance between two poses",
     )
 
 

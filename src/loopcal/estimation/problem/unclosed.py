@@ -54,5 +54,5 @@ def open_loops(problem: Problem) -> InputError | None:
         f"{worst[2]!r} the loop {worst[1]!r} stays {worst[0]:.3g} away from zero",
         code="open-loops",
         remedy="check the units of the readings and the nominal values of the parameters in that "
-        "loop, above all lengths and offsets; check that `home` is where the machine stands",
+        "loop, above all lengths and offsets; check that `home` is near the measured poses",
     )

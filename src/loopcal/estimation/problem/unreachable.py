@@ -40,17 +40,16 @@ def refuse_unreachable(problem: Problem, parameters: Array) -> None:
             continue
         names = [q for q in family.readings if q in problem.mechanism.outputs]
         words = [
-            f"pose {problem.pose(int(i))!r} ({', '.join(names)} tell of a point "
-            f"{significant(off[i], 3)} m from where the machine puts it)"
+            f"pose {problem.pose(int(i))!r} ({', '.join(names)} place the point "
+            f"{significant(off[i], 3)} m from the machine's prediction)"
             for i in far[:_NAMED]
         ]
         more = f" and {len(far) - _NAMED} more" if len(far) > _NAMED else ""
         raise InputError(
-            f"readings that the machine cannot have given: {'; '.join(words)}{more}; "
-            f"half of the points have no coordinate beyond {significant(size, 3)} m",
+            f"implausible readings: {'; '.join(words)}{more}; half of the points have all "
+            f"coordinates within {significant(size, 3)} m",
             code="implausible-readings",
-            remedy="correct the readings of these poses, leave single ones blank, or leave the "
-            "poses out (data.exclude)",
+            remedy="correct or blank these readings, or exclude the poses (data.exclude)",
         )
 
 

@@ -63,9 +63,8 @@ def outside_domain(problem: Problem, parameters: Array) -> InputError:
 def cannot_close(singular: Failed) -> InputError:
     """What to report of poses in which a loop equation has nothing that could be corrected."""
     return InputError(
-        f"the loops of {singular.count} poses cannot close, the first is pose "
-        f"{singular.poses[0]!r}: some equation there contains no uncertain quantity that could be "
-        "corrected",
+        f"the loops of {singular.count} poses cannot close, first at pose "
+        f"{singular.poses[0]!r}: one equation contains no uncertain quantity",
         code="open-loops",
         remedy="give at least one quantity of every loop equation an sd above zero",
     )

@@ -53,7 +53,8 @@ class _Blas:
         with self.lock:
             if not self.holders:
                 blas = _controller("scipy.special" in sys.modules or "scipy.linalg" in sys.modules)
-                self.limit.enter_context(blas.limit(limits=1, user_api="blas"))
+                if _threaded(blas):  # to set the limit takes as long as a small block
+                    self.limit.enter_context(blas.limit(limits=1, user_api="blas"))
             self.holders += 1
 
     def release(self) -> None:
@@ -63,6 +64,11 @@ class _Blas:
                 _disown()
                 self.limit.close()
                 _disown()
+
+
+def _threaded(blas: ThreadpoolController) -> bool:
+    """Whether any linear algebra runs on several threads."""
+    return any(lib.user_api == "blas" and lib.num_threads != 1 for lib in blas.lib_controllers)
 
 
 def _disown() -> None:

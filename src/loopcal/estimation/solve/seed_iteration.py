@@ -34,7 +34,7 @@ def iterate_undamped(
     """
     if any(pattern.unmeasured for pattern in problem.patterns):
         raise InputError(
-            "the undamped iteration of the seed knows no unmeasured quantities",
+            "the undamped iteration of the thesis cannot handle unmeasured quantities",
             code="unsupported",
             remedy='use method = "implicit-loop"',
         )

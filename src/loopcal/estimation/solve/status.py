@@ -20,7 +20,7 @@ REASONS = {
         "Start nearer, give them a prior sd, or fix them."
     ),
     "diverged": (
-        'The undamped iteration ran away. Use method "implicit-loop", which damps its steps, '
+        'The undamped iteration diverged. Use method "implicit-loop", which damps its steps, '
         "or start nearer."
     ),
     "cannot_close": (
@@ -58,6 +58,7 @@ def weakness(names: tuple[str, ...]) -> str:
     if not names:
         return ""
     return (
-        f"These poses hardly tell apart {', '.join(names)}: fix one of them or give it a prior sd, "
+        f"These poses weakly distinguish {', '.join(names)}: fix one of them or give it a prior "
+        f"sd, "
         'and describe axes that are nearly parallel by the form "hayati" or by transitions.'
     )

@@ -60,7 +60,7 @@ def calibrate_stream(
     Raises InputError as `calibrate` does, and for what needs all poses at once.
     """
     if not stream.count:
-        raise InputError("the stream has no poses", code="no-data", remedy="give one pose at least")
+        raise InputError("the stream has no poses", code="no-data", remedy="give at least one pose")
     first, fit = stream.chunk(0), fit or Fit()
     refuse_unstreamable(fit)
     _refuse_estimates(fit, first.noise)
@@ -124,23 +124,25 @@ def refuse_unstreamable(fit: Fit) -> None:
     if not fit.method.streamable:
         known = " or ".join(map(repr, names_where("streamable")))
         raise InputError(
-            f"the method {fit.method.name!r} needs all poses in memory, and these come as a stream",
+            f"the method {fit.method.name!r} needs all poses in memory, but they are read as a "
+            f"stream",
             code="unsupported",
-            remedy=f"use {known}, or thin the poses (data.every) and say stream = false",
+            remedy=f"use {known}, or thin the poses (data.every) and set stream = false",
         )
     if not isinstance(fit.start, str):
         raise InputError(
-            "a start by parameter values needs all poses in memory, and these come as a stream",
+            "starting from parameter values needs all poses in memory, but they are read as a "
+            "stream",
             code="unsupported",
-            remedy="leave it out, or thin the poses (data.every) and say stream = false",
+            remedy="leave it out, or thin the poses (data.every) and set stream = false",
         )
 
 
 def _refuse_estimates(fit: Fit, noise: Noise) -> None:
     if noise.estimate and not fit.method.exact:
         raise InputError(
-            "sds are learnt from poses in memory, and these come as a stream",
+            "estimating sds needs all poses in memory, but they are read as a stream",
             code="unsupported",
-            remedy="learn them from a part of the poses (data.every, stream = false), and state "
-            "them here",
+            remedy="estimate them from thinned poses (data.every, stream = false) and state the "
+            "result here",
         )

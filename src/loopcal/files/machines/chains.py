@@ -79,7 +79,7 @@ def urdf(model: Urdf, units: Mapping[str, str], place: Place) -> Mechanism:
     if (model.file is None) == (model.joint is None):
         words = "neither a file nor joints are" if model.file is None else "a file and joints are"
         raise InputError(
-            f"{words} given, and one of the two says what the robot is",
+            f"{words} given, but exactly one of the two must describe the robot",
             code="conflicting-keys",
             place=str(place.at("joint" if model.joint else "file")),
             remedy='name the robot: file = "robot.urdf", with its links base and tip',
@@ -97,7 +97,7 @@ def _of_file(model: Urdf, place: Place) -> Any:
     for key in ("base", "tip"):
         if getattr(model, key) is None:
             raise InputError(
-                f"the link {key!r} is not named",
+                f"no link is named as {key!r}",
                 code="missing-key",
                 place=str(place),
                 remedy=f'name a link of the robot: {key} = "..."; the joints from base to tip are '

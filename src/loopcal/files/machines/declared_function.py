@@ -74,7 +74,7 @@ def _function(
 ) -> Mechanism:
     if function is None:
         raise InputError(
-            "the loops of this mechanism are a Python function, and none is named",
+            "the loops of this mechanism are a Python function, but no function is named",
             code="missing-key",
             place=str(place),
             remedy="name it on the command line: --mechanism FILE.py:FUNCTION",
@@ -116,8 +116,9 @@ def _refuse_other_quantities(model: Function, mechanism: Mechanism, place: Place
             if stated[name] != its.get(name):
                 its_own = f"{name!r} in {its[name]}" if name in its else f"no {name!r}"
                 raise InputError(
-                    f"{name!r} is declared in {stated[name]}, the mechanism named has {its_own}",
+                    f"{name!r} is declared in {stated[name]}, but the named mechanism has it in "
+                    f"{its_own}",
                     code="wrong-unit",
                     place=str(place.at(key, name)),
-                    remedy="leave the declaration to one of both",
+                    remedy="declare it in only one of them",
                 )

@@ -96,7 +96,7 @@ def mechanism_from_data(
         return declared_function(model, function, parameters or {}, place)
     if function is not None:
         raise InputError(
-            f"this describes a mechanism of the type {kind!r}, and a function is named as well",
+            f"this describes a mechanism of type {kind!r}, but a function is named as well",
             code="conflicting-keys",
             place=str(place),
             remedy='leave the function out, or describe the mechanism as type = "function"',

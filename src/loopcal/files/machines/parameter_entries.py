@@ -36,8 +36,8 @@ def in_si(
     given = unit(stated or units.get(expected.dimension, si))
     if given.dimension != expected.dimension:
         raise InputError(
-            f"{given.name} is a unit of {given.dimension}, and this is of the dimension "
-            f"{expected.dimension} ({expected.si})",
+            f"{given.name} is a unit of {given.dimension}, but this needs {expected.dimension} "
+            f"({expected.si})",
             code="wrong-unit",
             place=str(place),
             remedy=f"give a unit of {expected.dimension}, or none for {expected.si}",
@@ -71,7 +71,7 @@ def changed(
                 changes[name]["fixed"] = entry.fixed
             if changes[name].get("prior_sd") == 0.0 and changes[name].get("fixed") is False:
                 raise InputError(
-                    f"the sd of {name!r} is 0, which fixes it, and fixed = false sets it free",
+                    f"the sd of {name!r} is 0, which fixes it, but fixed = false frees it",
                     code="conflicting-keys",
                     place=str(here),
                     remedy="give a positive sd, or leave fixed = false out",

@@ -99,5 +99,5 @@ def _failure(error: Exception, path: Path) -> InputError:
         f"{type(error).__name__}: {what}",
         code="failing-function",
         place=f"{path}, line {line}" if line else str(path),
-        remedy="mend the file",
+        remedy="correct the file",
     )

@@ -32,7 +32,7 @@ def read_xml(path: str | Path, tag: str, remedy: str) -> Any:
         root = etree.fromstring(content, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
         raise InputError(
-            f"this is no XML: {error}", code="wrong-file-type", place=name, remedy=remedy
+            f"this is not XML: {error}", code="wrong-file-type", place=name, remedy=remedy
         ) from None
     if root.getroottree().docinfo.doctype:  # in an encoding that hid it
         raise _document_type(name)
@@ -63,7 +63,8 @@ def at(element: Any, file: str) -> str:
 
 def _document_type(name: str) -> InputError:
     return InputError(
-        "this XML has a document type, which could make a reader fetch or expand things",
+        "this XML has a document type, which is refused because it can load or expand external "
+        "content",
         code="wrong-file-type",
         place=name,
         remedy="delete <!DOCTYPE ...> from the file",
@@ -83,9 +84,9 @@ def _content(path: str | Path) -> bytes:
     content = bytes_of(path, MOST_BYTES)
     if len(content) > MOST_BYTES:
         raise InputError(
-            f"this file is larger than {MOST_BYTES // 1_000_000} MB, too large for a robot",
+            f"this file is larger than {MOST_BYTES // 1_000_000} MB, the limit for a robot",
             code="too-large",
             place=shown(path),
-            remedy="meshes belong in files of their own",
+            remedy="keep meshes in separate files",
         )
     return content

@@ -156,7 +156,7 @@ def _refuse_own_point(model: Serial, place: Place) -> None:
     for key in ("base", "point"):
         if key in model.model_fields_set:
             raise InputError(
-                f"{key!r} describes the one instrument of a file that lists none",
+                f"{key!r} is only for a file without [[instrument]]",
                 code="conflicting-keys",
                 place=str(place.at(key)),
                 remedy="give it to an instrument (station, readings), with nominal values in "
@@ -189,10 +189,10 @@ def _refuse_repeated(joints: list[str], point: list[str], place: Place) -> None:
         if name in seen:
             here = place.at("joint", i, "name") if i < len(joints) else place.at("point")
             raise InputError(
-                f"{name!r} names two quantities",
+                f"two quantities are named {name!r}",
                 code="duplicate-name",
                 place=str(here),
-                remedy="name each differently",
+                remedy="give each a unique name",
             )
         seen.add(name)
 

@@ -18,7 +18,7 @@ from loopcal.mechanisms.chain import refuse_long_chain
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.origins import KINDS, LinkJoint, Mimic, joint_chain
 
-_NO_URDF = "name a URDF file, as xacro or a CAD exporter writes it (of SDF or MJCF make one first)"
+_NO_URDF = "name a URDF file, as written by xacro or a CAD exporter (convert SDF or MJCF first)"
 _EXPAND = "expand it first (xacro robot.urdf.xacro > robot.urdf) and name the result"
 
 
@@ -108,7 +108,7 @@ class _Robot:
             above = self.above.get(link, ())
             if not above:
                 raise InputError(
-                    f"the link {tip!r} is not below {base!r}: up from it come {listed(passed)}",
+                    f"the link {tip!r} is not below {base!r}; above it are {listed(passed)}",
                     code="unknown-name",
                     place=self.file,
                     remedy=f"name one of these as the base, or a tip below {base!r}",
@@ -118,7 +118,7 @@ class _Robot:
                 _refuse(
                     above[1],
                     self.file,
-                    f"the link {link!r} hangs on two joints, {names}; a URDF is a tree",
+                    f"the link {link!r} has two parent joints, {names}; a URDF is a tree",
                     "describe closed loops as a machine of their own type, or delete one joint",
                 )
             found.append(above[0])
@@ -127,7 +127,7 @@ class _Robot:
                 _refuse(
                     above[0],
                     self.file,
-                    f"the joints above {tip!r} go round in a circle through {link!r}",
+                    f"the joints above {tip!r} form a cycle through {link!r}",
                     "correct the parent of one of them",
                 )
             passed[link] = None
@@ -186,8 +186,8 @@ class _Robot:
             _refuse(
                 element,
                 self.file,
-                f"the joint {element.get('name')!r} has the {tag} link {found[0]!r}, which is "
-                "not there",
+                f"the joint {element.get('name')!r} has the {tag} link {found[0]!r}, which does "
+                f"not exist",
                 nearest(found[0], self.links),
             )
         return str(found[0])
@@ -202,7 +202,7 @@ class _Robot:
             _refuse(
                 stated[0],
                 self.file,
-                f"the joint {met[-1]!r} mimics {followed!r}, which is not there",
+                f"the joint {met[-1]!r} mimics {followed!r}, which does not exist",
                 nearest(str(followed), self.joints),
             )
         if followed in met:
@@ -210,7 +210,7 @@ class _Robot:
                 stated[0],
                 self.file,
                 f"the joint {met[0]!r} mimics itself, through {', '.join(map(repr, met))}",
-                "let one of them be moved by itself",
+                "remove the mimic of one of them",
             )
         target = self.joints[followed]
         kind = self._kind(target)
@@ -275,7 +275,7 @@ def _named(elements: Iterable[Any], file: str) -> dict[str, Any]:
                 element,
                 file,
                 f"two {what}s are called {name!r}, the first in line {found[name].sourceline}",
-                "name each differently",
+                "give each a unique name",
             )
         found[name] = element
     return found

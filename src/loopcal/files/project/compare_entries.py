@@ -29,7 +29,7 @@ def compare_spec(
                 f"{model.name!r} names two models",
                 code="duplicate-name",
                 place=str(here.at("name")),
-                remedy="name each differently",
+                remedy="give each a unique name",
             )
         found[model.name] = Model(tuple(model.effects), tuple(model.fixed))
         try:

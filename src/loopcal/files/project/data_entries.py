@@ -57,10 +57,10 @@ def data_files(entry: DataEntry, mechanism: Mechanism, noise: NoiseSpec, place: 
             known = [f.name for f in mechanism.families if implied_by(mechanism, f.name)]
             if name not in known:
                 raise InputError(
-                    f"there is no instrument {name!r} that is used without reading",
+                    f"there is no instrument {name!r} without readings",
                     code="unknown-name",
                     place=str(here.at("instrument")),
-                    remedy=nearest(name, known) if known else "leave instrument out",
+                    remedy=nearest(name, known) if known else "remove instrument",
                 )
         joins.append(_file(other, units, here, instruments=tuple(other.instrument)))
     main = _file(entry, units, place, joins=tuple(joins))
@@ -143,7 +143,7 @@ def _file(
         of_sds = (given.sd_unit, given.sd_at_least, given.coverage)
         if given.sd_column is None and any(stated is not None for stated in of_sds):
             raise InputError(
-                "sd_unit, sd_at_least and coverage say nothing without a column of sds",
+                "sd_unit, sd_at_least and coverage need a column of sds",
                 code="conflicting-keys",
                 place=str(at),
                 remedy='name the column: sd_column = "..."',

@@ -33,11 +33,11 @@ def tracker_of(
     native = [units[n] for n in names] == ["m", "rad", "rad"][: len(names)]
     if len(names) not in (2, 3) or not (native or {units[n] for n in names} == {"m"}):
         raise InputError(
-            "a tracker measures the coordinates of a point together, or its range, azimuth and "
-            f"elevation, and {', '.join(names)} are not that",
+            "a tracker measures the coordinates of a point, or its range, azimuth and "
+            f"elevation, not {', '.join(names)}",
             code="wrong-shape",
             place=str(here),
-            remedy='name them in their order, say "x,y,z" or xyz',
+            remedy='name them in order, say "x,y,z" or xyz',
         )
     if entry.sd is not None or entry.encoder is not None:
         other = "sd" if entry.sd is not None else "encoder"
@@ -86,7 +86,7 @@ def sd_of(entry: NoiseEntry, si: str, place: Place) -> float:
 def _encoder(entry: EncoderEntry, si: str, place: Place) -> float:
     if (entry.bits is not None or entry.counts is not None) and si != "rad":
         raise InputError(
-            f"bits and counts per turn are those of an angle, and this is of the dimension "
+            f"bits and counts per turn are for angles, but this is of dimension "
             f"{unit(si).dimension}",
             code="wrong-unit",
             place=str(place),

@@ -20,7 +20,7 @@ def write_new_project(folder: str | Path, kind: str) -> tuple[Path, ...]:
     for name in files:
         if (folder / name).exists():
             raise InputError(
-                "there is such a file already, and it is left as it is",
+                "the file exists and was not changed",
                 code="unwritable-file",
                 place=str(folder / name),
                 remedy="give the project another name",

@@ -83,7 +83,7 @@ class NoiseSpec:
             if isinstance(value, CovarianceColumns):
                 if covariances is None or value.quantities not in covariances:
                     raise InputError(
-                        "a covariance from columns of the data is no noise to simulate",
+                        "a covariance from columns of the data cannot be simulated",
                         code="unsupported",
                         place=value.place,
                         remedy="state the noise of the simulation in [simulation.noise]",
@@ -134,7 +134,7 @@ def _kind(entry: NoiseEntry, place: Place) -> str:
         given, kinds = ["tracker", *given], ["tracker"]  # which says what it cannot go with
     elif entry.station is not None:
         raise InputError(
-            "a station is stated without a tracker",
+            "station needs a tracker",
             code="conflicting-keys",
             place=str(place.at("station")),
             remedy='name the tracker, say tracker = "leica-at500"',
@@ -168,7 +168,7 @@ def _covariance(
             f"a covariance of {' and '.join(sorted(dimensions))} cannot be in {entry.unit}",
             code="wrong-unit",
             place=str(place.at("unit")),
-            remedy="leave the unit out and give the covariance in SI (m, rad)",
+            remedy="remove unit and give the covariance in SI (m, rad)",
         )
     for name in names:
         in_si(1.0, entry.unit, units[name], place.at("unit"))

@@ -97,7 +97,7 @@ def _read(
             f"there is no file {str(path)!r} yet",
             code="missing-file",
             place=str(place.at("file")),
-            remedy=f"make it: loopcal simulate {project.path or '-'} --out {path} --seed 1",
+            remedy=f"create it: loopcal simulate {project.path or '-'} --out {path} --seed 1",
         )
     if not spec.joins:
         columns = {**spec.columns, **aside}
@@ -129,7 +129,7 @@ def _part(project: Project, spec: DataSpec, path: Path, aside: Mapping[str, Colu
     pose = spec.options["pose"]
     if pose is None:
         raise InputError(
-            "the readings of several files are joined by the ids of their poses",
+            "joining several files needs pose ids",
             code="mismatched-poses",
             place=str(path),
             remedy='name the column of the ids: pose = "..."; or state pose = 0 for each file, '
@@ -176,11 +176,11 @@ def _covariance(block: CovarianceColumns, values: Array, dataset: Dataset) -> Ar
     if gaps.any():
         first = int(np.argmax(gaps))
         raise InputError(
-            f"the covariance of {', '.join(block.quantities)} is not there in {int(gaps.sum())} "
-            f"poses, the first being {dataset.poses[first]!r}",
+            f"the covariance of {', '.join(block.quantities)} is missing in {int(gaps.sum())} "
+            f"poses, first in {dataset.poses[first]!r}",
             code="missing-reading",
             place=dataset.place(first),
-            remedy="fill the columns, or leave these poses out (data.exclude)",
+            remedy="fill the columns, or exclude these poses (data.exclude)",
         )
     try:
         Noise({block.quantities: matrices})

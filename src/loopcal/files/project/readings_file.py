@@ -37,7 +37,7 @@ def readings_tables(
         name = Path(part.file).name
         if not (part.columns or part.instruments):
             raise InputError(
-                f"which readings {name} shall hold is not said",
+                f"no columns are named for {name}",
                 code="missing-key",
                 remedy="name its columns in the project: columns = { x = ... }",
             )
@@ -61,9 +61,9 @@ def _table(
         its = spec.columns.get(quantity) if spec else None
         if its and its.column == ROW:
             raise InputError(
-                f"{quantity!r} is read as the number of the row, which is not simulated",
+                f"{quantity!r} is read from the row number, which cannot be simulated",
                 code="conflicting-keys",
-                remedy="give it a column of its own for the simulation",
+                remedy="name a column for it",
             )
         name = its.column if its and isinstance(its.column, str) else quantity
         stated = its.unit if its else None

@@ -103,7 +103,7 @@ def simulation_spec(
         single = [name for name, r in ranges.items() if r.step is None and r.start != r.stop]
         if single:
             raise InputError(
-                "some ranges have steps and this one has none",
+                "some ranges have a step, but this one has none",
                 code="conflicting-keys",
                 place=str(place.at("ranges", single[0])),
                 remedy="give every range a step for a grid, or none for random poses",
@@ -111,15 +111,15 @@ def simulation_spec(
         count = math.prod(r.count for r in ranges.values())
         if poses not in (None, count):
             raise InputError(
-                f"{poses} poses are asked for, and the grid of all steps has {count}",
+                f"poses is {poses}, but the grid of all steps has {count} poses",
                 code="conflicting-keys",
                 place=str(place.at("poses")),
-                remedy="leave poses out for a grid, or the steps for random poses",
+                remedy="remove poses for a grid, or the steps for random poses",
             )
         poses = count
     if poses is None:
         raise InputError(
-            "how many poses is not said",
+            "the number of poses is missing",
             code="missing-key",
             place=str(place),
             remedy="add poses = 100, or give every range a step",
@@ -129,14 +129,14 @@ def simulation_spec(
             f"{poses} poses are more than the {MOST_POSES} that can be simulated",
             code="too-large",
             place=str(place.at("ranges" if grid else "poses")),
-            remedy="take larger steps or fewer poses",
+            remedy="use larger steps or fewer poses",
         )
     told = noise_spec(
         entry.noise, mechanism.quantities, mechanism.quantity_group, place.at("noise")
     )
     if told.columns:
         raise InputError(
-            "a covariance from columns of the data is no noise to simulate",
+            "a covariance from columns of the data cannot be simulated",
             code="unsupported",
             place=told.columns[0].place,
             remedy="give a covariance that is the same in all poses",
@@ -216,7 +216,7 @@ def _machine(
             )
             if not math.isfinite(sd):
                 raise InputError(
-                    "an infinite deviation is no machine",
+                    "the deviation is infinite",
                     code="invalid-value",
                     place=str(here),
                     remedy="give a finite sd",
@@ -225,9 +225,9 @@ def _machine(
                 perturb[name] = sd
             elif name == key:
                 raise InputError(
-                    f"{name!r} is fixed, which means known exactly, and deviates nowhere",
+                    f"{name!r} is fixed, so it cannot deviate",
                     code="conflicting-keys",
                     place=str(here),
-                    remedy="set it free, or state its true value in [simulation.truth]",
+                    remedy="free it, or state its true value in [simulation.truth]",
                 )
     return truth, perturb

@@ -112,8 +112,8 @@ class ParquetStream:
             if first != name:
                 yield DataWarning(
                     None,
-                    f"{self.name}: {name} holds the same as {first}, and every pose in it counts "
-                    "twice; take one of them out of the folder",
+                    f"{self.name}: {name} has the same content as {first}, so its poses count "
+                    f"twice; remove one of them",
                 )
 
     def _folders_inside(self) -> Iterator[DataWarning]:
@@ -124,7 +124,7 @@ class ParquetStream:
         if inside:
             yield DataWarning(
                 None,
-                f"{self.name}: folders in it are not looked into, and hold Parquet files such as "
+                f"{self.name}: its subfolders are not read, but contain Parquet files such as "
                 f"{inside[0].relative_to(folder).as_posix()}; move them up if they belong to it",
             )
 
@@ -194,10 +194,10 @@ class ParquetStream:
             found |= {p: part.begin + i for i, p in enumerate(ids) if p in asked}
         for missing in sorted(asked - set(found)):
             raise InputError(
-                f"there is no pose {missing!r} to leave out",
+                f"there is no pose {missing!r} to exclude",
                 code="unknown-name",
                 place=self.name,
-                remedy="ids are compared as they are written",
+                remedy="ids must match exactly",
             )
         return frozenset(found.values())
 
@@ -217,10 +217,10 @@ def project_stream(project: Project) -> ParquetStream | None:
     if not several and (path.suffix.lower() not in ENDINGS or not path.is_file()):
         if spec.stream and path.is_file():
             raise InputError(
-                f"{path.name} is no Parquet file, and others are not read in chunks",
+                f"{path.name} is not a Parquet file; only Parquet is read in chunks",
                 code="wrong-file-type",
                 place=str(place.at("stream")),
-                remedy="save it as Parquet, or leave stream out",
+                remedy="save it as Parquet, or remove stream",
             )
         return None
     files = parquet_files(path)
@@ -228,10 +228,10 @@ def project_stream(project: Project) -> ParquetStream | None:
         return None
     if spec.joins:
         raise InputError(
-            "readings in several files are joined in memory, and these come as a stream",
+            "several files can only be joined in memory, but these are read as a stream",
             code="unsupported",
             place=str(place.at("join")),
-            remedy="join the files beforehand, or say stream = false",
+            remedy="join the files beforehand, or set stream = false",
         )
     columns = specified({**spec.columns, **columns_aside(project)}, {})
     asked = wanted(columns, spec.options["pose"])
@@ -256,8 +256,8 @@ def load_sample(project: Project) -> LoadedData:
     loaded = load_dataset(replace(project, data=data))
     told = DataWarning(
         None,
-        f"{stream.name}: only {len(loaded.dataset)} of {stream.poses} poses are looked at, evenly "
-        f"thinned (every = {every}); sds of all are up to {math.sqrt(step):.2g} times smaller",
+        f"{stream.name}: only {len(loaded.dataset)} of {stream.poses} poses are checked (every "
+        f"= {every}); with all poses the sds are up to {math.sqrt(step):.2g} times smaller",
     )
     return replace(loaded, warnings=(told, *loaded.warnings))
 
@@ -297,7 +297,7 @@ def _rows(part: _Part, columns: dict[str, Column], pose: str | int | None) -> Ta
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise _elsewhere(file, f"cannot be read ({reason})") from None
     if not same:
-        raise _elsewhere(file, "is not the one there was at the beginning")
+        raise _elsewhere(file, "changed during the calibration")
     rows: NDArray[np.int64] = part.offset + 1 + np.arange(part.rows, dtype=np.int64)
     cells = {file.names.index(name): frame[name] for name in names}
     return Table(file.path.name, None, "", file.names, cells, rows, before=part.begin)
@@ -312,9 +312,9 @@ def _named(file: ParquetFile, asked: Iterable[str | int]) -> list[str]:
 
 def _elsewhere(file: ParquetFile, what: str) -> InputError:
     return InputError(
-        f"on the machine {platform.node()!r} this file {what}",
+        f"this file {what} on host {platform.node()!r}",
         code="unreadable-file",
         place=str(file.path),
-        remedy="leave the readings alone while they are worked on; where work is shared out among "
-        "machines, each must find them at this path, on a disk that all can read",
+        remedy="do not change readings during a run; on a cluster, every host needs the file at "
+        "this path",
     )

@@ -44,10 +44,10 @@ class ResidualParts:
         """
         if (self.folder / NAME).is_file():
             raise InputError(
-                "a file of this name is where the folder of the residuals belongs",
+                "a file has the name of the residuals folder",
                 code="unwritable-file",
                 place=str(self.folder / NAME),
-                remedy="move it, or choose another folder for the result",
+                remedy="move it, or choose another result folder",
             )
         for end in ("part", "old"):
             for left in self.folder.glob(f".{NAME}.*.{end}"):
@@ -76,10 +76,10 @@ class ResidualParts:
     def _check(self) -> None:
         if self._count and not (self._open / _name(1)).exists():
             raise InputError(
-                "another calibration that writes here has removed the residuals of this one",
+                "another calibration writing to this folder removed these residuals",
                 code="unwritable-file",
                 place=str(self.folder),
-                remedy="run one at a time, or give each a folder of its own",
+                remedy="run one at a time, or use separate folders",
             )
 
     def undo(self) -> None:

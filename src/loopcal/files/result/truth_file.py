@@ -89,6 +89,6 @@ def _value(entry: Any, expected: str, place: str) -> float:
             f"the true value is in {unit}, the parameter in {expected}",
             code="wrong-unit",
             place=place,
-            remedy=f"give a unit that can be turned into {expected}",
+            remedy=f"give a unit that converts to {expected}",
         )
     return to_si(float(value), str(unit))

@@ -162,7 +162,7 @@ def _refuse_repeated(names: Sequence[str], place: Place) -> None:
                 f"the name {name!r} is given twice",
                 code="duplicate-name",
                 place=str(place.at(i, "name")),
-                remedy="give each a name of its own",
+                remedy="give each a unique name",
             )
 
 
@@ -193,7 +193,7 @@ def _noise(
     for key, entry in entries.items():
         if not learnt and (key == MODEL or entry.estimate is not None):
             raise InputError(
-                "this noise is also what the simulation draws from, so it cannot be learnt",
+                "this noise also drives the simulation, so it cannot be estimated",
                 code="unsupported",
                 place=str(place.at(key)),
                 remedy='state an sd for each quantity here, and "estimate" and "model" in '
@@ -282,7 +282,7 @@ def _published(
         for name in errors:
             if name not in free:
                 raise InputError(
-                    f"{name!r} is no parameter that is estimated",
+                    f"{name!r} is not an estimated parameter",
                     code="unknown-name",
                     place=str(here.at(name)),
                     remedy=nearest(name, free),

@@ -53,9 +53,9 @@ def parts_of(scenarios: int, draws: int) -> list[Part]:
     """
     if scenarios * draws > MOST_DRAWS:
         raise InputError(
-            f"the study has {scenarios * draws} draws in all, and at most {MOST_DRAWS} are run",
+            f"the study has {scenarios * draws} draws; the limit is {MOST_DRAWS}",
             code="too-large",
-            remedy="ask for fewer draws of each scenario, or leave scenarios out",
+            remedy="use fewer draws per scenario or fewer scenarios",
         )
     return [
         Part(scenario, first, min(first + CHUNK, draws))
@@ -77,8 +77,8 @@ def open_folder(folder: Path, study: Study) -> None:
             stated = None
         if stated != study.fingerprint:
             raise InputError(
-                "this folder holds the draws of another study, or of this one before it (or "
-                "loopcal) was changed; they cannot be mixed",
+                "this folder holds draws of another study, or of another version of this study "
+                "or of loopcal",
                 code="unreadable-file",
                 place=str(folder),
                 remedy="choose another folder with --out, or delete this one",
@@ -140,5 +140,5 @@ def _frame(path: Path) -> pl.DataFrame:
             f"this part of the study cannot be read ({str(error).splitlines()[0]})",
             code="unreadable-file",
             place=str(path),
-            remedy="delete the file and run the study again: only this part is computed anew",
+            remedy="delete the file and run the study again; only this part is recomputed",
         ) from None

@@ -41,14 +41,14 @@ def specified(columns: Mapping[str, ColumnLike], units: Mapping[str, str]) -> di
     """
     if not columns:
         raise InputError(
-            "no column is asked for",
+            "no column is requested",
             code="missing-column",
-            remedy="map one quantity at least to a column",
+            remedy="map at least one quantity to a column",
         )
     for quantity in units:
         if quantity not in columns:
             raise InputError(
-                f"a unit is given for {quantity!r}, which no column is read for",
+                f"a unit is given for {quantity!r}, which has no column",
                 code="conflicting-keys",
                 remedy=nearest(quantity, columns),
             )
@@ -88,16 +88,16 @@ def refuse_doubles(table: Table, columns: Mapping[str, Column]) -> None:
         other = user.setdefault(table.position(column.column), quantity)
         if other != quantity:
             raise InputError(
-                f"column {column.column!r} is asked for twice: for {other!r} and {quantity!r}",
+                f"column {column.column!r} is mapped twice: to {other!r} and {quantity!r}",
                 code="duplicate-column",
                 place=table.name,
-                remedy="map each quantity to a column of its own",
+                remedy="map each quantity to a different column",
             )
     for quantity, column in columns.items():
         reads = column.sd_column is not None and user.get(table.position(column.sd_column))
         if reads:
             raise InputError(
-                f"column {column.sd_column!r} is asked for as readings of {reads!r} and as the "
+                f"column {column.sd_column!r} is mapped as the readings of {reads!r} and as the "
                 f"sd of {quantity!r}",
                 code="duplicate-column",
                 place=table.name,

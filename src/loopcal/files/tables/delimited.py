@@ -100,7 +100,7 @@ def _fitted(cells: list[str], dialect: Dialect, place: str) -> list[str]:
         f"(delimiter {spoken(dialect.delimiter)})",
         code="invalid-syntax",
         place=place,
-        remedy="complete the row, start it with # if it is no data, or state the delimiter",
+        remedy="complete the row, comment it out with #, or state the delimiter",
     )
 
 

@@ -113,14 +113,14 @@ def recognise(
 def _check_stated(delimiter: str | None, decimal: str | None, name: str) -> None:
     if delimiter is not None and (len(delimiter) != 1 or delimiter.isalnum() or delimiter in '"\n'):
         raise InputError(
-            f"{delimiter!r} is no delimiter",
+            f"{delimiter!r} is not a delimiter",
             code="invalid-value",
             place=name,
             remedy="state one character: , ; tab ...",
         )
     if decimal not in (None, ".", ","):
         raise InputError(
-            f"{decimal!r} is no decimal mark",
+            f"{decimal!r} is not a decimal mark",
             code="invalid-value",
             place=name,
             remedy="state a point or a comma",
@@ -208,7 +208,8 @@ def _check_header(names: tuple[str, ...], body: list[list[str]], row: Row, name:
             f"it have {len(body[0])}",
             code="invalid-syntax",
             place=f"{name}, row {row.number}",
-            remedy="name every column, start a line that is no data with #, or state the delimiter",
+            remedy="name every column, comment out lines without data with #, or state the "
+            "delimiter",
         )
 
 

@@ -32,7 +32,7 @@ def from_child(function: str, arguments: dict[str, Any], path: Path, kind: str) 
         return guarded(function, arguments, path.stat().st_size)
     except Stopped as why:
         raise InputError(
-            f"this is no {kind} file that can be read ({why})",
+            f"this {kind} file cannot be read ({why})",
             code="wrong-file-type",
             place=path.name,
             remedy=f"save it again as {kind}, or as CSV",

@@ -73,7 +73,7 @@ def _load(path: Path) -> dict[str, Any]:
         head = file.read(16)
     if head.startswith((b"MATLAB 7.3", b"\x89HDF")):
         raise InputError(
-            "this is a MATLAB 7.3 file (HDF5), which is not read",
+            "this is a MATLAB 7.3 file (HDF5), which is not supported",
             code="wrong-file-type",
             place=path.name,
             remedy="save it in MATLAB with save(name, '-v7')",
@@ -111,7 +111,7 @@ def _fields(value: Any, name: str) -> dict[str, Any]:
                 f"field {field!r} has several numbers per struct",
                 code="invalid-number",
                 place=name,
-                remedy="give each number a field of its own",
+                remedy="give each number a separate field",
             )
         columns[field] = np.array(
             [entry.ravel()[0] if entry.size else None for entry in entries], dtype=object

@@ -61,7 +61,7 @@ def parquet_files(path: str | Path) -> tuple[ParquetFile, ...]:
     files = [_file(p) for p in paths if not p.name.startswith(".")]
     if not files:
         raise InputError(
-            "this is a folder, and it holds no Parquet file; folders in it are not looked into",
+            "this folder contains no Parquet file (subfolders are not read)",
             code="wrong-file-type",
             place=str(path),
             remedy="put *.parquet files there, or name a file",

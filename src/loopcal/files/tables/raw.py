@@ -116,10 +116,10 @@ def opened(path: str | Path, *, empty_too: bool = False) -> BinaryIO:
     if not select.select([handle], [], [], PATIENCE)[0]:
         os.close(handle)
         raise InputError(
-            f"this is a pipe, and no program writes into it for {PATIENCE:g} s",
+            f"nothing was written to this pipe for {PATIENCE:g} s",
             code="unreadable-file",
             place=str(path),
-            remedy="start the program that writes first, or name a file",
+            remedy="start the writing program first, or name a file",
         )
     os.set_blocking(handle, True)
     return open(handle, "rb")
@@ -139,10 +139,10 @@ def unreadable(path: Path, error: OSError | ValueError) -> InputError:
         )
     if isinstance(error, PermissionError):
         return InputError(
-            "you may not read this file",
+            "no permission to read this file",
             code="unreadable-file",
             place=str(path),
-            remedy="ask for the right to read it",
+            remedy="change its permissions",
         )
     return InputError(
         f"the file cannot be read ({getattr(error, 'strerror', None) or error})",
@@ -201,7 +201,7 @@ def _read(stream: BinaryIO, file: str, stated: str | None) -> Text:
                 "this line is longer than 1 MB",
                 code="invalid-syntax",
                 place=f"{name}, row {row}",
-                remedy="end each pose by a line break; is this a table of numbers?",
+                remedy="check that this is a table with one row per pose",
             )
         last = max(block.rfind(b"\n"), block.rfind(b"\r"))
         unended = unended + len(block) if last < 0 else len(block) - 1 - last
@@ -230,10 +230,10 @@ def _refuse_other_kinds(head: bytes, name: str) -> None:
     for start, kind in _KINDS.items():
         if head.startswith(start):
             raise InputError(
-                f"this is no text but {kind}",
+                f"this is not text but {kind}",
                 code="wrong-file-type",
                 place=name,
-                remedy="give the file the ending of its kind, or save it as CSV",
+                remedy="rename it to its usual extension, or save it as CSV",
             )
 
 
@@ -242,7 +242,7 @@ def _refuse_binary(block: bytes, name: str, row: int, *, first: bool) -> None:
     if found:
         what = "a NUL byte" if found[0] == b"\0" else f"the control character 0x{found[0].hex()}"
         raise InputError(
-            f"this is no text: it holds {what}",
+            f"this is not text: it contains {what}",
             code="wrong-file-type",
             place=f"{name}, row {row + block.count(bytes([10]), 0, found.start())}",
             remedy="save the table as CSV; if this is UTF-16 text, state encoding = 'utf-16'",
@@ -289,7 +289,7 @@ def _as_utf8(data: bytes, encoding: str | None, name: str) -> bytes:
         ) from None
     if "\0" in text:
         raise InputError(
-            "this is no text: it holds a NUL character",
+            "this is not text: it contains a NUL character",
             code="wrong-file-type",
             place=f"{name}, row {text.count(chr(10), 0, text.index(chr(0))) + 1}",
             remedy="save the table as CSV",

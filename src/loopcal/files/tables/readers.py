@@ -171,10 +171,10 @@ def _refuse_nameless(table: Table, keep: NDArray[np.int64], ids: Sequence[str]) 
     if nameless:
         raise InputError(
             "this pose has no id"
-            + (f", nor have {len(nameless) - 1} others" if len(nameless) > 1 else ""),
+            + (f", and {len(nameless) - 1} others have none either" if len(nameless) > 1 else ""),
             code="mismatched-poses",
             place=f"{table.name}, {row_name(int(table.rows[nameless[0]]), table.begins)}",
-            remedy="fill them in, or leave out pose = ...: poses are counted then",
+            remedy="fill in the ids, or remove pose = ... to number the poses",
         )
 
 
@@ -238,9 +238,9 @@ def _kind(path: str | Path | BinaryIO, how: _How) -> str:
     for option in fields(how):
         if getattr(how, option.name) is not None and option.name not in _MEANT_FOR[kind]:
             raise InputError(
-                f"{option.name} is stated, which means nothing for {kind} files",
+                f"{option.name} does not apply to {kind} files",
                 code="conflicting-keys",
                 place=str(path),
-                remedy=f"leave {option.name} out, or give the file the ending of its kind",
+                remedy=f"remove {option.name}, or rename the file to its usual extension",
             )
     return kind

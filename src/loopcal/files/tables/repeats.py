@@ -28,13 +28,13 @@ def columns_of(text: str) -> dict[str, Column]:
             raise UsageError(
                 f"{part!r} in --columns {'names no column' if not name else 'is there twice'}",
                 code="unknown-name",
-                remedy="name each column once, say --columns S=rad,L=rad,x=m",
+                remedy="name each column once, for example --columns S=rad,L=rad,x=m",
             )
         if stated:
             unit(stated)
         found[name] = Column(int(name) if name.isdigit() else name, stated or None)
     if not found:
-        raise UsageError("--columns is empty", remedy="say --columns S=rad,L=rad,x=m")
+        raise UsageError("--columns is empty", remedy="for example --columns S=rad,L=rad,x=m")
     return found
 
 
@@ -52,9 +52,9 @@ def read_repeats(
     """
     if project is not None and columns is not None:
         raise UsageError(
-            "--project and --columns are both given",
+            "--project and --columns exclude each other",
             code="conflicting-keys",
-            remedy="the project names the columns",
+            remedy="use --project alone; the project names the columns",
         )
     if project is None:
         asked = None if columns is None else columns_of(columns)
@@ -84,7 +84,7 @@ def _series(file: str | Path, columns: dict[str, Column] | None, pose: str | Non
     kept = {q: v for q, v in read.readings.items() if q != aside[0]}
     if not kept:
         raise InputError(
-            "there is no column of readings beside the ids",
+            "there is no column of readings besides the ids",
             code="missing-column",
             place=read.source.name,
             remedy="name the columns: --columns S=rad,x=m",

@@ -38,7 +38,7 @@ def read_spreadsheet(
         found = workbook.get_sheet_by_name(title).to_python(skip_empty_area=False)
     except python_calamine.CalamineError as error:
         raise InputError(
-            f"this is no XLSX workbook that can be read ({error})",
+            f"this XLSX workbook cannot be read ({error})",
             code="wrong-file-type",
             place=path.name,
             remedy="save it again as XLSX or as CSV",

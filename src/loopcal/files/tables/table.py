@@ -150,4 +150,4 @@ def _remedy(text: str, decimal: str) -> str:
         return "if the comma is the decimal mark, state decimal = ','"
     if decimal == "," and "." in text:
         return "if the point is the decimal mark, state decimal = '.'"
-    return "correct it, leave the cell blank if nothing was measured, or leave the pose out"
+    return "correct it, leave the cell blank if nothing was measured, or exclude the pose"

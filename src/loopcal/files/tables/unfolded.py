@@ -86,8 +86,8 @@ def refuse_large_matlab(path: Path) -> None:
             end = file.tell() + length
             if end > size:
                 raise InputError(
-                    "this is no MATLAB file that can be read: a variable of "
-                    f"{length} bytes goes beyond its end",
+                    f"this MATLAB file cannot be read: a variable of {length} bytes extends "
+                    "beyond its end",
                     code="wrong-file-type",
                     place=path.name,
                     remedy="copy the file again; it was cut off or damaged",

@@ -65,8 +65,8 @@ def _name_or_number(value: Any) -> Any:
 
 def _sd(value: Any) -> Any:
     if isinstance(value, int | float) and not value >= 0:
-        words = f"the sd is {value}, and an sd can be neither negative nor NaN"
-        raise complaint(words, "give 0 for what is exact, inf for what is not known at all")
+        words = f"the sd is {value}; an sd cannot be negative or NaN"
+        raise complaint(words, "give 0 for exact, inf for unknown")
     return value
 
 

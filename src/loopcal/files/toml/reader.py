@@ -52,7 +52,7 @@ def toml_data(content: bytes | str, name: str) -> dict[str, Any]:
             "or a mechanism",
             code="too-large",
             place=name,
-            remedy="name a TOML file; readings belong in a file of their own (data.file)",
+            remedy="name a TOML file; keep readings in a separate file (data.file)",
         )
     text = _decoded(content, name)
     try:
@@ -76,7 +76,7 @@ def toml_data(content: bytes | str, name: str) -> dict[str, Any]:
             f"this is not valid TOML: {_AT.sub('', words)}",
             code="invalid-syntax",
             place=place,
-            remedy="mend the line; `loopcal new` writes a project to compare with",
+            remedy="correct the line; `loopcal new` writes a project to compare with",
         ) from None
 
 
@@ -85,12 +85,12 @@ def checked_schema(data: Mapping[str, Any], place: Place) -> None:
     remedy = f"write schema = {SCHEMA} in the first line"
     if "schema" not in data:
         raise InputError(
-            "the file does not say its schema", code="wrong-schema", place=str(place), remedy=remedy
+            "the file states no schema", code="wrong-schema", place=str(place), remedy=remedy
         )
     stated = data["schema"]
     if isinstance(stated, bool) or stated != SCHEMA:
         if isinstance(stated, int) and stated > SCHEMA:
-            remedy = "use the loopcal that wrote this file, or a newer one"
+            remedy = "use the loopcal version that wrote this file, or a newer one"
         raise InputError(
             f"schema is {stated!r}, and only schema {SCHEMA} can be read",
             code="wrong-schema",
@@ -102,7 +102,7 @@ def checked_schema(data: Mapping[str, Any], place: Place) -> None:
 def _decoded(content: bytes, name: str) -> str:
     if (nul := content.find(b"\0")) >= 0:
         raise InputError(
-            "this is no TOML file: it holds a NUL byte",
+            "this is not a TOML file: it contains a NUL byte",
             code="wrong-file-type",
             place=f"{name}, line {content.count(bytes([10]), 0, nul) + 1}",
             remedy="save the file as UTF-8 text",
@@ -111,7 +111,7 @@ def _decoded(content: bytes, name: str) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(
-            f"the text is not UTF-8: it holds the byte 0x{content[error.start]:02x}",
+            f"the text is not UTF-8: it contains the byte 0x{content[error.start]:02x}",
             code="invalid-syntax",
             place=f"{name}, line {content.count(bytes([10]), 0, error.start) + 1}",
             remedy="save the file as UTF-8",

@@ -72,14 +72,13 @@ class Compliance:
             raise InputError(
                 f"the loads of {self.name!r} are {names}",
                 code="duplicate-name",
-                remedy="list the points that weigh something, each with a name of its own",
+                remedy="list the loaded points, each with a unique name",
             )
         if len({load.mass is None for load in self.loads}) > 1:
             raise InputError(
-                f"{self.name!r} knows the masses of some loads only",
+                f"{self.name!r} has masses for some loads only",
                 code="conflicting-keys",
-                remedy="give all masses, or none: what they weigh is then estimated with the "
-                "compliance",
+                remedy="give all masses, or none to estimate them with the compliance",
             )
         if not any(self.gravity) or not all(map(math.isfinite, self.gravity)):
             raise InputError(
@@ -138,10 +137,10 @@ class Compliance:
         chain = mechanism.chain
         if not chain:
             raise InputError(
-                f"{mechanism.name!r} is no chain of joints from a base to a body, so its load on "
-                "each joint is not known",
+                f"{mechanism.name!r} is not a chain of joints from a base to a body, so joint "
+                f"loads are unknown",
                 code="unsupported",
-                remedy="leave out the effect 'compliance'",
+                remedy="remove the effect 'compliance'",
             )
         if self.yielding == ("*",):
             return [q for q in joints(mechanism, ("*",), "rad") if acting(chain, q)]

@@ -66,9 +66,9 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
     for effect in effects:
         if effect.name in (*mechanism.effects, *own):
             raise InputError(
-                f"{effect.name!r} names two effects",
+                f"two effects are named {effect.name!r}",
                 code="duplicate-name",
-                remedy="give each effect a name of its own",
+                remedy="give each effect a unique name",
             )
         own[effect.name] = effect.parameters(mechanism)
         _refuse_shared(effect.name, own[effect.name], taken)
@@ -116,7 +116,7 @@ def joints(mechanism: Mechanism, patterns: Sequence[str], unit: str | None = Non
     for name in found:
         if unit is not None and mechanism.quantities[name] != unit:
             raise InputError(
-                f"{name!r} is in {mechanism.quantities[name]}, and this effect acts on joints in "
+                f"{name!r} is in {mechanism.quantities[name]}, but this effect acts on joints in "
                 f"{unit}",
                 code="wrong-unit",
                 remedy="name other joints",
@@ -126,7 +126,7 @@ def joints(mechanism: Mechanism, patterns: Sequence[str], unit: str | None = Non
             f"no joint is called {' or '.join(map(repr, patterns))}"
             + (f" and in {unit}" if unit else ""),
             code="unknown-name",
-            remedy="name joints that are read, or leave this effect out",
+            remedy="name measured joints, or remove this effect",
         )
     return list(found)
 
@@ -164,10 +164,10 @@ def _meaning(
                     row[name] = readings[called[name]] = value
                 elif number:
                     raise InputError(
-                        f"the effect {effect.name!r} changes the parameter {name!r} by pose, and "
-                        "an instrument looks at two poses at once",
+                        f"the effect {effect.name!r} changes the parameter {name!r} by pose, "
+                        f"but an instrument compares two poses",
                         code="unsupported",
-                        remedy="leave the effect or the instrument out",
+                        remedy="remove the effect or the instrument",
                     )
                 else:
                     constants[name] = value
@@ -178,7 +178,7 @@ def _refuse_shared(effect: str, own: Mapping[str, Parameter], taken: set[str]) -
     for name in own:
         if name in taken:
             raise InputError(
-                f"the effect {effect!r} has a parameter {name!r}, and so has something before it",
+                f"the parameter {name!r} of the effect {effect!r} exists already",
                 code="duplicate-name",
-                remedy="let one effect of a kind act on a joint or parameter",
+                remedy="apply each kind of effect once per joint or parameter",
             )

@@ -54,7 +54,7 @@ class Load:
             raise InputError(
                 f"the mass of the load {self.name!r} is {self.mass:g} kg",
                 code="invalid-value",
-                remedy="give a positive number, or none where it is not known",
+                remedy="give a positive number, or none if unknown",
             )
 
 
@@ -71,9 +71,9 @@ def end_of(chain: Sequence[Step], load: Load) -> int:
     found = [i for i, step in enumerate(chain) if step.joint == load.joint]
     if not found:
         raise InputError(
-            f"the load {load.name!r} moves with {load.joint!r}, which is no joint of the arm",
+            f"the load {load.name!r} moves with {load.joint!r}, which is not a joint of the arm",
             code="unknown-name",
-            remedy="name the joint behind which it sits",
+            remedy="name the joint that carries it",
         )
     return found[-1] + 1
 

@@ -48,7 +48,7 @@ class Orientation:
         if form not in FORMS:
             if len(usual) != 3 or not set(usual) <= {*_AXES} or usual[1] in usual[::2]:
                 raise InputError(
-                    f"{form!r} is no way to write an orientation",
+                    f"{form!r} is not a form of orientation",
                     code="unknown-name",
                     remedy='give "quaternion", "rotation-vector" or three turns about moving '
                     'axes, no two alike in a row, say "rz ry rx" for Rz Ry Rx',

@@ -92,14 +92,13 @@ def pose(
         )
     if dimension == 2 and (columns is not None or orientation != "quaternion"):
         raise InputError(
-            f"the instrument {name!r} states how an orientation in space is written, and the "
-            "machine moves in a plane",
+            f"the instrument {name!r} states a spatial orientation, but the machine is planar",
             code="unsupported",
-            remedy=f"leave it out: one angle, {angles[0]}, is read",
+            remedy=f"remove it; the reading is one angle, {angles[0]}",
         )
     if not isinstance(target, str) and target.parameters:
         raise InputError(
-            f"the turns of the target of {name!r} have no names",
+            f"the target of {name!r} has no name for its turns",
             code="missing-key",
             remedy="give the target a name",
         )

@@ -63,8 +63,8 @@ def spherical(
     names = tuple(f"{name}_{what}" for what in own) if readings is None else tuple(readings)
     if len(names) != dimension:
         raise InputError(
-            f"the instrument {name!r} has {len(names)} readings, and in a space of {dimension} a "
-            f"tracker reads {', '.join(own)}",
+            f"the instrument {name!r} has {len(names)} readings, but in {dimension} dimensions "
+            f"a tracker reads {', '.join(own)}",
             code="wrong-shape",
             remedy=f"name {dimension} readings",
         )

@@ -70,7 +70,7 @@ def chosen_passive(passive: Iterable[str], there: Sequence[str], machine: str) -
     for name in wanted:
         if name not in there:
             raise InputError(
-                f"{machine!r} has no passive joint {name!r} that could be read",
+                f"{machine!r} has no passive joint {name!r}",
                 code="unknown-name",
                 remedy=nearest(name, there),
             )
@@ -93,7 +93,7 @@ def starts(
     for name in stated or {}:
         if name not in names:
             raise InputError(
-                f"the home of {machine!r} names {name!r}, which is no quantity of it",
+                f"the home of {machine!r} names {name!r}, which is not one of its quantities",
                 code="unknown-name",
                 remedy=nearest(name, names),
             )
