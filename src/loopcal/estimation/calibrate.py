@@ -8,7 +8,6 @@ from typing import Any, Unpack
 from loopcal.errors import InputError
 from loopcal.estimation.fit import Fit, FitOptions, Start
 from loopcal.estimation.methods.registry import names_where
-from loopcal.estimation.noise.estimation import estimate_noise
 from loopcal.estimation.noise.learning import components, with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.problem import Problem, build_problem
@@ -80,16 +79,20 @@ def calibrate(
             return solve_robust(problem, loss, method=fit.method, **limits)
         return fit.method.solve(problem, **limits)
 
+    judged = not (fit.method.exact or fit.robust_loss or (told and told.estimate))
+
     def solved(problem: Problem) -> Solution:
         # an undamped method is for study: it shows how its own iteration ends
         if fit.method.damped:
             return fitted(problem)
-        return solve_or_fall_back(problem, fitted, fit.max_iterations)
+        return solve_or_fall_back(problem, fitted, fit.max_iterations, judged=judged)
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)
         if told is None or not told.estimate:
             return Result(fit, data, problem, solved(problem), problem)
+        from loopcal.estimation.noise.estimation import estimate_noise
+
         estimate = estimate_noise(
             problem,
             components(problem, told),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from loopcal.estimation.calibrate import calibrate
@@ -71,3 +72,39 @@ def test_a_machine_assembled_the_other_way_round_is_found() -> None:
             reached += result.chi_squared.value <= best.chi_squared.value * (1 + 1e-6)
             assert result.status.note in (*result.warnings, "")
     assert reached >= 11
+
+
+def test_a_misfit_is_tried_from_elsewhere() -> None:
+    """Every parameter off by up to 0.3 m or 1 rad, sds over three decades: 40 starts."""
+    from_elsewhere = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        sds = {name: 0.1 * float(10 ** rng.uniform(-3, 0)) for name in SDS}
+        simulated = planar_arm(20, seed=seed)
+        data, noise = simulated.read(sds, seed=seed), Noise(sds)
+        best = calibrate(simulated.truth, data, noise=noise, start="nominal")
+        off = simulated.off(0.3, 1.0, seed=seed)
+        result = calibrate(off, data, noise=noise, start="nominal")
+        assert result.status.converged
+        assert result.solution.chi_squared <= best.solution.chi_squared * (1 + 1e-6)
+        if "chi-squared is" in result.status.note:
+            from_elsewhere += 1
+            assert result.status.note in result.warnings
+    assert from_elsewhere >= 2
+
+
+def test_a_misfit_at_the_best_optimum_costs_one_fit() -> None:
+    """Sds stated a hundred times too small: the fit stands, and is not repeated."""
+    simulated = planar_arm(20)
+    small = Noise({name: 1e-2 * sd for name, sd in SDS.items()})
+    begun = build_problem(simulated.off(0.05, 0.1), simulated.read(SDS, seed=1), small)
+    fits = []
+
+    def counted(problem: Problem) -> Solution:
+        fits.append(problem)
+        return solve(problem)
+
+    found = solve_or_fall_back(begun, counted, judged=True)
+    assert found.chi_squared > 100 * found.equations
+    assert found.status.note == ""
+    assert len(fits) == 1

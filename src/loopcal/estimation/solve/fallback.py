@@ -1,4 +1,4 @@
-"""What is tried after a fit that did not converge: other starts, in a fixed order.
+"""What is tried after a fit that did not converge or misfits: other starts, in a fixed order.
 
     1. least squares: the parameters that close the loops best with the readings taken as exact;
     2. the iteration of the thesis, undamped, from the same start;
@@ -6,6 +6,10 @@
 
 The result is the first of them from which the fit converges: no higher than where it ended before,
 and with as many directions determined as at the start, so that no parameter has run away.
+
+A fit that converged with a chi-squared far above its degrees of freedom may be at a local optimum.
+Then least-squares fits from the stated start and from the best of several are refined where the
+merit is lower than at the end of the fit. That costs a few dozen sweeps of some poses elsewhere.
 """
 
 from __future__ import annotations
@@ -21,26 +25,38 @@ from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.solve.seed_iteration import iterate_undamped
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import solve
+from loopcal.presentation.rounding import significant
 
 Array = NDArray[np.float64]
 _POSES = 200
 """Starts are sought on so many of the poses at most."""
-_RADII, _DRAWS, _SEARCH = (0.1, 0.3, 1.0), 8, 50
+_RADII, _DRAWS, _SEARCH, _GLANCE = (0.1, 0.3, 1.0), 8, 50, 3
 """Several starts: so many at each radius, as shares of half a turn, of the largest length and of
-other parameters themselves; each is searched for so many iterations."""
+other parameters themselves; each is searched for so many iterations, after a misfit for few."""
 _HIGHER = 1e-6
+_MISFIT = 10.0
+"""Chi-squared for each degree of freedom from which another optimum is sought."""
 
 
 def solve_or_fall_back(
-    problem: Problem, fit: Callable[[Problem], Solution], max_iterations: int = 100
+    problem: Problem,
+    fit: Callable[[Problem], Solution],
+    max_iterations: int = 100,
+    *,
+    judged: bool = False,
 ) -> Solution:
     """The fit from the problem's start, or from others if it does not converge.
 
-    The status says what was tried; max_iterations: of each search for a start.
+    The status says what was tried; max_iterations: of each search for a start; judged: whether
+    chi-squared shows how well the fit agrees with the sds, so that a misfit is tried again too.
     Raises InputError as the fit does.
     """
     first = fit(problem)
-    if first.status.converged or first.status.reason == "runaway":
+    if first.status.converged:
+        freedom = max(first.equations - len(problem.free), 1)
+        misfits = judged and first.chi_squared > _MISFIT * freedom
+        return _or_lower(problem, fit, first, max_iterations) if misfits else first
+    if first.status.reason == "runaway":
         return first  # elsewhere a model that invites parameters to infinity has false optima
     tried: list[str] = []
     rank = solve(problem, exact=True, max_iterations=0).spectrum.rank
@@ -58,14 +74,75 @@ def solve_or_fall_back(
     return _with_note(first, f"Starting from {words} did not help." if words else "")
 
 
+def _or_lower(
+    problem: Problem, fit: Callable[[Problem], Solution], first: Solution, most: int
+) -> Solution:
+    """A fit that converged, or one from elsewhere that ends lower with no direction lost."""
+    some = _some(problem)
+    here = _merit(some, first.parameters)
+    for name, start in _lower_starts(some, most):
+        try:
+            if not _merit(some, start) < here:
+                continue
+            found = fit(replace(problem, start=start))
+        except InputError:  # the loops have no value there
+            continue
+        lower = found.chi_squared < first.chi_squared * (1 - _HIGHER)
+        if found.status.converged and lower and found.spectrum.rank >= first.spectrum.rank:
+            times = significant(first.chi_squared / max(found.chi_squared, 1e-300), 2)
+            note = f"Started from {name}: from the stated start chi-squared is {times} times this."
+            return _with_note(found, note)
+    return first
+
+
+def _merit(problem: Problem, parameters: Array) -> float:
+    """Chi-squared at these parameters, infinite where the loops do not close."""
+    try:
+        found = solve(replace(problem, start=parameters), max_iterations=0)
+    except InputError:
+        return np.inf
+    return np.inf if found.status.reason == "cannot_close" else found.chi_squared
+
+
+def _lower_starts(some: Problem, most: int) -> Iterator[tuple[str, Array]]:
+    """Least-squares fits from the stated start, and from the best of several."""
+    if end := _least_squares(some, some.start, most):
+        yield "least squares", end.parameters
+    if (best := _best(some, _GLANCE)) is not None and (end := _least_squares(some, best, most)):
+        yield "the best of several starts", end.parameters
+
+
+def _best(some: Problem, iterations: int) -> Array | None:
+    """The end of the best of least-squares fits from several starts."""
+    best, least = None, np.inf
+    for start in _several(some):
+        end = _least_squares(some, start, iterations)
+        if end and end.chi_squared < least:
+            best, least = end.parameters, end.chi_squared
+    return best
+
+
+def _least_squares(some: Problem, start: Array, most: int) -> Solution | None:
+    """The fit with the readings taken as exact; None where the loops have no value."""
+    try:
+        return solve(replace(some, start=start), exact=True, max_iterations=most)
+    except InputError:
+        return None
+
+
+def _some(problem: Problem) -> Problem:
+    """The problem with a part of its poses, if there are many."""
+    stride = max(1, len(problem.poses) // _POSES)
+    return taken(problem, np.arange(0, len(problem.poses), stride)) if stride > 1 else problem
+
+
 def _with_note(solution: Solution, note: str) -> Solution:
     message = f"{solution.status.message} {note}".strip()
     return replace(solution, status=replace(solution.status, message=message, note=note))
 
 
 def _starts(problem: Problem, most: int) -> Iterator[tuple[str, Array]]:
-    stride = max(1, len(problem.poses) // _POSES)
-    some = taken(problem, np.arange(0, len(problem.poses), stride)) if stride > 1 else problem
+    some = _some(problem)
     searches: dict[str, Callable[[], Solution]] = {
         "least squares": lambda: solve(some, exact=True, max_iterations=most),
         "the iteration of the thesis": lambda: iterate_undamped(some, max_iterations=most),
@@ -77,15 +154,7 @@ def _starts(problem: Problem, most: int) -> Iterator[tuple[str, Array]]:
             continue
         if np.isfinite(found).all():
             yield name, found
-    best, least = None, np.inf
-    for start in _several(problem):
-        try:
-            end = solve(replace(some, start=start), exact=True, max_iterations=min(most, _SEARCH))
-        except InputError:
-            continue
-        if end.chi_squared < least:
-            best, least = end.parameters, end.chi_squared
-    if best is not None:
+    if (best := _best(some, min(most, _SEARCH))) is not None:
         yield "the best of several starts", best
 
 
