@@ -31,8 +31,10 @@ def sentence(sensor: SensorScatter) -> str:
     reasons = []
     if sensor.about_mean.sd == 0.0:
         if sensor.rounding_sd is None:
-            return f"{sensor.name}: it never changed, so its sd cannot be estimated from these "
-            "readings."
+            return (
+                f"{sensor.name}: it never changed, so its sd cannot be estimated from these "
+                "readings."
+            )
         return (
             f"{its}, what rounding to {_shown(sensor.resolution, sensor)} leaves; it never "
             "changed, so its scatter is below what it can show."
