@@ -37,7 +37,7 @@ _ROUGHLY, _SLOWLY = 0.1, 100.0
 _FAILURES = 1
 """So many fits in succession may end without converging."""
 _HOPELESS = 1e5
-"""A fit that did not converge, with whitened residuals this large (mean square), ends the search."""
+"""An unconverged fit with whitened residuals this large (mean square) ends the search."""
 _UNCERTAIN = 0.5
 """Relative sd of an sd from which on an upper bound says more than the estimate."""
 
