@@ -21,13 +21,13 @@ from tests.reference.simulated import planar_arm
 SDS = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3}
 # what of a machine's rounding could show is two digits of an sd, so the golden text is exact
 PARAMETERS = """\
-parameter       value   change      sd  unit
-xA             19.946   -0.054   0.055  mm
-yA            -30.009   -0.009   0.047  mm
-l2         810.000000            fixed  mm
-l3            589.963   -0.037   0.038  mm
-phi20          0.6841  -0.0034  0.0095  deg
-phi30         -1.2149  -0.0117  0.0098  deg"""
+parameter    value   change      sd  unit
+xA          19.946   -0.054   0.055  mm
+yA         -30.009   -0.009   0.047  mm
+l2             810            fixed  mm
+l3         589.963   -0.037   0.038  mm
+phi20       0.6841  -0.0034  0.0095  deg
+phi30      -1.2149  -0.0117  0.0098  deg"""
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from loopcal.presentation.rounding import rounded_by_sd, significant
+from loopcal.presentation.shown import by_sd
 
 
 @pytest.mark.parametrize(
@@ -51,6 +52,18 @@ def test_significant_digits(value: float, digits: int, text: str) -> None:
 )
 def test_a_value_ends_with_the_second_digit_of_its_sd(value: float, sd: float, text: str) -> None:
     assert rounded_by_sd(value, sd) == text
+
+
+@pytest.mark.parametrize("value", [-0.0, -1e-9, -0.00049])
+def test_a_value_that_rounds_to_zero_has_no_minus(value: float) -> None:
+    assert rounded_by_sd(value, 0.0213) == "0.000"
+    assert rounded_by_sd(value, 0.0213, sign=True) == "+0.000"
+
+
+def test_a_value_without_sd_has_no_trailing_zeros() -> None:
+    assert rounded_by_sd(450.0, math.inf) == "450"
+    assert rounded_by_sd(-0.0, math.inf) == "0"
+    assert by_sd(-0.353553, None, "m") == "-353.553"
 
 
 def test_a_change_shows_its_sign() -> None:

@@ -12,8 +12,8 @@ from loopcal.presentation.shown import by_sd
     [
         (-4.04e-19, "m", "0"),
         (3e-17, "rad", "0"),
-        (2e-12, "m", "2.00000000e-09"),
-        (-4.04e-19, "1/N", "-4.04000000e-19"),
+        (2e-12, "m", "2e-09"),
+        (-4.04e-19, "1/N", "-4.04e-19"),
     ],
 )
 def test_what_arithmetic_leaves_of_a_length_or_angle_of_zero_is_zero(

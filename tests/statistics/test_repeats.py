@@ -184,7 +184,7 @@ def test_rows_without_a_reading_are_left_out():
 
 def test_a_column_that_never_changes_and_is_zero_gives_no_sd():
     found = lc.repeated_readings(series(np.zeros(5)))
-    assert "say nothing" in sentence(found["a"])
+    assert "cannot be estimated" in sentence(found["a"])
     assert noise_table(found) == "[noise]\n# a: it never changed, so its sd is unknown"
 
 

@@ -8,7 +8,6 @@ from typing import Any, Unpack
 from loopcal.errors import InputError
 from loopcal.estimation.fit import Fit, FitOptions, Start
 from loopcal.estimation.methods.registry import names_where
-from loopcal.estimation.noise.estimation import estimate_noise
 from loopcal.estimation.noise.learning import components, with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.problem import Problem, build_problem
@@ -92,6 +91,8 @@ def calibrate(
         problem = started(mechanism, data, told, fit.start)
         if told is None or not told.estimate:
             return Result(fit, data, problem, solved(problem), problem)
+        from loopcal.estimation.noise.estimation import estimate_noise
+
         estimate = estimate_noise(
             problem,
             components(problem, told),

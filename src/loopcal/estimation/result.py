@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,6 @@ from loopcal.estimation.document_parts import (
 )
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.identifiability import identifiability
-from loopcal.estimation.noise.discrepancy import model_discrepancy
-from loopcal.estimation.noise.estimation import NoiseEstimate
 from loopcal.estimation.noise.learning import entries, words
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.problem import Problem
@@ -38,6 +37,9 @@ from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
+
+if TYPE_CHECKING:
+    from loopcal.estimation.noise.estimation import NoiseEstimate
 
 Array = NDArray[np.float64]
 
@@ -258,6 +260,8 @@ class Result:
         chi = self.chi_squared
         if not self.status.converged or chi is None or not chi.too_large:
             return None
+        from loopcal.estimation.noise.discrepancy import model_discrepancy
+
         return model_discrepancy(self.problem, self.solution)
 
     @property

@@ -20,12 +20,16 @@ def significant(value: float, digits: int) -> str:
 
 
 def rounded_by_sd(value: float, sd: float, *, sign: bool = False) -> str:
-    """A value to the second significant digit of its sd.
+    """A value to the second significant digit of its sd, without the sign of a rounded zero.
+
+    Without an sd that is finite and positive, nine significant digits.
 
     >>> rounded_by_sd(614.87123, 0.0213), rounded_by_sd(0.871, 0.0213, sign=True)
     ('614.871', '+0.871')
+    >>> rounded_by_sd(-0.0004, 0.0213), rounded_by_sd(450.0, math.inf)
+    ('0.000', '450')
     """
-    form = "+" if sign else ""
+    form = "+z" if sign else "z"
     if not (math.isfinite(sd) and sd > 0.0):
         return f"{value:{form}.9g}"
     decimals = 1 - math.floor(math.log10(sd))

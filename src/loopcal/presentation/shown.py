@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from loopcal.presentation.rounding import rounded_by_sd, significant
 from loopcal.units import from_si
 
@@ -47,7 +49,8 @@ def by_sd(value: float, sd: float | None, unit: str, *, sign: bool = False) -> s
     if sd is None:
         if unit in FINE and abs(value) < ROUNDING:
             return "0"
-        return significant(in_unit(value, unit), 9 if not sign else 3)
+        shown = in_unit(value, unit)
+        return significant(shown, 3) if sign else rounded_by_sd(shown, math.inf)
     return rounded_by_sd(in_unit(value, unit), in_unit(sd, unit), sign=sign)
 
 

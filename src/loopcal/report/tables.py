@@ -89,7 +89,7 @@ def sensor_table(source: Source) -> Table | None:
         used = [part[np.isfinite(part)] for part in parts if part is not None]
         values = np.concatenate(used) if used else np.empty(0)
         rms = f"{np.sqrt(np.square(values).mean()):.2f}" if values.size else NONE
-        mean = f"{round(float(values.mean()), 2) + 0.0:+.2f}" if values.size else NONE
+        mean = f"{values.mean():+z.2f}" if values.size else NONE
         rows.append(
             (
                 ", ".join(entry.quantities),
@@ -131,7 +131,7 @@ def _parameter(entry: ParameterEntry, with_error: bool) -> tuple[str, ...]:
             by_sd(change, sd, unit, sign=True),
             "not determined" if sd is None else size(sd, unit, 2),
             unit_shown(unit),
-            f"{change / sd:+.1f}" if sd else NONE,
+            f"{change / sd:+z.1f}" if sd else NONE,
             percent(share),
         ]
     if with_error:

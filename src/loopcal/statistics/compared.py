@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -202,9 +203,9 @@ def _table(parameters: Sequence[ParameterDifference]) -> list[str]:
                 rounded_by_sd(b, sd),
                 rounded_by_sd(change, sd, sign=True),
             ]
-            rows.append([p.name, *cells, significant(sd, 2), f"{p.z:+.1f}", unit])
+            rows.append([p.name, *cells, significant(sd, 2), f"{p.z:+z.1f}", unit])
         else:
-            cells = [significant(v, 9) for v in (a, b)] + [significant(change, 3)]
+            cells = [rounded_by_sd(v, math.inf) for v in (a, b)] + [significant(change, 3)]
             sd_words = "unknown" if p.sd is None else "none"
             rows.append([p.name, *cells, sd_words, "", unit])
     return columns(rows)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from loopcal.document.findings import Observability, OtherOptimum
 from loopcal.document.result_document import ResultDocument
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.statistics.identifiability import WhatDataSay, calibration_index, what_data_say
 from loopcal.statistics.observability import data_spectrum, observability
 from loopcal.statistics.optima import other_optima
@@ -54,19 +55,20 @@ class Findings:
 def findings(result: Result) -> Findings:
     """Everything that follows from the result's parameter system."""
     solution = result.solution
-    return Findings(
-        what_data_say(
-            result.problem,
-            result.information,
-            result.sd,
-            calibration_index(result.problem, solution.poses, solution.equations),
-            unit_sd=_unit_sd(result),
-        ),
-        observability(result.information, solution.poses),
-        predictor(result),
-        find_outliers(result),
-        () if result.all_poses is not None else other_optima(result),
-    )
+    with one_blas_thread():
+        return Findings(
+            what_data_say(
+                result.problem,
+                result.information,
+                result.sd,
+                calibration_index(result.problem, solution.poses, solution.equations),
+                unit_sd=_unit_sd(result),
+            ),
+            observability(result.information, solution.poses),
+            predictor(result),
+            find_outliers(result),
+            () if result.all_poses is not None else other_optima(result),
+        )
 
 
 def _unit_sd(result: Result) -> float | None:

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from loopcal.document.fit import NoiseEntry
 from loopcal.errors import InputError
-from loopcal.estimation.noise.estimation import EstimatedSd, NoiseEstimate
-from loopcal.estimation.noise.variance_components import Component
 from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.presentation.shown import with_unit
+
+if TYPE_CHECKING:
+    from loopcal.estimation.noise.estimation import EstimatedSd, NoiseEstimate
+    from loopcal.estimation.noise.variance_components import Component
 
 
 def with_model(mechanism: Mechanism, data: Dataset, noise: Noise) -> tuple[Mechanism, Dataset]:
@@ -34,6 +37,8 @@ def components(problem: Problem, noise: Noise) -> tuple[Component, ...]:
     Raises InputError for a quantity that has no sd to begin from, and for a part of quantities
     that share a covariance.
     """
+    from loopcal.estimation.noise.variance_components import Component
+
     quantities = problem.mechanism.tape.quantities
     owner: dict[int, str] = {}
     for key, how in noise.estimate.items():
