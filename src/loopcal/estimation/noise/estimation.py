@@ -36,6 +36,8 @@ _ROUGHLY, _SLOWLY = 0.1, 100.0
 """Variance ratios that change less than this are roughly right; early ones fall no faster."""
 _FAILURES = 1
 """So many fits in succession may end without converging."""
+_HOPELESS = 1e5
+"""An unconverged fit with whitened residuals this large (mean square) ends the search."""
 _UNCERTAIN = 0.5
 """Relative sd of an sd from which on an upper bound says more than the estimate."""
 
@@ -191,6 +193,8 @@ class _Search:
         At sds that are wrong by much the first fit may blame the wrong sensor and never get away
         from it: each sensor that ended far from its stated sd gets a second chance there.
         """
+        if _hopeless(end.solution):
+            return
         for i, ratio in enumerate(end.found.ratios):
             if not 1.0 / _FAR < ratio < _FAR:
                 other = end.found.ratios.copy()
@@ -222,7 +226,7 @@ class _Search:
             ended = change <= _SETTLED or abs(before - found.criterion) <= _BETTER
             if ended and vanish and not failed:
                 return _Round(present, solution, model, found, found.converged, iterations)
-            if failed > _FAILURES:
+            if failed > _FAILURES or _hopeless(solution):
                 break
             # No component may vanish before the others are roughly right.
             vanish = vanish or ended or change <= _ROUGHLY or number >= _MOST // 2
@@ -240,6 +244,11 @@ def scaled(problem: Problem, components: Sequence[Sequence[int]], ratios: Array)
     sd = np.where(np.isinf(own.sd), own.sd, own.sd * factor[:, None])
     blocks = tuple(CovarianceBlock(b.indices, b.factor * factor[b.indices[0]]) for b in own.blocks)
     return replace(problem, uncertainty=ReadingUncertainty(sd, blocks, own.sources))
+
+
+def _hopeless(solution: Solution) -> bool:
+    """Whether the loops do not close by far: a wrong unit or machine, which no sd explains."""
+    return not solution.status.converged and solution.chi_squared > _HOPELESS * solution.equations
 
 
 def _change(before: Array, after: Array) -> float:
