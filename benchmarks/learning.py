@@ -38,7 +38,6 @@ def measure() -> list[Learning]:
     wrong["q4"] = np.degrees(wrong["q4"])
     stated = lc.Noise({"q*": JOINT_SD, **dict.fromkeys(["x?", "y?", "z?"], POINT_SD)})
     learnt, with_model = _learnt(model=False), _learnt(model=True)
-    folds = {"folds": FOLDS, "seed": 1}
 
     def plain() -> object:
         return lc.calibrate(arm, readings, noise=stated)
@@ -47,11 +46,11 @@ def measure() -> list[Learning]:
         "sds stated": (plain, None),
         "all sds learnt": (lambda: str(lc.calibrate(arm, readings, noise=learnt)), None),
         f"all sds learnt, {FOLDS} folds": (
-            lambda: lc.validate(arm, readings, noise=learnt, **folds),
+            lambda: lc.validate(arm, readings, noise=learnt, folds=FOLDS, seed=1),
             DEMANDED_FOLDS,
         ),
         f"the same and `model`, {FOLDS} folds": (
-            lambda: lc.validate(arm, readings, noise=with_model, **folds),
+            lambda: lc.validate(arm, readings, noise=with_model, folds=FOLDS, seed=1),
             None,
         ),
         "a joint in the wrong unit, sds stated": (
@@ -113,8 +112,8 @@ def _readings(arm: lc.Mechanism) -> lc.Dataset:
 def _learnt(*, model: bool) -> lc.Noise:
     """Every encoder and reflector for itself, from sds that are off by two thirds."""
     sds = {"q*": 30e-6, **dict.fromkeys(["x?", "y?", "z?"], 50e-6)}
-    groups = {_coordinates(i): "group" for i in range(1, REFLECTORS + 1)}
-    estimate: dict[str | tuple[str, ...], str] = {"q*": "each", **groups}
+    estimate: dict[str | tuple[str, ...], str] = {"q*": "each"}
+    estimate |= {_coordinates(i): "group" for i in range(1, REFLECTORS + 1)}
     if model:
         sds["model"], estimate["model"] = 10e-6, "group"
     return lc.Noise(sds, estimate=estimate)
