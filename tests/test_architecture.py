@@ -297,6 +297,22 @@ def test_every_module_says_what_it_holds() -> None:
     assert [module.name for module in MODULES if not ast.get_docstring(module.tree)] == []
 
 
+def stray_strings(module: Module) -> list[str]:
+    """Strings that are statements without being docstrings, as a sentence that broke off leaves."""
+    found = []
+    for node in ast.walk(module.tree):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant | ast.JoinedStr):
+            text = ast.get_source_segment(module.text, node) or ""
+            if not text.startswith(('"""', 'r"""')) and not text.startswith("..."):
+                found.append(f"{module.name}:{node.lineno} {text}")
+    return found
+
+
+def test_no_sentence_is_broken_off() -> None:
+    assert [line for module in MODULES for line in stray_strings(module)] == []
+    assert stray_strings(Module("a", 'x = "begun, "\n"broken off"'))
+
+
 def test_no_module_has_a_vague_name() -> None:
     assert [m.name for m in MODULES if VAGUE_NAMES & set(m.name.split("."))] == []
 

@@ -88,7 +88,7 @@ def test_what_cannot_be_compared_is_bad_input(folder: Path) -> None:
     [
         ("validation = { seed = 1 }", "no way to leave poses out"),
         ("validation = { folds = 3, hold_out = 0.2 }", "folds and hold_out"),
-        ("validation = { folds = 300 }", "300 folds"),
+        ("validation = { folds = 300 }", "folds is 300"),
         ('validation = { file = "c.csv" }', "c.csv"),
         ('profile = ["l9"]', "l9"),
     ],

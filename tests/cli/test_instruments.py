@@ -22,6 +22,7 @@ pose = "pose"
 "*" = { sd = 1e-4 }
 [prior]
 "*" = { sd = 0.1 }
+"d_*" = { sd = 0.01 }
 """
 POSE = """\
 pose,q1,q2,x,y,z,qw,qx,qy,qz

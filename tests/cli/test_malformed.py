@@ -241,7 +241,7 @@ BAD: dict[str, tuple[Callable[[Path], None], list[str], int, list[str]]] = {
         project("[prior]", '[parameters]\n"*" = { fixed = true }\n[prior]'),
         CALIBRATE,
         3,
-        ["no parameter"],
+        ["every parameter is fixed"],
     ),
     "too few poses": (
         project('pose = "pose"', "every = 40"),

@@ -159,7 +159,7 @@ def test_workers_share_the_cores_with_their_engines(
 
 @pytest.mark.parametrize("kind", [Processes, Threads])
 def test_workers_are_counted_from_1(kind: type[Processes] | type[Threads]) -> None:
-    with refused("invalid-usage", "0 workers"):
+    with refused("invalid-usage", "workers is 0", "1 to 1024"):
         kind(0)
 
 

@@ -261,7 +261,7 @@ def test_what_cannot_be_a_loop_is_named(
 
 
 def test_names_of_loops_must_be_as_many_as_the_loops() -> None:
-    with refused("untraceable-function", "2 loop", "1 are"):
+    with refused("untraceable-function", "2 loop", "1 names"):
         trace(lambda x, p: (x.a, x.b), quantities="ab", parameters=(), loops=("u",))
 
 

@@ -152,7 +152,7 @@ def test_the_reasons_name_what_does_the_same():
     remarks = dict(zip(fixed(seen(SIX, point())), seen(SIX, point()).remarks, strict=True))
     assert remarks["q1_x"] == "'q1_x' is fixed: indistinguishable from 'base_x'."
     assert remarks["flange_z"] == "'flange_z' is fixed: indistinguishable from 'tool_z'."
-    assert "'tool_x' and 'tool_y' do together." in remarks["q6_rz"]
+    assert "combination of 'tool_x' and 'tool_y'." in remarks["q6_rz"]
 
 
 def fixed(mechanism):

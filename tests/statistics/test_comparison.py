@@ -180,3 +180,13 @@ def test_halves_of_the_measured_grid_agree_all_over_the_joint_box(
     assert found.points is not None
     assert found.points.max > 2e-3  # far more than the 0.07 mm of the fit
     assert found.points.inside >= 0.9
+
+
+def test_poses_that_both_calibrations_share_count_once() -> None:
+    arm = planar_arm(30)
+    found = compare(calibrated(arm, 1), calibrated(arm, 1))
+    assert found.points is not None
+    assert len(found.points.poses) == 30
+    other = compare(calibrated(arm, 1), calibrated(arm, 2))
+    assert other.points is not None
+    assert len(other.points.poses) == 60

@@ -107,7 +107,7 @@ def test_without_sds_of_readings_only_the_parameters_speak() -> None:
     found = lc.predict(result, {"phi2": [0.4], "phi3": [1.1]})
     assert found.from_readings is None
     assert np.array_equal(found.covariance, found.from_parameters)
-    assert "not known" in found.words()
+    assert "unknown" in found.words()
     known = lc.predict(result, {"phi2": [0.4], "phi3": [1.1]}, noise=lc.Noise({"phi?": 1e-4}))
     assert known.from_readings is not None
 

@@ -10,6 +10,7 @@ from loopcal.estimation.fit import Fit, FitOptions, Start
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.noise.learning import components, with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
+from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.problem.unreachable import refuse_unreachable
 from loopcal.estimation.result import Result
@@ -126,13 +127,17 @@ def started(mechanism: Mechanism, data: Dataset, noise: Noise | None, start: Sta
     """The problem of a mechanism and its readings, at the point where a fit begins.
 
     noise: None takes the readings as exact. Raises InputError for readings that the machine cannot
-    have made, and for parameter values by a name that is not there.
+    have made, for parallel axes whose parameters have no solution, and for parameter values by a
+    name that is not there.
     """
     if not isinstance(start, str):
         for name in start:
             mechanism.parameters[name]  # raises for a name that is not there
-        return build_problem(mechanism, data, noise, start)
+        problem = build_problem(mechanism, data, noise, start)
+        refuse_parallel_axes(mechanism)
+        return problem
     problem = build_problem(mechanism, data, noise)
+    refuse_parallel_axes(mechanism)
     if begins_aligned(mechanism, start):
         problem = build_problem(placed(problem)[0], data, noise)
     refuse_unreachable(problem, problem.start)

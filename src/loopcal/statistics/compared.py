@@ -149,8 +149,8 @@ class Compared:
         tested = [q for q in own if q.z is not None and abs(q.z) > 2.0]
         most = sorted(tested, key=lambda q: -abs(q.z or 0.0))[:_NAMED]
         named = ", ".join(f"{q.name} (z = {q.z:+.1f})" for q in most)
-        blame = f" Most: {named}." if named else " No single parameter differs significantly; "
-        "together they do."
+        together = "No single parameter differs significantly; together they do."
+        blame = f" Most: {named}." if named else f" {together}"
         return (
             "The two machines differ by more than their stated uncertainty explains: "
             f"{where}{told}.{blame}"

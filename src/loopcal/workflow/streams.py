@@ -20,8 +20,9 @@ from loopcal.files.result.progress_file import ProgressFile
 from loopcal.files.result.residual_parts import ResidualParts, residual_part
 from loopcal.files.versions import versions
 
-DROPPED = "left by a run with another project, readings, method or version; starting from the "
-"beginning"
+DROPPED = (
+    "left by a run with another project, readings, method or version; starting from the beginning"
+)
 
 
 @dataclass(frozen=True, eq=False)

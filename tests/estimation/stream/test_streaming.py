@@ -171,7 +171,7 @@ def test_those_shown_besides_say_nothing_of_all_the_others(
     found = calibrate_stream(arm, Pieces(wrong, noise))
     assert "424" in found.dataset.poses
     words = " ".join(found.warnings)
-    assert "cannot be right" in words
+    assert "stated sds allow" in words
     assert "would explain it" not in words
     assert "more that fit badly" in words
 
@@ -371,5 +371,5 @@ def test_what_needs_all_poses_at_once_is_refused() -> None:
     with refused("unsupported", "'reweighted'"):
         calibrate_stream(arm, Pieces(data, noise), fit=Fit(method="reweighted"))
     learnt = Noise(noise.entries, estimate={"xyz": "group"})
-    with refused("unsupported", "learnt"):
+    with refused("unsupported", "sds"):
         calibrate_stream(arm, Pieces(data, learnt))

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.problem.constants import known_constants, with_implied
 from loopcal.estimation.problem.enough import refuse_too_few, refuse_without_redundancy
-from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
 from loopcal.estimation.problem.patterns import Pattern, Poses, held_loops, patterns_of
 from loopcal.estimation.problem.size import refuse_without_length
 from loopcal.estimation.problem.unknowns import Unknowns
@@ -117,10 +116,8 @@ def build_problem(
     [SI] to begin from, where not the nominal ones; whole: these are all poses, not a chunk of them.
 
     Raises InputError where readings or sds are missing, a unit does not fit, there are fewer
-    equations than parameters, nothing says how large the machine is, or parallel axes are described
-    by parameters that have no solution.
+    equations than parameters, or nothing says how large the machine is.
     """
-    refuse_parallel_axes(mechanism)
     quantities = mechanism.tape.quantities
     dataset = with_implied(mechanism, dataset)
     _check_units(mechanism, dataset)

@@ -19,6 +19,7 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
+from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.checkpoint import Checkpoint
@@ -75,6 +76,7 @@ def calibrate_stream(
             mechanism, _ = placed(task.problem(first))
             task = _task(mechanism, stream, exact=exact)
         problem = task.problem(first)
+        refuse_parallel_axes(mechanism)
         task = _settled(task, problem)
 
         with (executor or InProcess()).crew(do, task) as crew:
