@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from loopcal.estimation.result import Result
@@ -10,7 +11,7 @@ from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import SHOWN
 from loopcal.presentation.text_table import columns
 from loopcal.units import from_si
-from loopcal.workflow.calibration import run_calibration
+from loopcal.workflow.calibration import Request, run_calibration
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "build" / "demo"
@@ -24,9 +25,10 @@ def main() -> None:
         results = {}
         for method, words in METHODS.items():
             folder = RESULTS / project.parent.name / method
-            done = run_calibration(project, method=method, truth=truth, out=folder)
+            asked = Request(method=method, truth=truth)
+            done = run_calibration(project, asked, out=folder)
             results[words] = done.result
-            title = done.written.document["title"]
+            title = done.result.document.title
         first = next(iter(results.values()))
         print(f"{title}: {len(first.dataset)} poses\n")
         print("\n".join(table(results, read_truth(truth, first.mechanism))))
@@ -34,7 +36,7 @@ def main() -> None:
         print(f"\nError is true minus estimate. Results: {folder.relative_to(HERE.parent)}/\n")
 
 
-def table(results: dict[str, Result], truth: dict[str, float]) -> list[str]:
+def table(results: dict[str, Result], truth: Mapping[str, float]) -> list[str]:
     """One line per estimated parameter: the truth, then error and sd by each method."""
     head = [f"{words} {column}" for words in results for column in ("error", "sd")]
     rows = [["parameter", "truth", *head, "unit"]]
