@@ -36,7 +36,8 @@ def turned_by(vectors: Array) -> Array:
     K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -u[:, 2], u[:, 1], -u[:, 0]
     K -= K.transpose(0, 2, 1)
     s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.eye(3) + s * K + (1.0 - c) * (K @ K)
+    R: Array = np.eye(3) + s * K + (1.0 - c) * (K @ K)
+    return R
 
 
 def random_placement(rng: np.random.Generator, away: float) -> tuple[Array, Array]:
@@ -219,7 +220,8 @@ class Hexapod:
     def legs(self, R: Array, P: Array) -> Array:
         """What the legs read, (N, 6), with the platform at R (N, 3, 3), P (N, 3)."""
         joints = P[:, None, :] + np.einsum("nij,kj->nki", R, self.b)
-        return np.linalg.norm(joints - self.a, axis=2) - self.zero
+        read: Array = np.linalg.norm(joints - self.a, axis=2) - self.zero
+        return read
 
 
 def ring(radius: float, degrees: Sequence[float]) -> Array:
@@ -239,7 +241,8 @@ class Delta:
         """What the carriages read, (N, 3), with the platform at P (N, 3)."""
         across = P[:, None, :2] - self.feet[None, :, :2]
         rise = np.sqrt(self.rods**2 - np.square(across).sum(axis=2))
-        return P[:, 2:] + rise
+        read: Array = P[:, 2:] + rise
+        return read
 
 
 @dataclass(frozen=True, eq=False)

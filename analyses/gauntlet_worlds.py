@@ -283,7 +283,8 @@ def _along(box: Array, poses: int, rng: Rng) -> Array:
     pace = rng.uniform(2.0, 5.0, len(box))
     phase = rng.uniform(0.0, 2.0 * np.pi, len(box))
     middle, half = box.mean(axis=1), 0.5 * (box[:, 1] - box[:, 0])
-    return middle + half * np.sin(2.0 * np.pi * pace * t + phase)
+    path: Array = middle + half * np.sin(2.0 * np.pi * pace * t + phase)
+    return path
 
 
 @dataclass(frozen=True)
