@@ -135,11 +135,11 @@ class World:
             R, o = true.flange(q, run.warmth)
             p = o[:, None, :] + np.einsum("nij,nkj->nki", R, run.target)
             if self.instrument == "wire":
-                return np.linalg.norm(p[:, 0] - anchor, axis=1)[:, None] + run.zero[:, None]
-            inside = (
-                np.einsum("nij,nkj->nki", run.turn, p) + run.shift[:, None] + run.drift[:, None]
-            )
-            return inside.reshape(len(q), -1)
+                lengths: Array = np.linalg.norm(p[:, :1] - anchor, axis=2) + run.zero[:, None]
+                return lengths
+            turned = np.einsum("nij,nkj->nki", run.turn, p)
+            points: Array = turned + (run.shift + run.drift)[:, None]
+            return np.reshape(points, (len(q), -1))
 
         def quiet(n: int) -> Run:
             R, s = stands[0]
