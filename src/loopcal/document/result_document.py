@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
 from loopcal.document.bounds import Count, Size
+from loopcal.document.choice import Chosen
 from loopcal.document.findings import (
     ColumnFault,
     Identifiability,
@@ -32,10 +33,12 @@ from loopcal.document.tables import (
     parameter_table,
     sensor_table,
 )
+from loopcal.document.terms import TermEntry
+from loopcal.document.verdict import Verdict
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.presentation.rounding import significant
 
-SCHEMA: Literal[1] = 1
+SCHEMA: Literal[2] = 2
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,7 @@ class ResultDocument:
         "use_attribute_docstrings": True,
     }
 
-    schema: Literal[1]
+    schema: Literal[2]
     loopcal: str
     """Version of loopcal that wrote this file."""
     title: str | None
@@ -123,12 +126,16 @@ class ResultDocument:
     method: str
     method_label: str = ""
     """The method in a few words; empty: written by an earlier version."""
+    chosen: Chosen | None = None
+    """What the method "auto" chose; null: the method was stated."""
     loss: str = "gaussian"
     status: StatusEntry
     parameters: tuple[ParameterEntry, ...]
     covariance: CovarianceEntry
     noise: tuple[NoiseEntry, ...]
     """Empty for least squares, which knows none."""
+    terms: tuple[TermEntry, ...] = ()
+    """What was learnt of the model error; empty: nothing was to be learnt."""
     model_discrepancy: Size | None = None
     """sd [SI, of the outputs] of an error of the machine model at the end point that would explain
     a chi-squared too large for the stated sds."""
@@ -144,6 +151,8 @@ class ResultDocument:
     """Null: the mechanism has no outputs, or no pose has readings for an output and its inputs."""
     validation: ValidationEntry | None
     """Null: no validation was made."""
+    verdict: Verdict | None = None
+    """Null: not judged."""
     models: tuple[ModelEntry, ...] | None = None
     """Models that were compared; null: none were."""
     identifiability: Identifiability

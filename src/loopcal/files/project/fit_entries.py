@@ -89,6 +89,7 @@ def fit_of(entry: SettingsEntry, place: Place) -> Fit:
             start=entry.start,
             max_iterations=entry.max_iterations,
             tolerance=entry.tolerance,
+            model_error=entry.model_error,
         )
     except InputError as error:
         raise error.at(str(place)) from None

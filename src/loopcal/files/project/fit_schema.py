@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from loopcal.estimation.fit import STARTS
+from loopcal.estimation.fit import MODEL_ERRORS, STARTS
 from loopcal.estimation.methods.registry import DEFAULT, METHODS
 from loopcal.estimation.solve.loss import LOSSES
 from loopcal.files.toml.model import Model, NameOrNumber, OneOf
@@ -32,6 +32,11 @@ class SettingsEntry(Model):
     tolerance: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
         default=None,
         description="Step, in sds, that counts as converged; default: that of the method.",
+    )
+    model_error: Annotated[str, OneOf(MODEL_ERRORS)] = Field(
+        default="none",
+        description="structured: add terms for what the machine model lacks; their sizes are "
+        "learnt.",
     )
 
 
