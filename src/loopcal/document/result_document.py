@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
 from loopcal.document.bounds import Count, Size
+from loopcal.document.dependence import Dependence
 from loopcal.document.findings import (
     ColumnFault,
     Identifiability,
@@ -146,6 +147,8 @@ class ResultDocument:
     """Null: no validation was made."""
     models: tuple[ModelEntry, ...] | None = None
     """Models that were compared; null: none were."""
+    dependence: Dependence | None = None
+    """Whether residuals depend on pose order or place; null: not tested."""
     identifiability: Identifiability
     observability: Observability | None
     """Null: not computed."""
