@@ -13,7 +13,7 @@ from loopcal.estimation.dependence.seen import Seen
 from loopcal.estimation.dependence.serial import Whole, _criterion, serial_model
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.result import Result
-from loopcal.statistics.sensitivity import output_sensitivity
+from loopcal.estimation.sensitivity import output_sensitivity
 
 Array = NDArray[np.float64]
 SDS = {"phi2": 1e-4, "phi3": 1e-4, "xP": 1e-4, "yP": 1e-4}
