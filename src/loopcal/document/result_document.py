@@ -9,6 +9,7 @@ from typing import Any, Literal
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
 from loopcal.document.bounds import Count, Size
 from loopcal.document.choice import Chosen
+from loopcal.document.dependence import Dependence
 from loopcal.document.findings import (
     ColumnFault,
     Identifiability,
@@ -155,6 +156,8 @@ class ResultDocument:
     """Null: not judged."""
     models: tuple[ModelEntry, ...] | None = None
     """Models that were compared; null: none were."""
+    dependence: Dependence | None = None
+    """Whether residuals depend on pose order or place; null: not tested."""
     identifiability: Identifiability
     observability: Observability | None
     """Null: not computed."""
@@ -251,8 +254,22 @@ def _accuracy(document: ResultDocument) -> list[str]:
     note = "(computed from the other readings minus measured, on the poses used for the fit"
     if validation is not None and validation.accuracy is not None:
         note += f"; poses not used: {validation.words}"
+        if validation.blocked is not None:
+            note += f"; {validation.blocked.words}"
     lines = [*accuracy_table(accuracy, validation), f"{note})"]
+    lines += _coverage(validation)
     if validation is not None and validation.log_likelihood is not None:
         value = significant(validation.log_likelihood, 6)
         lines.append(f"log-likelihood of poses not used: {value} (only differences count)")
     return lines
+
+
+def _coverage(validation: ValidationEntry | None) -> list[str]:
+    """How often the stated regions hold."""
+    if validation is None or validation.coverage is None:
+        return []
+    held = validation.coverage
+    words = f"stated {held.level:.0%} regions hold {held.share:.1%} of the poses not used"
+    if validation.blocked is not None and validation.blocked.coverage is not None:
+        words += f", {validation.blocked.coverage.share:.1%} in regions not used"
+    return [words]
