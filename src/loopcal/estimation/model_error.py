@@ -35,13 +35,13 @@ def noise_told(fit: Fit, mechanism: Mechanism, data: Dataset, noise: Noise | Non
         return None
     if fit.model_error == "none":
         return noise
+    begin = None if noise is None else noise.begin
     if fit.method.exact:
-        return _of_instruments(mechanism, data)
-    assert noise is not None
-    if MODEL in noise.entries or MODEL in noise.estimate or not _isotropic(mechanism):
-        return noise
-    begun = Noise({**noise.entries, MODEL: BEGIN}, estimate={**noise.estimate, MODEL: "group"})
-    return begun if noise.begin is None else begun.begun_at(noise.begin)
+        noise = _of_instruments(mechanism, data)
+    elif noise is not None and _isotropic(mechanism) and MODEL not in noise.entries:
+        estimate = {**noise.estimate, MODEL: "group"}
+        noise = Noise({**noise.entries, MODEL: BEGIN}, estimate=estimate)
+    return noise if begin is None or noise is None else noise.begun_at(begin)
 
 
 def weighed(fit: Fit, data: Dataset) -> Dataset:
