@@ -61,6 +61,8 @@ if TYPE_CHECKING:
         compare_methods,
         validate,
     )
+    from loopcal.statistics.verification import verify
+    from loopcal.statistics.verified import Verification
     from loopcal.workflow.calibration import write_result
 
 _HOME = {
@@ -107,6 +109,8 @@ _HOME = {
     "statistics.comparison": ("compare",),
     "statistics.intervals": ("Interval", "intervals"),
     "statistics.validation": ("MethodComparison", "Validation", "compare_methods", "validate"),
+    "statistics.verification": ("verify",),
+    "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
     "statistics.outliers": ("Outliers", "find_outliers"),
     "statistics.findings": ("Findings", "findings"),
@@ -163,6 +167,7 @@ __all__ = [
     "Tracker",
     "Undetermined",
     "Validation",
+    "Verification",
     "WrittenResult",
     "__version__",
     "assemble",
@@ -202,6 +207,7 @@ __all__ = [
     "tracker_covariance",
     "validate",
     "vector",
+    "verify",
     "with_effects",
     "write_result",
 ]

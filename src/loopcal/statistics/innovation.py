@@ -64,7 +64,7 @@ class Linearised:
     """The equations of a held machine, and how what is placed anew answers to them.
 
     e (R,), F (R, g + d), A (R, r); root: (n_all, r) with root root^T the covariance of the
-    machine's parameters; solve: (g + d, R) the least squares of F; rank: of F.
+    parameters that are held; solve: (g + d, R) the least squares of F; rank: of F.
     """
 
     e: Array
@@ -78,8 +78,9 @@ class Linearised:
     def of(cls, here: Replaced, known: Calibrated) -> Linearised:
         """Undetermined steps of the calibration are as free as the placement."""
         J = here.J
-        root = here.brought(root_of(known.covariance))
-        loose = here.brought(known.undetermined)
+        held = ~here.anew[:, None]
+        root = here.brought(root_of(known.covariance) * held)
+        loose = here.brought(known.undetermined * held)
         seen = np.linalg.norm(J @ loose, axis=0)
         single = np.linalg.norm(J, axis=0) @ np.abs(loose)
         loose = loose[:, seen > _UNSEEN * np.maximum(single, 1e-300)]
@@ -101,12 +102,6 @@ class Linearised:
         h = np.linalg.lstsq(rows, right, rcond=None)[0]
         value = float(np.square(right - rows @ h).sum())
         return Innovation.of(value, len(self.e) - self.rank, learnt)
-
-    def covariance(self) -> Array:
-        """(g + d, g + d) of the steps found: their own noise, and the machine's that is held."""
-        carried = self.solve @ self.A
-        found: Array = self.solve @ self.solve.T + carried @ carried.T
-        return found
 
 
 def root_of(covariance: Array) -> Array:

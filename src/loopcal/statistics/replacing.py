@@ -11,7 +11,7 @@ Instruments that see points begin where these are best aligned.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +31,8 @@ _STEPS = 100
 _SETTLED = 1e-9
 """Share of the sum of squares: a step that promises to lower it by less is not taken."""
 _MOST_DAMPING = 1e12
+_ASTRAY, _STARTS = 100.0, 10
+"""A mean square from which on other starts are tried, and how many."""
 _DETERMINED = 1e-9
 """Singular values so far below the largest are of directions that these poses do not show."""
 
@@ -107,7 +109,8 @@ class Replaced:
     """A held machine whose instruments were placed anew.
 
     parameters: (n_all,); corrections: (k, N) [SI] of what no sensor reads; rows: the equations
-    there; directions: (n_all, g) along which parameters may change; carry: (n_all, n_all) how the
+    there; directions: (n_all, g) along which parameters may change; anew: (n_all,) whether a
+    parameter is found anew by itself; carry: (n_all, n_all) how the
     parameters change with those of the machine where it was calibrated, None for not at all.
     """
 
@@ -116,6 +119,7 @@ class Replaced:
     corrections: Array
     rows: tuple[Rows, ...]
     directions: Array
+    anew: NDArray[np.bool_]
     carry: Array | None = None
 
     @property
@@ -146,23 +150,12 @@ def replaced(
     the readings are taken as exact; components: quantities whose noise is told apart in the rows.
     """
     search = _Search(problem, freedom, variance, components)
-    here = search.begun()
-    found = search.at(here)
-    merit, damping = found.merit, 1e-3
-    for _ in range(_STEPS):
-        if not found.directions.shape[1] or damping > _MOST_DAMPING:
-            break
-        A = found.J @ found.directions
-        step = _damped(A, found.e, damping)
-        promised = merit - float(np.square(found.e - A @ step).sum())
-        if promised <= _SETTLED * merit:
-            break
-        tried = search.at(trial := search.stepped(here, step))
-        if tried.merit < merit:
-            here, found, merit, damping = trial, tried, tried.merit, 0.1 * damping
-        else:
-            damping *= 10.0
-    return replace(found.replaced, carry=search.carry(here)) if freedom.whole else found.replaced
+    place, found = search.lowest(search.begun())
+    for start in search.elsewhere(place) if found.merit > _ASTRAY * len(found.e) else ():
+        other = search.lowest(start)
+        if other[1].merit < found.merit:
+            place, found = other
+    return replace(found.replaced, carry=search.carry(place)) if freedom.whole else found.replaced
 
 
 def _damped(A: Array, e: Array, damping: float) -> Array:
@@ -236,10 +229,44 @@ class _Search:
             unit = np.hstack([gauge(mechanism, values, self._centre), unit])
         corrections = found_unmeasured(problem, values, exact=self.variance is not None)
         rows = tuple(self._rows(values, corrections))
-        found = Replaced(problem, values, corrections, rows, unit)
+        anew = np.zeros(len(values), dtype=bool)
+        anew[self._free] = True
+        found = Replaced(problem, values, corrections, rows, unit, anew)
         e, J = found.e, found.J
         finite = np.isfinite(e).all() and np.isfinite(J).all()
         return _Found(found, e, J, unit, float(e @ e) if finite else np.inf)
+
+    def lowest(self, here: _Place) -> tuple[_Place, _Found]:
+        """The lowest place near one."""
+        found, damping = self.at(here), 1e-3
+        for _ in range(_STEPS):
+            if not found.directions.shape[1] or not damping < _MOST_DAMPING:
+                break
+            if not np.isfinite(found.merit):
+                break
+            A = found.J @ found.directions
+            step = _damped(A, found.e, damping)
+            promised = found.merit - float(np.square(found.e - A @ step).sum())
+            if promised <= _SETTLED * found.merit:
+                break
+            tried = self.at(trial := self.stepped(here, step))
+            if tried.merit < found.merit:
+                here, found, damping = trial, tried, 0.1 * damping
+            else:
+                damping *= 10.0
+        return here, found
+
+    def elsewhere(self, place: _Place) -> Iterator[_Place]:
+        """Other starts, for points such as anchors that no aligned points say anything of."""
+        mechanism = self.problem.mechanism
+        names = [n for f in mechanism.families if f.placement is None for n in f.standing]
+        free = [i for i in self._free if mechanism.parameters.names[i] in names]
+        draw = np.random.default_rng(0)
+        for _ in range(_STARTS if free else 0):
+            values = place.values.copy()
+            reach = 1.0 + np.abs(self.problem.start[free])
+            values[free] = self.problem.start[free] + reach * draw.uniform(-1.0, 1.0, len(free))
+            yield replace(place, values=values)
 
     def carry(self, place: _Place) -> Array:
         """How the parameters there change with those of the machine where it was calibrated."""

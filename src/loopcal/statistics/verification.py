@@ -23,6 +23,7 @@ from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.result import Result
+from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise, NoiseLike
@@ -35,7 +36,6 @@ from loopcal.statistics.innovation import (
     learnt_freedom,
 )
 from loopcal.statistics.replacing import Freedom, Replaced, replaced
-from loopcal.statistics.sensitivity import output_sensitivity
 from loopcal.statistics.tolerance import Quantile
 from loopcal.statistics.verified import Placed, Verification, WorstPose
 
@@ -183,7 +183,9 @@ def _placed(here: Replaced, linear: Linearised, freedom: Freedom) -> tuple[Place
     names = list(freedom.names)
     if freedom.whole and mechanism.placement is not None:
         names = [*mechanism.placement.parameters, *names]
-    spread = here.directions @ linear.covariance()[:g, :g] @ here.directions.T
+    own = here.directions @ linear.solve[:g]
+    follows = own @ linear.A - linear.root
+    variance = np.square(own).sum(axis=1) + np.square(follows).sum(axis=1)
     seen = np.abs(here.directions @ (linear.solve @ linear.F)[:g, :g])
     order, found = mechanism.parameters.names, []
     for name in dict.fromkeys(names):
@@ -193,7 +195,7 @@ def _placed(here: Replaced, linear: Linearised, freedom: Freedom) -> tuple[Place
             Placed(
                 name,
                 float(here.parameters[i]),
-                float(np.sqrt(max(spread[i, i], 0.0))) if shown else None,
+                float(np.sqrt(variance[i])) if shown else None,
                 mechanism.parameters[name].unit,
             )
         )
@@ -216,7 +218,9 @@ def _expected(
     differences = _differences(here)[: len(outputs)]
     x = problem.readings + here.corrections
     x[outputs] += np.nan_to_num(differences)
-    S = output_sensitivity(mechanism, here.parameters, mechanism.parameters.names, x, problem.known)
+    unread = np.flatnonzero(np.isinf(problem.uncertainty.sd).all(axis=1)).tolist()
+    parameters = here.parameters, mechanism.parameters.names
+    S = output_sensitivity(mechanism, *parameters, x, problem.known, unread)
     g = here.directions.shape[1]
     follows = here.directions @ (linear.solve @ linear.A)[:g]
     machine = S.by_parameter @ (follows - linear.root)

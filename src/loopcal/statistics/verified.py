@@ -49,8 +49,9 @@ class Verification:
 
     unit: SI unit of the distances; calibrated, nominal: accuracy of the machine as calibrated and
     as drawn, both placed anew by these poses; expected: what the stated covariance leads one to
-    expect of the calibrated one; gain: of calibrated over nominal; innovation: the test of the machine; placed: what was found
-    anew; worst: poses, the farthest first; quantile: the distance that 95 % of poses keep.
+    expect of the calibrated one; gain: of calibrated over nominal; innovation: the test of the
+    machine; placed: what was found anew; worst: poses, the farthest first; quantile: the distance
+    that 95 % of poses keep.
     """
 
     poses: tuple[str, ...]
@@ -119,8 +120,8 @@ class Verification:
             words = "The accuracy is unknown: too few of these poses have measured outputs."
             return Answer(None, "unknown-accuracy", None, words, None)
         both = f"{with_unit(mine.rms, self.unit)} rms instead of {with_unit(drawn.rms, self.unit)}"
-        sd = f"difference {with_unit(gain.difference, self.unit)}, sd {with_unit(gain.sd, self.unit)}"
-        said = f"{both} ({sd})."
+        difference, sd = with_unit(gain.difference, self.unit), with_unit(gain.sd, self.unit, 2)
+        said = f"{both} (difference {difference}, sd {sd})."
         if gain.better is None:
             words = (
                 f"The calibrated machine predicts these poses about as well as the drawing: {said}"
