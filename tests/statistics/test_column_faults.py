@@ -9,7 +9,7 @@ import numpy as np
 import loopcal as lc
 from analyses.instruments import Setup, setup
 from loopcal.estimation.problem.problem import Problem, build_problem
-from loopcal.statistics.column_faults import column_faults
+from loopcal.estimation.faults.search import column_faults
 
 
 def problem(given: Setup, poses: int, **wrong: str) -> Problem:

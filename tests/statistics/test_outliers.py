@@ -14,7 +14,7 @@ from analyses.instruments import setup
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.statistics import causes
-from loopcal.statistics.column_faults import column_faults
+from loopcal.estimation.faults.search import column_faults
 from loopcal.units import from_si
 from tests.reference.simulated import ma1400, planar_arm
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Unpack
 
+from loopcal.document.findings import ColumnFault
 from loopcal.errors import InputError
+from loopcal.estimation.faults.search import column_faults, suspicious
 from loopcal.estimation.fit import Fit, FitOptions, Start
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.noise.learning import components, with_model
@@ -22,6 +24,9 @@ from loopcal.estimation.solve.solver import Progress
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
+
+FAULTY = 10
+"""Iterations of the fit of a file that is at fault as a whole."""
 
 
 def calibrate(
@@ -57,6 +62,10 @@ def calibrate(
     "auto" (default) aligns a machine whose placement parameters are free with flat priors; or
     parameter values [SI] by name.
 
+    A file that is at fault as a whole (columns in another unit, reversed or exchanged, rows shifted
+    or shuffled, readings of another machine) is recognised before the fit where it begins at the
+    nominal machine. The fit is then cut short, no sd is estimated, and `Result.faults` names them.
+
     Raises InputError for input that cannot be used. A fit that does not converge is returned, with
     the reason in its status.
     """
@@ -90,8 +99,13 @@ def calibrate(
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)
-        if told is None or not told.estimate:
-            return Result(fit, data, problem, solved(problem), problem)
+        faults: tuple[ColumnFault, ...] = ()
+        if isinstance(fit.start, str) and suspicious(problem):
+            faults = column_faults(problem)
+        if faults:  # no fit will be of use: a short one, for what is known of its end
+            fit = replace(fit, max_iterations=min(fit.max_iterations, FAULTY))
+        if faults or told is None or not told.estimate:
+            return Result(fit, data, problem, solved(problem), problem, faults=faults)
         from loopcal.estimation.noise.estimation import estimate_noise
 
         estimate = estimate_noise(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from loopcal.document.findings import ColumnFault, Outlier, OutlierTests
 from loopcal.document.plain import known
 from loopcal.errors import InputError
+from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
@@ -112,12 +113,11 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
         )
     with one_blas_thread():
         search = Search(result, level, scale)
-        if search.hopeless():
-            from loopcal.statistics.column_faults import column_faults
-
+        columns = result.faults
+        if not columns and search.hopeless():
             columns = column_faults(result.problem)
-            if columns:
-                return Outliers((), level, 0, 1.0, False, columns)
+        if columns:
+            return Outliers((), level, 0, 1.0, False, columns)
         fit, gone, tests = search.run()
         found = _named(search, fit, gone, tests)
     root = float(np.sqrt(fit.factor))
