@@ -153,6 +153,6 @@ def started(mechanism: Mechanism, data: Dataset, noise: Noise | None, start: Sta
     problem = build_problem(mechanism, data, noise)
     refuse_parallel_axes(mechanism)
     if begins_aligned(mechanism, start):
-        problem = build_problem(placed(problem)[0], data, noise)
+        problem = problem.with_nominal(placed(problem)[0])
     refuse_unreachable(problem, problem.start)
     return problem

@@ -17,6 +17,7 @@ from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.parameters import Parameter, Parameters, declared, matching
 from loopcal.mechanisms.quantity import Quantity
+from loopcal.mechanisms.terms import Term, check_terms
 from loopcal.units import unit
 
 
@@ -76,7 +77,8 @@ class Mechanism:
     has in every pose by construction, unless the data say otherwise; orientations: which known
     constants are measured orientations; remarks: what a user should
     know of how it was made, such as why a parameter is fixed; chain: the steps of a serial arm,
-    from its base to its body; effects: by name, the parameters of each effect beyond geometry.
+    from its base to its body; effects: by name, the parameters of each effect beyond geometry;
+    terms: groups of parameters whose common prior sd is learnt.
     """
 
     name: str
@@ -93,6 +95,7 @@ class Mechanism:
     remarks: tuple[str, ...] = ()
     chain: tuple[Step, ...] = ()
     effects: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    terms: tuple[Term, ...] = ()
 
     @classmethod
     def from_function(
@@ -170,6 +173,7 @@ class Mechanism:
                 code="undetermined-quantities",
                 remedy="name at most as many outputs as there are loop equations",
             )
+        check_terms(self.terms, self.parameters)
 
     def with_parameters(self, parameters: Parameters) -> Mechanism:
         """The same machine with other nominal values, priors or fixed parameters."""
@@ -184,6 +188,16 @@ class Mechanism:
     def with_nominal(self, values: Mapping[str, float]) -> Mechanism:
         """The same machine with other nominal values [SI] for the names given."""
         return replace(self, parameters=self.parameters.with_nominal(values))
+
+    def with_terms(self, *terms: Term) -> Mechanism:
+        """The same machine with further terms, whose parameters get the term's sd as prior sd.
+
+        Raises InputError for a parameter that is in another term, or is not there.
+        """
+        stated = {name: term.sd for term in terms for name in term.parameters}
+        check_terms((*self.terms, *terms), self.parameters)
+        parameters = self.parameters.with_prior(stated)
+        return replace(self, parameters=parameters, terms=(*self.terms, *terms))
 
     def predicting(self) -> Mechanism:
         """The mechanism with those loops alone that predict outputs from other readings.

@@ -28,12 +28,12 @@ from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem.alignment import align
 from loopcal.estimation.result import Result
+from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.compared import Compared, ParameterDifference, PointDifference
 from loopcal.statistics.gauge import carried, difference, gauge, moved, values_of
-from loopcal.statistics.sensitivity import output_sensitivity
 
 Array = NDArray[np.float64]
 MOST_POSES = 500

@@ -31,6 +31,8 @@ from loopcal.measurements.noise import Noise
 Array = NDArray[np.float64]
 _UNPREDICTABLE = 1e-6
 """A direction that the fit left open moves a loop, beside the largest effect of any direction."""
+LEVEL = 0.95
+"""Stated probability of a region."""
 
 
 @dataclass(frozen=True)
@@ -92,11 +94,28 @@ def _ratios(fit: Result, stated: Array) -> Array:
     return np.where(usable, np.square(found / np.where(usable, stated, 1.0)), 1.0)
 
 
-def log_densities(fit: Result, held: Held) -> Array | None:
-    """log N(misclosure; 0, W + J Cov_p J^T) of each pose (N,), None where it has no density.
+@dataclass(frozen=True)
+class Predictive:
+    """What a fit stated of the misclosures of poses that it has not seen, and what they were.
 
-    A pose without loops has no misclosure: its probability is one.
+    log_density (N,): log N(misclosure; 0, W + J Cov_p J^T); zero for a pose without loops. squares
+    (N,): misclosure^2 over that covariance, chi-squared with `loops` (N,) degrees of freedom.
     """
+
+    log_density: Array
+    squares: Array
+    loops: NDArray[np.intp]
+
+    def inside(self, level: float = LEVEL) -> Array:
+        """(N,) 1 where the measured point lies in its stated region, 0 outside, NaN without one."""
+        from scipy.special import chdtri
+
+        held = self.squares <= chdtri(np.maximum(self.loops, 1), 1.0 - level)
+        return np.where(self.loops > 0, held, np.nan)
+
+
+def predictive(fit: Result, held: Held) -> Predictive | None:
+    """What the fit stated of these poses; None where their misclosures have no density."""
     problem = held.problem
     model = linear_model(problem, problem.start, held.corrections, ())
     own = 0.0
@@ -109,18 +128,21 @@ def log_densities(fit: Result, held: Held) -> Array | None:
     free = system.scale[:, None] * system.directions[:, ~system.kept]
     limit = _UNPREDICTABLE * float(system.singular_values.max(initial=0.0))
     scale = math.sqrt(own) if own else 1.0
-    out = np.zeros(len(problem.poses))
+    density, squares = np.zeros((2, len(problem.poses)))
+    loops = np.zeros(len(problem.poses), dtype=np.intp)
     for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):
         found = _densities(block, own, fit.covariance, free, limit / scale)
         if found is None:
             return None
-        out[poses] = found
-    return out
+        density[poses], squares[poses] = found
+        loops[poses] = block.e.shape[1]
+    return Predictive(density, squares, loops)
 
 
 def _densities(
     block: ModelBlock, own: float, covariance: Array, free: Array, limit: float
-) -> Array | None:
+) -> tuple[Array, Array] | None:
+    """Log densities and squares of the poses of a block."""
     r = block.e.shape[1]
     W = block.fixed + own * np.eye(r)
     try:
@@ -132,5 +154,6 @@ def _densities(
         return None  # a loop without any uncertainty
     z = np.linalg.solve(L, block.e[:, :, None])[:, :, 0]
     volume = np.log(np.einsum("brr->br", L)).sum(axis=1)
-    density: Array = -0.5 * np.square(z).sum(axis=1) - volume - 0.5 * r * math.log(2.0 * math.pi)
-    return density
+    squares: Array = np.square(z).sum(axis=1)
+    density: Array = -0.5 * squares - volume - 0.5 * r * math.log(2.0 * math.pi)
+    return density, squares

@@ -16,12 +16,12 @@ from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem.patterns import Pattern
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
+from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.presentation.shown import with_unit
-from loopcal.statistics.sensitivity import output_sensitivity
 
 Array = NDArray[np.float64]
 _MOST_POSES = 2000
