@@ -1,9 +1,9 @@
 """Are faults of whole files named, and are good files left alone?
 
 Simulated readings of the machines and instruments of `analyses.instruments`, from nominal machines
-1 mm and 1 mrad off, as they are and with each fault that their instruments allow. `named`: share of
-the draws in which the fault is found before any fit and has its code; `blamed`: share of good draws,
-and of draws with a length of the machine 50 mm off, in which any fault is found.
+1 mm and 1 mrad off, as they are and with each fault that their instruments allow. `named`: share
+of the draws in which the fault is found before any fit and has its code; `blamed`: share of good
+draws, and of draws with a length of the machine 50 mm off, in which any fault is found.
 
     python -m analyses.file_faults [--draws 20] [--only WORD ...] [--write FILE.md]
 """
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -88,7 +88,7 @@ def _mirrored(readings: Readings, joints: list[str], rng: np.random.Generator) -
 
 def _quaternion(readings: Readings, joints: list[str], rng: np.random.Generator) -> None:
     w, x, y, z = (readings[f"q{a}"] for a in "wxyz")
-    readings |= dict(qw=x, qx=y, qy=z, qz=w)
+    readings |= {"qw": x, "qx": y, "qy": z, "qz": w}
 
 
 def _inverted(readings: Readings, joints: list[str], rng: np.random.Generator) -> None:
@@ -136,7 +136,7 @@ FAULTS: Mapping[str, Case] = {
     "last joint reversed": Case(("reversed",), _last_reversed),
     "three joints reversed": Case(("reversed",), _turned(-1.0, 3)),
     "two joints exchanged": Case(("exchanged",), _exchanged),
-    "left-handed frame": Case(("left-handed",), _mirrored),
+    "left-handed frame": Case(("left-handed", "reversed"), _mirrored),
     "quaternion x, y, z, w": Case(("orientation",), _quaternion),
     "inverse pose": Case(("pose-inverted",), _inverted),
     "readings one row late": Case(("rows-shifted",), _rolled(1)),
@@ -150,7 +150,8 @@ FAULTS: Mapping[str, Case] = {
 def applies(name: str, given: Setup) -> bool:
     """Whether the instruments of a machine allow a fault."""
     quantities = given.truth.quantities
-    contact = any(f.form in ("gap", "closure") for f in given.truth.families)
+    contact = "wire" not in quantities and not {"x", "y"} <= {*quantities}
+    contact = contact and not any(q.endswith("range") for q in quantities)
     if name in ("left-handed frame", "z constant"):
         return {"x", "y", "z"} <= {*quantities}
     if name in ("quaternion x, y, z, w", "inverse pose"):
@@ -173,9 +174,7 @@ class Found:
 def draw(given: Setup, name: str, seed: int) -> Found:
     """One file with a fault, or none."""
     rng = np.random.default_rng([52, seed])
-    made = lc.simulate(
-        given.truth, given.driven, noise=given.noise, seed=seed, start=given.start
-    )
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=seed, start=given.start)
     readings = {q: v.copy() for q, v in made.dataset.readings.items()}
     joints = list(given.driven)
     nominal = given.nominal(seed)
@@ -214,8 +213,10 @@ def lines(draws: int, only: list[str], *, talk: bool = False) -> Iterator[str]:
         if not found:
             continue
         share = f"{100 * np.mean([bool(one.codes) for one in found]):5.0f} %"
-        named = "" if fault not in FAULTS else (
-            f"{100 * np.mean([_right(fault, one) for one in found]):4.0f} %"
+        named = (
+            ""
+            if fault not in FAULTS
+            else (f"{100 * np.mean([_right(fault, one) for one in found]):4.0f} %")
         )
         yield f"{fault:38s} {len(found):5d} {named:>6s} {'' if named else share:>6s}"
 

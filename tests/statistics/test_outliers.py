@@ -12,9 +12,9 @@ import loopcal as lc
 from analyses.gross_errors import Counts, run, sds
 from analyses.instruments import setup
 from loopcal.errors import InputError
+from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.statistics import causes
-from loopcal.estimation.faults.search import column_faults
 from loopcal.units import from_si
 from tests.reference.simulated import ma1400, planar_arm
 
@@ -234,6 +234,7 @@ def test_what_happened_to_a_column_is_named(change, words) -> None:
     assert len(found.columns) == 1
     assert words in str(found)
     assert found.columns[0].before is not None
+    assert found.columns[0].after is not None
     assert found.columns[0].after < 0.1 * found.columns[0].before
 
 

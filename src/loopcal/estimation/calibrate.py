@@ -25,7 +25,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 
-FAULTY = 10
+FAULTY = 3
 """Iterations of the fit of a file that is at fault as a whole."""
 
 
@@ -79,9 +79,9 @@ def calibrate(
     if told is not None:
         mechanism, data = with_model(mechanism, data, told)
 
-    def fitted(problem: Problem) -> Solution:
+    def fitted(problem: Problem, max_iterations: int = fit.max_iterations) -> Solution:
         limits: dict[str, Any] = {
-            "max_iterations": fit.max_iterations,
+            "max_iterations": max_iterations,
             "tolerance": fit.tolerance,
             "progress": progress,
         }
@@ -102,10 +102,11 @@ def calibrate(
         faults: tuple[ColumnFault, ...] = ()
         if isinstance(fit.start, str) and suspicious(problem):
             faults = column_faults(problem)
-        if faults:  # no fit will be of use: a short one, for what is known of its end
-            fit = replace(fit, max_iterations=min(fit.max_iterations, FAULTY))
-        if faults or told is None or not told.estimate:
-            return Result(fit, data, problem, solved(problem), problem, faults=faults)
+        if faults:  # no fit is of use: a short one, so that there is a result to say so
+            short = fitted(problem, min(fit.max_iterations, FAULTY))
+            return Result(fit, data, problem, short, problem, faults=faults)
+        if told is None or not told.estimate:
+            return Result(fit, data, problem, solved(problem), problem)
         from loopcal.estimation.noise.estimation import estimate_noise
 
         estimate = estimate_noise(

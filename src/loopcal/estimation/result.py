@@ -364,6 +364,7 @@ class Result:
             observability=None,
             prediction=None,
             outliers=None,
+            column_faults=self.faults or None,
             data=data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities]),
             warnings=self.warnings,
             inputs={},

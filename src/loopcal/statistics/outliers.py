@@ -71,9 +71,9 @@ class Outliers:
 
     def lines(self, most: int = 10) -> list[str]:
         """In words: the rule of the tests, what it found, at most so many poses."""
-        lines = [f"columns: {fault}" for fault in self.columns]
         if self.columns:
-            return [*lines, "outliers: not tested until the columns are corrected"]
+            lines = [f"file: {fault}" for fault in self.columns]
+            return [*lines, "outliers: not tested until the file is corrected"]
         rule = f"{self.tested} poses tested, family-wise level {100 * self.level:g} %"
         if self.by_residuals:
             rule += f", residuals as scale (factor {significant(self.scale, 3)})"

@@ -81,15 +81,19 @@ def misfit(problem: Problem, rounds: int = _ROUNDS, steps: int = _STEPS) -> Misf
     away = np.full(problem.count, np.nan)
     try:
         find = _apart(problem, scales) if unread(problem) else _misplaced(problem, scales, steps)
-        half: NDArray[np.intp] | None = None
-        for _ in range(rounds + 1):
-            away = find(half)
-            half = np.flatnonzero(away <= np.nanmedian(away))
+        away = find(None)
+        for _ in range(rounds):
+            away = find(_better(away))
+        half = _better(away)
         share = float(np.sqrt(np.square(away[half]).mean())) if half.size else math.inf
     except InputError:
         share = math.inf
     share = share if math.isfinite(share) else math.inf
     return Misfit(share, share * scales.size, scales.unit, away)
+
+
+def _better(away: Array) -> NDArray[np.intp]:
+    return np.flatnonzero(away <= np.nanmedian(away))
 
 
 def unread(problem: Problem) -> bool:
@@ -158,9 +162,7 @@ def _begun(problem: Problem) -> Array:
     return np.array([p.nominal for p in moved.parameters])
 
 
-def _fitted(
-    problem: Problem, start: Array, names: tuple[str, ...], iterations: int
-) -> Array:
+def _fitted(problem: Problem, start: Array, names: tuple[str, ...], iterations: int) -> Array:
     """All parameters after a least-squares fit of some of them, from a start (n_all,)."""
     its = np.array([problem.names.index(n) for n in names], dtype=np.intp)
     part = replace(
@@ -193,10 +195,10 @@ class _Scales:
     def _predicted(self, problem: Problem, parameters: Array) -> Array:
         """The same of the outputs alone, where loops find what nobody reads; inf if they do not."""
         mechanism = problem.mechanism
-        measured = problem.readings[[mechanism.tape.quantities.index(q) for q in mechanism.compared]]
-        found = by_pose(
-            deviations(mechanism, measured, output_differences(problem, parameters))
-        )
+        measured = problem.readings[
+            [mechanism.tape.quantities.index(q) for q in mechanism.compared]
+        ]
+        found = by_pose(deviations(mechanism, measured, output_differences(problem, parameters)))
         if found is None:
             return np.full(problem.count, np.nan)
         return np.where(np.isfinite(found), found / self.size, np.inf)

@@ -198,7 +198,7 @@ class _Maker:
         known = [i for i, n in enumerate(self.mechanism.tape.known) if n in columns]
         names = tuple(self.names[j] for j in rows)
         what = self._listed(rows)
-        steps = [(shift, _shifted(N, shift)) for shift in SHIFTS if N > 4 * abs(shift)]
+        steps = [(shift, _shifted(N, shift)) for shift in SHIFTS if 4 * abs(shift) < N]
         for shift, (machine, seen) in steps:
             plural = "s" if abs(shift) > 1 else ""
             where = "late" if shift > 0 else "early"
@@ -208,8 +208,8 @@ class _Maker:
             )
             moved = taken(problem, machine)
             readings, constants = moved.readings.copy(), moved.known.copy()
-            readings[rows] = problem.readings[np.ix_(rows, seen)]
-            constants[known] = problem.known[np.ix_(known, seen)]
+            readings[rows] = problem.readings[rows][:, seen]
+            constants[known] = problem.known[known][:, seen]
             yield Repair(
                 "rows-shifted", names, words, replace(moved, readings=readings, known=constants)
             )
@@ -247,5 +247,3 @@ def _written(orientation: Orientation, matrices: Array) -> dict[str, Array]:
 
     numbers = Rotation.from_matrix(matrices).as_quat()
     return orientation.written(numbers[:, [3, 0, 1, 2]].T)
-
-

@@ -31,8 +31,8 @@ PLAUSIBLE = 0.1
 MUCH_BETTER = 1 / 3
 """A fault is suspected if undoing it leaves at most this of the misfit."""
 SURE = 0.1
-"""A repair that leaves at most this of the misfit needs no fit to verify it. A fit would mislead: it
-shrinks a machine whose readings are all in another unit as well as it fits the right one."""
+"""A repair that leaves at most this of the misfit needs no fit to verify it. A fit would mislead:
+it shrinks a machine whose readings are all in another unit as well as it fits the right one."""
 BETTER = 0.99
 """The fit of all parameters must improve by at least this factor, a fit that was the very measure
 of the suspicion by MUCH_BETTER: a repair that changes nothing proves nothing."""
@@ -116,7 +116,7 @@ def _gravest(problem: Problem, *, found: bool) -> tuple[Repair, ColumnFault] | N
         words,
         known(misfit(problem).size),
         after.size,
-        can_be_placed(problem.mechanism),
+        drawn,
         best.code,
     )
     return best, told
@@ -193,5 +193,3 @@ def _between(points: Array) -> Array:
     first, second = np.triu_indices(points.shape[1], 1)
     distances: Array = np.sqrt(np.square(gaps).sum(axis=0))[first, second]
     return distances
-
-
