@@ -229,8 +229,8 @@ class OutlierTests:
 class ColumnFault:
     """A fault of whole columns, of the order of rows, or of the whole file.
 
-    Misfit: the rms distance [SI] of the half of the poses where the nominal machine is nearest to
-    the readings, with instruments and targets placed as well as can be.
+    Misfit: the rms distance [SI] of the nine tenths of the poses where the nominal machine is
+    nearest to the readings, with instruments and targets placed as well as can be.
     """
 
     quantities: tuple[str, ...]

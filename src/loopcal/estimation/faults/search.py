@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from loopcal.document.findings import ColumnFault
 from loopcal.document.plain import known
 from loopcal.errors import InputError
-from loopcal.estimation.faults.misfit import at_start, fit_of_all, misfit, undrawn, unread
+from loopcal.estimation.faults.misfit import HALF, at_start, fit_of_all, misfit, undrawn, unread
 from loopcal.estimation.faults.repairs import Repair, repairs
 from loopcal.estimation.problem.alignment import can_be_placed, seen_points
 from loopcal.estimation.problem.problem import Problem, taken
@@ -148,7 +148,7 @@ def _hopeless(problem: Problem) -> tuple[ColumnFault, ...]:
     """The fault where no repair helps and the machine as drawn explains next to nothing."""
     if not undrawn(problem.mechanism):
         return ()
-    left = misfit(_thinned(problem, _SAMPLE))
+    left = misfit(_thinned(problem, _SAMPLE), kept=HALF)
     if not left.share > NOTHING:
         return ()
     names = tuple(q for q in problem.mechanism.outputs)
