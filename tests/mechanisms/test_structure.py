@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -108,9 +109,10 @@ def bent(
     m = tip if at is None else frames[at][:3, 3]
     T = frames[names.index(where)]
     e, o = T[:3, "xyz".index(axis)], T[:3, 3]
-    if len(ahead) and where in names[:2]:  # level with the second joint
-        first, second = frames[1], frames[2]
-        o = o + first[:3, 2] * float(first[:3, 2] @ (second[:3, 3] - o))
+    if len(ahead) and where in names[:2]:  # level with the second joint, the base below
+        up, second, third = frames[1][:3, 2], frames[2][:3, 3], frames[3][:3, 3]
+        o = o + up * float(up @ (second - o))
+        o = o - up * float(np.linalg.norm(third - second)) * (where == "base")
     g = product(ahead, {}, p)[:3, :3] @ np.array(gravity)
     angle = c * float(e @ np.cross(m - o, g))
     r = tip - o
@@ -141,6 +143,7 @@ def test_columns_that_do_nothing_or_the_same_are_left_out(name: str) -> None:
     arm, _, gravity, _ = arms()[name]
     made = structured(arm.with_gravity(gravity))
     columns = [n for n in made.effects["structure"] if "_sag_" in n]
+    made = made.with_nominal(dict.fromkeys(("gravity_tilt_1", "gravity_tilt_2"), 0.05))
     poses = [readings(made, seed) for seed in range(8)]
     still = [loops(made, x) for x in poses]
     change = np.array(
@@ -235,8 +238,10 @@ def test_every_added_parameter_has_a_finite_prior_and_moves_a_loop(name: str) ->
     learnt = {n for term in made.terms for n in term.parameters}
     assert {n for n in added if n not in learnt} <= {"gravity_tilt_1", "gravity_tilt_2"}
     terms = [t.parameters for t in made.terms if t.parameters[0] in added]
+    tilted = {n: 0.05 for n in added if "tilt" in n}
     for n in [names[i] for names in terms for i in (0, len(names) // 2, -1)]:
-        assert np.abs(loops(made, x, **{n: 1e-2}) - loops(made, x)).max() > 0.0, n
+        change = loops(made, x, **tilted, **{n: 1e-2}) - loops(made, x, **tilted)
+        assert np.abs(change).max() > 0.0, n
 
 
 def test_kinds_are_what_parameters_say() -> None:
@@ -359,6 +364,23 @@ def test_a_discrepancy_has_the_sd_of_its_coefficients_in_every_pose() -> None:
         still = loops(made, x)
         columns = np.array([loops(made, x, **{n: 1.0}) - still for n in names])
         assert columns.T @ columns == pytest.approx(np.eye(3), abs=1e-12)
+
+
+def test_structured_mechanisms_travel_to_workers() -> None:
+    made = structured(machines()["pose"], discrepancy=True)
+    assert pickle.loads(pickle.dumps(made)) == made
+    plain = pickle.loads(pickle.dumps(machines()["pose"]))
+    assert structured(plain, discrepancy=True) == made
+
+
+def test_gravity_needs_a_direction() -> None:
+    with refused("invalid-value", "gravity"):
+        motoman_ma1400().with_gravity((0.0, 0.0, 0.0))
+
+
+def test_sag_that_an_arm_cannot_have_is_refused() -> None:
+    with refused("unknown-name", "theta_6_sag_x_tool"):
+        structured(motoman_ma1400(), sag=("theta_6_sag_x_tool",))
 
 
 def test_effects_stated_by_the_user_are_not_added_again() -> None:
