@@ -25,7 +25,7 @@ from scipy.stats import kstest
 
 import loopcal as lc
 from loopcal.estimation.prediction import predict_outputs
-from loopcal.statistics.sensitivity import output_sensitivity
+from loopcal.estimation.sensitivity import output_sensitivity
 
 Array = NDArray[np.float64]
 SIGMAS = 1.959963984540054

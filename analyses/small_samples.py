@@ -27,6 +27,8 @@ from loopcal.statistics.predictor import Predictor, predictor
 Array = NDArray[np.float64]
 How = Literal["group", "each"]
 SIGMAS = 1.959963984540054
+_APART = 1_000_000
+"""Between the seeds of poses and of noise."""
 BOX = {"phi2": (0.0, 1.6), "phi3": (0.0, 1.6)}
 POSES = (6, 8, 12, 20)
 
@@ -98,7 +100,7 @@ def draw(case: Case, poses: int, seed: int) -> Drawn | None:
 def calibrated(arm: lc.Mechanism, case: Case, poses: int, seed: int) -> lc.Result:
     """The arm calibrated at random poses of its own."""
     really = lc.Noise({"?P": case.tracker, "phi?": 1e-3})
-    at = lc.random_poses(BOX, poses, seed=seed)
+    at = lc.random_poses(BOX, poses, seed=_APART + seed)
     readings = lc.simulate(arm, at, noise=really, seed=seed).dataset
     learning = lc.Noise(really.entries, estimate=dict(case.learnt))
     return lc.calibrate(arm, readings, noise=learning, start="nominal")

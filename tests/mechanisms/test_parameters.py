@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from loopcal.errors import Code
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, declared, matching
 from loopcal.mechanisms.prior import Prior
+from loopcal.mechanisms.terms import Term
 from tests.refusals import refused
 
 LENGTHS = Parameters(
@@ -19,6 +22,16 @@ LENGTHS = Parameters(
         Parameter("phi1", 0.1, "rad", fixed=True),
     )
 )
+
+
+def machine() -> Mechanism:
+    made = Mechanism.from_function(
+        lambda x, p: p.l1 * x.q + p.l2 - x.y + p.phi1 * 0.0,
+        {"q": "1", "y": "m"},
+        {p.name: p for p in LENGTHS},
+    )
+    assert made.parameters == LENGTHS
+    return made
 
 
 def test_they_keep_their_order_and_tell_who_is_free() -> None:
@@ -115,7 +128,7 @@ def test_declared_values_become_si() -> None:
 
 def test_a_prior_takes_units_and_globs_and_applies_to_parameters() -> None:
     prior = Prior({"*": math.inf, "l?": (2.0, "mm"), "phi1": (1.0, "deg")})
-    applied = prior.apply(LENGTHS)
+    applied = prior.apply(machine()).parameters
     assert applied["l1"].prior_sd == pytest.approx(2e-3)
     assert applied["phi1"].prior_sd == pytest.approx(math.radians(1.0))
     assert prior == Prior({"*": math.inf, "l?": 0.002, "phi1": math.radians(1.0)})
@@ -126,3 +139,47 @@ def test_a_prior_takes_units_and_globs_and_applies_to_parameters() -> None:
 def test_a_prior_that_is_no_sd_is_refused(sd: Any) -> None:
     with refused("invalid-value", "'l1'"):
         Prior({"l1": sd})
+
+
+def test_a_term_gives_its_parameters_its_sd() -> None:
+    term = Term("lengths", ("l1", "l2"), 2e-3, words="lengths off by {scale}")
+    made = machine().with_terms(term)
+    assert made.terms == (term,)
+    assert [p.prior_sd for p in made.parameters][:2] == [2e-3, 2e-3]
+
+
+def test_a_group_of_a_prior_is_a_term_and_what_is_stated_later_leaves_it() -> None:
+    prior = Prior({"*": math.inf, "l*": (2.0, "mm")}, estimate={"l*": "group"})
+    assert prior.apply(machine()).terms == (Term("l*", ("l1", "l2"), 2e-3),)
+    assert prior != Prior(prior.sds)
+    later = Prior(prior.sds | {"l2": 1e-4}, estimate=prior.estimate).apply(machine())
+    assert later.terms == (Term("l*", ("l1",), 2e-3),)
+    assert later.parameters["l2"].prior_sd == 1e-4
+    assert Prior({"l?": 1e-4}).apply(later).terms == ()
+
+
+def test_terms_that_cannot_be_learnt_are_refused() -> None:
+    cases: list[tuple[Code, str, Callable[[], object]]] = [
+        ("unknown-name", "'l3'", lambda: machine().with_terms(Term("a", ("l3",), 1.0))),
+        ("wrong-unit", "'all'", lambda: machine().with_terms(Term("all", ("l1", "phi1"), 1.0))),
+        (
+            "duplicate-name",
+            "'l1'",
+            lambda: machine().with_terms(Term("a", ("l1",), 1.0), Term("b", ("l1",), 1.0)),
+        ),
+        (
+            "duplicate-name",
+            "'a'",
+            lambda: machine().with_terms(Term("a", ("l1",), 1.0), Term("a", ("l2",), 1.0)),
+        ),
+        ("duplicate-name", "'a'", lambda: Term("a", ("l1", "l1"), 1.0)),
+        ("no-free-parameter", "'a'", lambda: Term("a", (), 1.0)),
+        ("invalid-value", "sd", lambda: Term("a", ("l1",), math.inf)),
+        ("invalid-value", "spread", lambda: Term("a", ("l1",), 1.0, 0.0)),
+        ("missing-sd", "'l1'", lambda: Prior({"l1": math.inf}, estimate={"l1": "group"})),
+        ("missing-sd", "'l2'", lambda: Prior({"l1": 1.0}, estimate={"l2": "group"})),
+        ("unknown-name", "'each'", lambda: Prior({"l1": 1.0}, estimate={"l1": "each"})),
+    ]
+    for refusal, names, make in cases:
+        with refused(refusal, names):
+            make()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -15,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from loopcal.errors import InputError
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.motoman import motoman_ma1400
-from loopcal.mechanisms.placement import yaw_pitch_roll
+from loopcal.mechanisms.placement import _along, yaw_pitch_roll
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.mechanisms.serial import Joint, serial_arm
 from tests.reference import frames
@@ -200,3 +201,10 @@ def test_placement_parameters_are_those_that_say_where_the_machine_stands() -> N
         "dh": ("base_x", "base_y", "base_z", "base_rz", "base_ry", "base_rx"),
         "MA1400": ("x0", "y0", "phix0", "phiy0", "z1", "phiz1"),
     }
+
+
+def test_the_way_an_axis_turns_is_that_of_the_vector_product() -> None:
+    axes = np.eye(3)
+    for turn, onto, of in itertools.product("xyz", repeat=3):
+        moved = np.cross(axes["xyz".index(turn)], axes["xyz".index(of)])
+        assert _along(turn, onto, of) == moved["xyz".index(onto)]

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from loopcal.errors import Code
-from loopcal.mechanisms.chain import product
+from loopcal.mechanisms.chain import Step, apply, matrix, product
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.serial import Joint, chain_steps, serial_arm
@@ -109,6 +109,13 @@ def test_the_chain_of_steps_gives_the_whole_frame_too() -> None:
     T = product(chain_steps(joints), {"q1": 0.7, "q2": 0.9}, p)
     expected = frames.dh(0.3, 0.1, 0.2, 1.1) @ frames.modified_dh(0.5, -0.1, 0.6, -1.2)
     assert pytest.approx(expected, abs=1e-15) == T
+
+
+@pytest.mark.parametrize("motion", ["tx", "ty", "tz", "rx", "ry", "rz"])
+def test_the_matrix_of_a_step_moves_points_as_the_step_does(motion: str) -> None:
+    step, point = Step(motion, "amount"), np.array([0.3, -0.2, 0.7])
+    moved = matrix(step, 0.4) @ [*point, 1.0]
+    assert moved[:3] == pytest.approx(apply([step], point, {}, {"amount": 0.4}), abs=1e-15)
 
 
 def test_pytransform3d_reaches_the_same_point() -> None:

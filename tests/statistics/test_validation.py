@@ -13,6 +13,7 @@ from scipy.stats import multivariate_normal
 import loopcal as lc
 from loopcal.errors import Code, InputError
 from loopcal.statistics import validation
+from loopcal.statistics.blocks import blocks
 from loopcal.statistics.folds import folds, grouped, held_out, repeated
 from loopcal.statistics.validation import compare_methods, validate
 from tests.reference.simulated import arm_at, planar_arm
@@ -53,6 +54,78 @@ def test_every_pose_is_left_out_once_and_repeats_stay_together() -> None:
     some = held_out(groups, 0.3, seed=0)
     assert len(some) == 24
     assert set(some) == {(i + 40) % 80 for i in some}
+
+
+def test_a_passive_sensor_that_jitters_and_a_time_do_not_split_repeats() -> None:
+    """A four-bar by two angles: the second is passive, and reads each position anew."""
+    crank = np.repeat(np.linspace(0.0, 6.0, 30), 4)
+    rng = np.random.default_rng(0)
+    data = lc.Dataset.from_arrays(
+        {"a": crank, "b": np.sin(crank) + rng.normal(0.0, 1e-3, 120), "t": np.arange(120.0)}
+    )
+    coupler = lc.Mechanism.from_function(
+        lambda x, p: p.r * np.sin(x.a) - x.b + p.v * x.t,
+        {"a": "rad", "b": "rad"},
+        {"r": (1.0, "1"), "v": (0.0, "1")},
+        known={"t": "1"},
+    )
+    groups = repeated(coupler, data, {"a": 0.0, "b": 1e-3})
+    assert (groups == np.repeat(np.arange(30), 4)).all()
+    assert len(set(repeated(coupler, data).tolist())) > 100
+
+
+def test_a_dense_path_is_cut_where_its_noise_ends_not_chained_into_one() -> None:
+    path = lc.Dataset.from_arrays({"phi2": np.linspace(0, 1, 2000), "phi3": np.zeros(2000)})
+    groups = repeated(ARM.truth, path, {"phi2": 1e-3})
+    counts = np.bincount(groups)
+    assert 200 < len(counts) < 500
+    assert counts.max() <= 9
+
+
+def test_blocks_are_regions_that_keep_repeats_together() -> None:
+    """Five clumps of joints, angles beyond a turn among them: the blocks are the clumps."""
+    rng = np.random.default_rng(2)
+    centres = rng.uniform(-3.0, 3.0, (2, 5)).repeat(16, axis=1) + 0.1 * rng.normal(size=(2, 80))
+    clumps = np.arange(80) // 16
+    turned = centres + 2.0 * np.pi * rng.integers(-1, 2, (2, 80))
+    data = arm_at(ARM.truth, turned).read()
+    found = blocks(ARM.truth, data, repeated(ARM.truth, data), 5)
+    assert {tuple(set(clumps[part].tolist())) for part in found} == {(i,) for i in range(5)}
+    again = blocks(ARM.truth, data, repeated(ARM.truth, data), 5)
+    assert all((a == b).all() for a, b in zip(found, again, strict=True))
+    mixed = blocks(ARM.truth, data, np.arange(80, dtype=np.intp) // 2, 4)
+    assert all(set(part.tolist()) == {i ^ 1 for i in part.tolist()} for part in mixed)
+    assert min(map(len, mixed)) >= 5
+    with refused("too-few-poses", "6"):
+        blocks(ARM.truth, data.take(np.arange(6)), np.arange(6, dtype=np.intp), 7)
+
+
+def test_blocked_validation_predicts_regions_by_fits_of_the_others() -> None:
+    groups = repeated(ARM.truth, DATA)
+    found = validate(ARM.truth, DATA, noise=NOISE, folds=5, blocks=4)
+    alone = validate(ARM.truth, DATA, noise=NOISE, folds=5)
+    assert found.blocked is not None
+    assert found.accuracy == alone.accuracy
+    assert found.blocked.distances is not None
+    for part in blocks(ARM.truth, DATA, groups, 4):
+        errors = by_hand(part, noise=NOISE)[1]
+        assert found.blocked.distances[part] == pytest.approx(np.hypot(*errors), rel=1e-6)
+    assert found.entry.blocked == found.blocked.entry
+    assert found.blocked.parts == 4
+
+
+def test_stated_regions_hold_as_often_as_they_say() -> None:
+    """40 draws of 40 poses: the share has a standard error of 0.5 %."""
+    held = [
+        validate(ARM.truth, ARM.read(SDS, seed=seed), noise=NOISE, folds=4).coverage
+        for seed in range(40)
+    ]
+    shares = [found.share for found in held if found is not None]
+    assert len(shares) == 40
+    assert np.mean(shares) == pytest.approx(0.95, abs=0.015)
+    wrong = validate(ARM.truth, DATA, noise={"?P": 1e-4, "phi?": 1e-4}, folds=4).coverage
+    assert wrong is not None
+    assert wrong.share < 0.5
 
 
 def test_stated_groups_stay_together() -> None:

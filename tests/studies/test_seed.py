@@ -71,9 +71,8 @@ def test_the_exchanged_arm_is_counted_where_an_undamped_iteration_ends_there(stu
     undamped = replace(
         damped, name="undamped", fit=damped.fit.changed(method="implicit-loop-undamped")
     )
-    known = damped.mechanism.with_parameters(
-        Prior({"xA": 0.01, "yA": 0.01, "l?": 0.01, "phi*": 0.01}).apply(damped.mechanism.parameters)
-    )
+    stated = Prior({"xA": 0.01, "yA": 0.01, "l?": 0.01, "phi*": 0.01})
+    known = stated.apply(damped.mechanism)
     prior = replace(damped, name="prior", mechanism=known)
     three = replace(seventh, methods=(damped, undamped, prior), published={})
     columns = run_draws(three, study.seed, range(60))

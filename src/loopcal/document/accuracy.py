@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from loopcal.document.bounds import Count, Size
+from loopcal.document.bounds import Count, Probability, Size
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,11 @@ class AccuracyEntry:
     orientation: Deviation | None = None
     """Null where no orientation is measured, or nothing else is."""
     by: tuple[InstrumentDeviation, ...] = ()
+    nominal: Distances | None = None
+    """With the drawing's parameters, placement and mounting fitted; null: not computed."""
+    noise_floor: Size | None = None
+    """Expected rms from the noise of the readings alone, with the right parameters; null: unknown,
+    for no sds are stated or learnt."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +89,18 @@ class FailedPart:
 
 
 @dataclass(frozen=True)
+class Coverage:
+    """How often the stated regions hold on poses not used."""
+
+    level: Probability
+    """Stated probability of each region."""
+    share: Probability
+    """Share of the poses whose measured point lies in its region."""
+    poses: Count
+    """How many poses could be tested."""
+
+
+@dataclass(frozen=True)
 class ValidationEntry:
     """How well poses were predicted that took no part in the fit."""
 
@@ -103,6 +120,10 @@ class ValidationEntry:
     """How many parts were to be predicted."""
     failed: tuple[FailedPart, ...] = ()
     """Those whose fit failed; they do not count."""
+    coverage: Coverage | None = None
+    """Null: the method states no regions."""
+    blocked: ValidationEntry | None = None
+    """The same for regions of the joint space left out one by one; null: not asked for."""
 
 
 @dataclass(frozen=True)

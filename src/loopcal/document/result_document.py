@@ -8,6 +8,8 @@ from typing import Any, Literal
 
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
 from loopcal.document.bounds import Count, Size
+from loopcal.document.choice import Chosen
+from loopcal.document.dependence import Dependence
 from loopcal.document.findings import (
     ColumnFault,
     Identifiability,
@@ -33,10 +35,12 @@ from loopcal.document.tables import (
     parameter_table,
     sensor_table,
 )
+from loopcal.document.terms import TermEntry
+from loopcal.document.verdict import Verdict
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.presentation.rounding import significant
 
-SCHEMA: Literal[1] = 1
+SCHEMA: Literal[2] = 2
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ class ResultDocument:
         "use_attribute_docstrings": True,
     }
 
-    schema: Literal[1]
+    schema: Literal[2]
     loopcal: str
     """Version of loopcal that wrote this file."""
     title: str | None
@@ -124,6 +128,8 @@ class ResultDocument:
     method: str
     method_label: str = ""
     """The method in a few words; empty: written by an earlier version."""
+    chosen: Chosen | None = None
+    """What the method "auto" chose; null: the method was stated."""
     loss: str = "gaussian"
     status: StatusEntry
     parameters: tuple[ParameterEntry, ...]
@@ -132,6 +138,8 @@ class ResultDocument:
     """Empty for least squares, which knows none."""
     noise_covariances: tuple[NoiseCovarianceEntry, ...] = ()
     """Of the quantities whose covariance was stated."""
+    terms: tuple[TermEntry, ...] = ()
+    """What was learnt of the model error; empty: nothing was to be learnt."""
     model_discrepancy: Size | None = None
     """sd [SI, of the outputs] of an error of the machine model at the end point that would explain
     a chi-squared too large for the stated sds."""
@@ -147,8 +155,12 @@ class ResultDocument:
     """Null: the mechanism has no outputs, or no pose has readings for an output and its inputs."""
     validation: ValidationEntry | None
     """Null: no validation was made."""
+    verdict: Verdict | None = None
+    """Null: not judged."""
     models: tuple[ModelEntry, ...] | None = None
     """Models that were compared; null: none were."""
+    dependence: Dependence | None = None
+    """Whether residuals depend on pose order or place; null: not tested."""
     identifiability: Identifiability
     observability: Observability | None
     """Null: not computed."""
@@ -247,8 +259,22 @@ def _accuracy(document: ResultDocument) -> list[str]:
     note = "(computed from the other readings minus measured, on the poses used for the fit"
     if validation is not None and validation.accuracy is not None:
         note += f"; poses not used: {validation.words}"
+        if validation.blocked is not None:
+            note += f"; {validation.blocked.words}"
     lines = [*accuracy_table(accuracy, validation), f"{note})"]
+    lines += _coverage(validation)
     if validation is not None and validation.log_likelihood is not None:
         value = significant(validation.log_likelihood, 6)
         lines.append(f"log-likelihood of poses not used: {value} (only differences count)")
     return lines
+
+
+def _coverage(validation: ValidationEntry | None) -> list[str]:
+    """How often the stated regions hold."""
+    if validation is None or validation.coverage is None:
+        return []
+    held = validation.coverage
+    words = f"stated {held.level:.0%} regions hold {held.share:.1%} of the poses not used"
+    if validation.blocked is not None and validation.blocked.coverage is not None:
+        words += f", {validation.blocked.coverage.share:.1%} in regions not used"
+    return [words]

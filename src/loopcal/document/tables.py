@@ -20,7 +20,7 @@ from loopcal.presentation.text_table import columns
 
 @dataclass(frozen=True)
 class Stage:
-    """Distances at a stage: "nominal", "calibrated", "on poses not used"; instrument "": of all."""
+    """Distances at a stage, such as "nominal" and "on poses not used"; instrument "": of all."""
 
     name: str
     instrument: str
@@ -29,10 +29,11 @@ class Stage:
 
 @dataclass(frozen=True)
 class Stages:
-    """The lines of the accuracy table and of the orientation table."""
+    """The lines of the tables of accuracy and of orientation; noise_floor: rms of the first."""
 
     position: tuple[Stage, ...]
     orientation: tuple[Stage, ...]
+    noise_floor: float | None = None
 
 
 def accuracy_stages(accuracy: AccuracyEntry, validation: ValidationEntry | None) -> Stages:
@@ -48,7 +49,14 @@ def accuracy_stages(accuracy: AccuracyEntry, validation: ValidationEntry | None)
         else:
             positions.append(_Row(e.instrument, e.position, its.position))
             turns.append(_Row(e.instrument, e.orientation, its.orientation))
-    return Stages(_stages(positions, accuracy.unit), _stages(turns, "rad"))
+    position = list(_stages(positions, accuracy.unit))
+    if accuracy.nominal is not None:
+        last = max(i for i, stage in enumerate(position) if stage.name == "nominal")
+        position.insert(last + 1, Stage("nominal, best placed", "", accuracy.nominal))
+    blocked = validation and validation.blocked and validation.blocked.accuracy
+    if blocked:
+        position.append(Stage("in regions not used", "", blocked))
+    return Stages(tuple(position), _stages(turns, "rad"), accuracy.noise_floor)
 
 
 @dataclass(frozen=True)
@@ -71,7 +79,7 @@ def _stages(rows: Sequence[_Row], unit: str) -> tuple[Stage, ...]:
 def accuracy_table(accuracy: AccuracyEntry, validation: ValidationEntry | None) -> list[str]:
     """Distances by stage, then orientations."""
     stages = accuracy_stages(accuracy, validation)
-    lines = _distance_table("accuracy", stages.position, accuracy.unit)
+    lines = _distance_table("accuracy", stages.position, accuracy.unit, stages.noise_floor)
     if accuracy.orientation is not None:
         lines += [
             "",
@@ -80,11 +88,15 @@ def accuracy_table(accuracy: AccuracyEntry, validation: ValidationEntry | None) 
     return lines
 
 
-def _distance_table(what: str, stages: Sequence[Stage], unit: str) -> list[str]:
+def _distance_table(
+    what: str, stages: Sequence[Stage], unit: str, floor: float | None = None
+) -> list[str]:
     rows = [[what, f"mean [{unit_shown(unit)}]", "rms", "95 %", "max"]]
     for stage in stages:
         name = f"  {stage.instrument}" if stage.instrument else stage.name
         rows.append([name, *distances_shown(stage.distances, unit)])
+    if floor is not None:
+        rows.append(["noise floor", "", size(floor, unit), "", ""])
     return columns(rows)
 
 

@@ -54,8 +54,14 @@ def covariance_entry(
     )
     if not len(covariance.slopes):
         return CovarianceEntry(names, "SI", matrix)
-    plain, *slopes = (tuple(map(tuple, m.tolist())) for m in (covariance.plain, *covariance.slopes))
-    return CovarianceEntry(names, "SI", matrix, plain, tuple(slopes))
+    plain = tuple(map(tuple, covariance.plain.tolist()))
+    slopes = tuple(tuple(map(_short, slope)) for slope in covariance.slopes.tolist())
+    return CovarianceEntry(names, "SI", matrix, plain, slopes)
+
+
+def _short(row: Sequence[float]) -> tuple[float, ...]:
+    """To six digits: they say how sure variances are."""
+    return tuple(float(f"{value:.6g}") for value in row)
 
 
 def noise_entries(

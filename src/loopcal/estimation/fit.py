@@ -16,6 +16,7 @@ from loopcal.mechanisms.prior import Prior, PriorLike
 
 Start = str | Mapping[str, float]
 STARTS = ("auto", "align", "nominal")
+MODEL_ERRORS = ("none", "structured")
 
 
 class FitOptions(TypedDict, total=False):
@@ -27,6 +28,7 @@ class FitOptions(TypedDict, total=False):
     prior: PriorLike | None
     max_iterations: int
     tolerance: float | None
+    model_error: str
 
 
 @dataclass(frozen=True, init=False)
@@ -36,7 +38,9 @@ class Fit:
     method: its name, see `loopcal.estimation.methods`; loss: "gaussian", "huber" or "student-t";
     start: "nominal", "align", "auto", or parameter values [SI] by name; prior: sds of the
     parameters, by default those of the mechanism; max_iterations: of one fit; tolerance: the step
-    [sds] that counts as converged, None is the method's own.
+    [sds] that counts as converged, None is the method's own; model_error: "none", or "structured",
+    which adds terms for what the machine model lacks, their sizes learnt
+    (`loopcal.estimation.model_error`).
 
     >>> Fit(method="reweighted", loss="huber").method.label
     'reweighted least squares (readings weighted by their propagated noise)'
@@ -50,6 +54,7 @@ class Fit:
     prior: Prior | None
     max_iterations: int
     tolerance: float | None
+    model_error: str
 
     def __init__(
         self,
@@ -60,6 +65,7 @@ class Fit:
         prior: PriorLike | None = None,
         max_iterations: int = 100,
         tolerance: float | None = None,
+        model_error: str = "none",
     ) -> None:
         chosen = method if isinstance(method, Method) else method_named(method)
         if loss_named(loss) is not None and not chosen.robust:
@@ -86,6 +92,12 @@ class Fit:
                 code="invalid-value",
                 remedy="give a number above zero, say 1e-8",
             )
+        if model_error not in MODEL_ERRORS:
+            raise InputError(
+                f"there is no model_error {model_error!r}",
+                code="unknown-name",
+                remedy=nearest(model_error, MODEL_ERRORS),
+            )
         values = {
             "method": chosen,
             "loss": loss,
@@ -93,6 +105,7 @@ class Fit:
             "prior": Prior.of(prior),
             "max_iterations": max_iterations,
             "tolerance": tolerance,
+            "model_error": model_error,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -112,9 +125,19 @@ class Fit:
             "prior": self.prior,
             "max_iterations": self.max_iterations,
             "tolerance": self.tolerance,
+            "model_error": self.model_error,
             **options,
         }
         return Fit(**every)
+
+    @property
+    def solver(self) -> Method:
+        """The method whose fit is made: the implicit loop where least squares learns model error.
+
+        Only readings of instruments are uncertain then, all alike.
+        """
+        learns = self.method.exact and self.model_error != "none"
+        return method_named(DEFAULT) if learns else self.method
 
     @property
     def robust_loss(self) -> Loss | None:
@@ -122,7 +145,5 @@ class Fit:
         return loss_named(self.loss)
 
     def with_prior(self, mechanism: Mechanism) -> Mechanism:
-        """The mechanism with the prior sds of these settings."""
-        if self.prior is None:
-            return mechanism
-        return mechanism.with_parameters(self.prior.apply(mechanism.parameters))
+        """The mechanism with the prior sds and terms of these settings."""
+        return mechanism if self.prior is None else self.prior.apply(mechanism)

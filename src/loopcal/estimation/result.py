@@ -12,13 +12,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.dependence import Dependence
 from loopcal.document.findings import Identifiability
 from loopcal.document.fit import ClosureEntry, NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.plain import known
 from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
+from loopcal.document.terms import TermEntry
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
+from loopcal.estimation.dependence.dependence import Depending, dependence
 from loopcal.estimation.document_parts import (
     covariance_entry,
     data_entry,
@@ -29,11 +32,14 @@ from loopcal.estimation.document_parts import (
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.identifiability import identifiability
 from loopcal.estimation.noise.learning import entries, joint_covariances, words
+from loopcal.estimation.noise.terms import term_entries
+from loopcal.estimation.noise.variances import all_learnt
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.residuals import Closure, by_name, residuals
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
 from loopcal.estimation.solve.robust import RobustSums
+from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
@@ -118,7 +124,7 @@ class Result:
     @property
     def freedom(self) -> int:
         """Degrees of freedom: loop equations + finite priors - determined parameters."""
-        informed = 0 if self.fit.method.exact else int(np.isfinite(self.problem.prior_sd).sum())
+        informed = 0 if self.fit.solver.exact else int(np.isfinite(self.problem.prior_sd).sum())
         return self.solution.equations + informed - self.spectrum.rank
 
     @cached_property
@@ -130,8 +136,11 @@ class Result:
     @cached_property
     def learnt_covariance(self) -> LearntCovariance:
         """Of the estimated parameters, and how sure it is itself: sds that were learnt are not
-        known, and those of least squares come from its residuals."""
-        loss, method = self.fit.robust_loss, self.fit.method
+        known, and those of least squares come from its residuals. It allows for serial dependence
+        where there is any."""
+        loss, method = self.fit.robust_loss, self.fit.solver
+        if self._depending is not None and self._depending.covariance is not None:
+            return LearntCovariance.known(self._depending.covariance)
         if loss is not None:
             sums = self.robust_sums if self.all_poses is None else self.all_poses.robust
             return LearntCovariance.known(sums.covariance(self.spectrum, self.problem.prior_sd))
@@ -159,7 +168,7 @@ class Result:
             return None
         from loopcal.estimation.noise.kenward_roger import learnt_parameters
 
-        return learnt_parameters(self.estimate.model, self.estimate.found)
+        return learnt_parameters(self.estimate)
 
     @property
     def covariance(self) -> Array:
@@ -174,9 +183,27 @@ class Result:
         return MappingProxyType(found)
 
     @property
+    def dependence(self) -> Dependence | None:
+        """Whether residuals of neighbouring poses are alike; None of a stream, under a loss, or
+        where the fit did not converge. Where they depend on the pose order, `covariance` is valid
+        under a drift that was learnt."""
+        return None if self._depending is None else self._depending.found
+
+    @cached_property
+    def _depending(self) -> Depending | None:
+        tested = self.all_poses is None and self.fit.robust_loss is None
+        if not tested or not self.status.converged:
+            return None
+        method = self.fit.solver
+        with one_blas_thread():
+            return dependence(
+                self.problem, self.solution, exact=method.exact, at_readings=method.at_readings
+            )
+
+    @property
     def robust_sums(self) -> RobustSums:
         """What the covariance under a loss needs of the poses; nothing under the gaussian one."""
-        loss, at_readings = self.fit.robust_loss, self.fit.method.at_readings
+        loss, at_readings = self.fit.robust_loss, self.fit.solver.at_readings
         if loss is None:
             return RobustSums({})
         return RobustSums.of(self.problem, self.solution, loss, at_readings=at_readings)
@@ -195,7 +222,7 @@ class Result:
     def chi_squared(self) -> ChiSquared | None:
         """None where the method or the loss has none."""
         value = self.solution.chi_squared
-        known = not self.fit.method.exact and self.fit.robust_loss is None
+        known = not self.fit.solver.exact and self.fit.robust_loss is None
         if not known or not math.isfinite(value):
             return None
         found = ChiSquared.of(value, self.freedom)
@@ -206,18 +233,21 @@ class Result:
         """Whether chi-squared is what it is because the sds were chosen so."""
         if self.estimate is None:
             return False
-        learnt = {i for component in self.estimate.stated for i in component.quantities}
-        sds = self.stated.uncertainty.sd
-        weighed = (np.isfinite(sds) & (sds > 0.0)).any(axis=1)
-        return learnt.issuperset(np.flatnonzero(weighed).tolist())
+        positions = [component.quantities for component in self.estimate.stated]
+        return all_learnt(self.stated, positions)
 
     @cached_property
     def noise(self) -> tuple[NoiseEntry, ...]:
         """The sds that were used."""
-        if self.fit.method.exact:
+        if self.fit.solver.exact:
             return ()
         errors = None if self._learnt is None else self._learnt.errors
         return entries(self.problem, self.estimate, self.stated, errors)
+
+    @cached_property
+    def terms(self) -> tuple[TermEntry, ...]:
+        """What was learnt of each term of the mechanism; empty where nothing was."""
+        return () if self.estimate is None else term_entries(self.mechanism, self.estimate.terms)
 
     @cached_property
     def corrections(self) -> Mapping[str, Array]:
@@ -332,6 +362,8 @@ class Result:
             found += self.chi_squared.warnings(self.model_discrepancy, unit)
         if self.estimate is not None:
             found += words(self.estimate, self.noise, self.chi_squared_shares)
+        if self.dependence is not None:
+            found += self.dependence.warnings()
         return (*found, *self.notes)
 
     def noted(self, *notes: str) -> Result:
@@ -403,7 +435,8 @@ class Result:
             ),
             covariance=covariance_entry(self.estimated, self.learnt_covariance, loose),
             noise=noise_entries(self.noise, self.chi_squared_shares),
-            noise_covariances=() if self.fit.method.exact else joint_covariances(self.problem),
+            noise_covariances=() if self.fit.solver.exact else joint_covariances(self.problem),
+            terms=self.terms,
             model_discrepancy=self.model_discrepancy,
             variance_factor_applied=self.variance_factor_applied,
             restricted_criterion=self.restricted_criterion,
@@ -411,6 +444,7 @@ class Result:
             closure=ClosureEntry(self.closure_before.entry, self.closure_after.entry),
             accuracy=accuracy_entry(self.accuracy_before, self.accuracy_after),
             validation=None,
+            dependence=self.dependence,
             identifiability=self.identifiability,
             observability=None,
             prediction=None,

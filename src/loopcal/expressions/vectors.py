@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.expressions.trace import Scalar
 
-_PLANES = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}
+PLANES = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}
+"""The two axes that a turn about a coordinate axis moves: the first towards the second."""
 
 
 def vector(x: Any, y: Any, z: Any) -> NDArray[Any]:
@@ -33,13 +34,13 @@ def rotate(axis: str, angle: Any, v: Sequence[Any] | NDArray[Any]) -> NDArray[An
 
     rotate("z", a, v) = rot_z(a) @ v.
     """
-    if axis not in _PLANES:
+    if axis not in PLANES:
         raise InputError(
             f"axis {axis!r} is not a coordinate axis",
             code="invalid-value",
             remedy="give 'x', 'y' or 'z'",
         )
-    i, j = _PLANES[axis]
+    i, j = PLANES[axis]
     parts: list[Any] = list(v)
     parts[i], parts[j] = _turned(parts[i], parts[j], angle)
     return vector(*parts)

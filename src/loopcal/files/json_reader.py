@@ -14,8 +14,8 @@ _ESCAPED_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 MOST_BYTES = 1_000_000_000
 
 
-def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:
-    """The object in a JSON file of a kind ("result.json", ...) and schema.
+def read_json(path: str | Path, kind: str, *schemas: int) -> dict[str, Any]:
+    """The object in a JSON file of a kind ("result.json", ...) and one of these schemas.
 
     Raises InputError, with line and column, for what is no such file.
     """
@@ -60,9 +60,10 @@ def read_json(path: str | Path, kind: str, schema: int) -> dict[str, Any]:
             place=str(path),
             remedy=remedy,
         )
-    if document["schema"] is True or document["schema"] != schema:
+    if document["schema"] is True or document["schema"] not in schemas:
+        known = " or ".join(map(str, schemas))
         raise InputError(
-            f"schema is {document['schema']!r}, and only schema {schema} can be read",
+            f"schema is {document['schema']!r}, and only schema {known} can be read",
             code="wrong-schema",
             place=f"{path}: schema",
             remedy="use the loopcal version that wrote this file, or write the file again",

@@ -10,6 +10,7 @@ p_instrument = S_1 S_2 ... S_n p_tool. Tz Rz means: first move along z, then tur
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.expressions.vectors import rotate, vector
+from loopcal.expressions.vectors import PLANES, rotate, vector
 
 MOST_JOINTS = 64
 """Of one chain: loops and derivatives of longer ones take minutes and gigabytes to derive."""
@@ -95,8 +96,10 @@ def matrix(step: Step, amount: float) -> NDArray[np.float64]:
     if step.motion[0] == "t":
         T["xyz".index(axis), 3] = amount
     else:
-        for column, unit_vector in enumerate(np.eye(3)):
-            T[:3, column] = rotate(axis, amount, unit_vector)
+        i, j = PLANES[axis]
+        T[i, i] = T[j, j] = math.cos(amount)
+        T[j, i] = math.sin(amount)
+        T[i, j] = -T[j, i]
     return T
 
 

@@ -109,7 +109,9 @@ class Parameters:
     def _changed(self, changes: Mapping[str, Mapping[str, Any]]) -> Parameters:
         for name in changes:
             self[name]  # raises for a name that is not there
-        return Parameters(tuple(replace(p, **changes.get(p.name, {})) for p in self.items))
+        return Parameters(
+            tuple(replace(p, **changes[p.name]) if p.name in changes else p for p in self.items)
+        )
 
 
 def matching(pattern: str, names: Iterable[str], what: str) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.expressions.vectors import PLANES
 from loopcal.mechanisms.chain import Step, matrix, product
 
 Array = NDArray[np.float64]
@@ -144,6 +145,6 @@ def _transition(T: Array, own: Sequence[Step], axis: str) -> dict[str, float]:
 
 def _along(turn: str, onto: str, of: str) -> float:
     """Sign of the component along `onto` of the axis `of` turned a little about `turn`."""
-    axes = np.eye(3)
-    moved = np.cross(axes["xyz".index(turn)], axes["xyz".index(of)])
-    return float(moved["xyz".index(onto)])
+    first, second = PLANES[turn]
+    moved, target = "xyz".index(of), "xyz".index(onto)
+    return float(((moved, target) == (first, second)) - ((moved, target) == (second, first)))

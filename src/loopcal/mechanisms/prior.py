@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
-from loopcal.errors import InputError
-from loopcal.mechanisms.parameters import Parameters
+from loopcal.errors import InputError, nearest
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.terms import stated_terms
 from loopcal.units import unit
+
+ESTIMATES = ("group",)
 
 
 class Prior:
@@ -18,10 +22,23 @@ class Prior:
     >>> Prior({"*": float("inf"), "l?": (1.0, "mm")}).sds
     {'*': inf, 'l?': 0.001}
 
-    Raises InputError for an sd that is negative or not a number.
+    estimate: for a key of the sds, "group": the parameters share one sd, which is learnt from the
+    calibration (`loopcal.Term`). The sd stated is the median of what is expected, known to a
+    factor of e.
+
+    >>> Prior({"c_*": (1.0, "mm")}, estimate={"c_*": "group"}).estimate
+    {'c_*': 'group'}
+
+    Raises InputError for an sd that is negative or not a number, and for one to be learnt that is
+    0 or inf.
     """
 
-    def __init__(self, sds: Mapping[str, float | tuple[float, str]]) -> None:
+    def __init__(
+        self,
+        sds: Mapping[str, float | tuple[float, str]],
+        *,
+        estimate: Mapping[str, str] | None = None,
+    ) -> None:
         self.sds: dict[str, float] = {}
         for key, given in sds.items():
             value, factor = (
@@ -38,6 +55,9 @@ class Prior:
                     remedy="give a positive number, inf for a flat prior, 0 for a fixed value",
                 )
             self.sds[key] = sd
+        self.estimate = dict(estimate or {})
+        for key, how in self.estimate.items():
+            check_estimate(key, how, self.sds.get(key))
 
     @classmethod
     def of(cls, given: PriorLike | None) -> Prior | None:
@@ -56,16 +76,42 @@ class Prior:
         return cls(given)
 
     def __repr__(self) -> str:
-        return f"Prior({self.sds!r})"
+        learnt = f", estimate={self.estimate!r}" if self.estimate else ""
+        return f"Prior({self.sds!r}{learnt})"
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Prior) and list(self.sds.items()) == list(other.sds.items())
+        return (
+            isinstance(other, Prior)
+            and self.estimate == other.estimate
+            and list(self.sds.items()) == list(other.sds.items())
+        )
 
     __hash__ = None  # type: ignore[assignment]
 
-    def apply(self, parameters: Parameters) -> Parameters:
-        """The parameters with these prior sds."""
-        return parameters.with_prior(self.sds)
+    def apply(self, mechanism: Mechanism) -> Mechanism:
+        """The mechanism with these prior sds, and a term for each group whose sd is learnt."""
+        parameters = mechanism.parameters.with_prior(self.sds)
+        keys = {key: key in self.estimate for key in self.sds}
+        terms = stated_terms(mechanism.terms, parameters, keys)
+        return replace(mechanism, parameters=parameters, terms=terms)
+
+
+def check_estimate(key: str, how: str, sd: float | None) -> None:
+    """Raise InputError where the sd of a prior is to be learnt in a way or from a size that none
+    is."""
+    if how not in ESTIMATES:
+        raise InputError(
+            f"estimate of the prior {key!r} is {how!r}",
+            code="unknown-name",
+            remedy=nearest(how, ESTIMATES),
+        )
+    if sd is None or not 0.0 < sd < math.inf:
+        raise InputError(
+            f"the prior sd of {key!r} is to be learnt, but "
+            + ("none is stated" if sd is None else f"it is stated as {sd:g}"),
+            code="missing-sd",
+            remedy="state a rough size of these parameters, positive and finite",
+        )
 
 
 PriorLike = Prior | Mapping[str, float | tuple[float, str]]

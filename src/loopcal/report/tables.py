@@ -35,7 +35,8 @@ def accuracy_tables(document: ResultDocument) -> list[Table]:
         return []
     caption = "Distance between computed and measured point, the readings not corrected"
     stages = accuracy_stages(accuracy, validation)
-    tables = [_distances("accuracy", caption, accuracy.unit, stages.position)]
+    floor = stages.noise_floor
+    tables = [_distances("accuracy", caption, accuracy.unit, stages.position, floor)]
     if accuracy.orientation is not None:
         caption = "Angle between computed and measured orientation, the readings not corrected"
         unit = accuracy.orientation.unit
@@ -43,7 +44,9 @@ def accuracy_tables(document: ResultDocument) -> list[Table]:
     return tables
 
 
-def _distances(what: str, caption: str, unit: str, stages: Sequence[Stage]) -> Table:
+def _distances(
+    what: str, caption: str, unit: str, stages: Sequence[Stage], floor: float | None = None
+) -> Table:
     rows = [
         (
             s.name if not s.instrument else f"{s.name}, {s.instrument}",
@@ -51,6 +54,8 @@ def _distances(what: str, caption: str, unit: str, stages: Sequence[Stage]) -> T
         )
         for s in stages
     ]
+    if floor is not None:
+        rows.append(("noise floor", NONE, size(floor, unit), NONE, NONE))
     head = (what, *(f"{key} [{unit_shown(unit)}]" for key in ("mean", "rms", "95 %", "max")))
     return Table(caption, head, tuple(rows))
 

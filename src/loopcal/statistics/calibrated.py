@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.fit import NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.result_document import ResultDocument
 from loopcal.estimation.result import Result
@@ -19,8 +17,6 @@ from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.stored_covariance import stored_covariance
 
 Array = NDArray[np.float64]
-_SHOWS = 0.05
-"""Probability of a learnt error of the model by chance, below which it is there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +26,9 @@ class Calibrated:
     mechanism: with the calibrated values; covariance: (n_all, n_all) [SI], zero for fixed
     parameters; undetermined: (n_all, d) steps [SI] that neither data nor prior limit; nominal,
     prior_sd: (n_all,) what was known before; poses: its readings; data: what tells the readings
-    apart from others; misfit: how many times its covariance counts, because the model
-    has an error that may be the same in all its poses; 1 where none shows.
+    apart from others; factor: by which the covariance is larger than the stated sds
+    say, because chi-squared rejects these; carried: whether parameters with learnt sds (terms)
+    carry the error of the model.
     """
 
     name: str
@@ -42,25 +39,28 @@ class Calibrated:
     prior_sd: Array
     poses: Dataset | None
     data: str | None
-    misfit: float
+    factor: float
+    carried: bool
 
     @classmethod
     def of(cls, result: Result, name: str) -> Calibrated:
         """From a result."""
         system, parameters = result.spectrum, result.mechanism.parameters
-        exact = result.fit.method.exact
+        exact = result.fit.solver.exact
         loose = system.scale[:, None] * system.directions[:, ~system.kept]
-        free = result.problem.free
+        free, size = result.problem.free, len(parameters)
+        factor = _factor(result.chi_squared, result.variance_factor_applied)
         return cls(
             name,
             result.calibrated,
-            _spread(result.learnt_covariance, free, len(parameters)),
-            _rows(loose, free, len(parameters)),
+            _spread(_allowing(result.learnt_covariance, factor, result.chi_squared), free, size),
+            _rows(loose, free, size),
             np.array([p.nominal for p in parameters]),
             np.array([math.inf if exact else p.prior_sd for p in parameters]),
             result.dataset,
             result.dataset.source.sha256 or str(id(result.dataset)),
-            _misfit(result.chi_squared, result.noise, result.solution.poses),
+            factor,
+            bool(result.terms),
         )
 
     @classmethod
@@ -80,7 +80,9 @@ class Calibrated:
             # a parameter without covariance is one that nothing limits
             matrix = np.array(document.covariance.matrix, dtype=float).reshape((len(free),) * 2)
             determined, loose = None, np.eye(len(free))[:, np.isnan(np.diag(matrix))]
+        factor = _factor(document.chi_squared, document.variance_factor_applied)
         covariance = stored_covariance(document.covariance, determined)
+        covariance = _allowing(covariance, factor, document.chi_squared)
         prior = [entries[n].prior_sd for n in names]
         exact = document.sensors_exact
         return cls(
@@ -92,22 +94,26 @@ class Calibrated:
             np.array([math.inf if exact or sd is None else sd for sd in prior]),
             poses,
             document.data.sha256,
-            _misfit(document.chi_squared, document.noise, document.data.used),
+            factor,
+            bool(document.terms),
         )
 
 
-def _misfit(chi: ChiSquared | None, noise: Sequence[NoiseEntry], poses: int) -> float:
-    """N times the variance factor, where the model does not fit its readings; else 1.
+def _factor(chi: ChiSquared | None, applied: bool) -> float:
+    if chi is None or applied or not chi.too_large or chi.variance_factor is None:
+        return 1.0
+    return chi.variance_factor
 
-    An error of the model is alike in neighbouring poses. At worst it is the same in all, and N
-    poses say no more of it than one.
-    """
-    if chi is not None and chi.too_large and chi.variance_factor is not None:
-        return poses * chi.variance_factor
-    shown = [e for e in noise if e.role == "disturbance" and e.source == "estimated" and e.sd]
-    if any(e.p_value is None or e.p_value < _SHOWS for e in shown):
-        return float(poses)
-    return 1.0
+
+def _allowing(
+    covariance: LearntCovariance, factor: float, chi: ChiSquared | None
+) -> LearntCovariance:
+    """As large as the residuals are, where chi-squared rejects the stated sds."""
+    if factor == 1.0 or chi is None:
+        return covariance
+    if len(covariance.slopes):
+        return covariance.scaled_by(factor)
+    return LearntCovariance.scaled(factor * covariance.matrix, chi.degrees_of_freedom)
 
 
 def _spread(covariance: LearntCovariance, free: NDArray[np.intp], size: int) -> LearntCovariance:

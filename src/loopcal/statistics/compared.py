@@ -19,6 +19,8 @@ from loopcal.units import from_si
 
 Array = NDArray[np.float64]
 SIGNIFICANT = 0.05
+FAR = 2.0
+"""Regions differ where one calibration is so many times less certain in that of the other."""
 _NAMED = 3
 
 
@@ -101,24 +103,14 @@ class ContrastTest:
         return f_tail(self.value, self.freedom, self.denominator) if self.freedom else None
 
 
-@dataclass(frozen=True)
-class Misfit:
-    """Calibrations whose machine model does not fit their own readings.
-
-    p_value: of a difference at least this large if the error of the model is the same in all poses
-    of each.
-    """
-
-    calibrations: tuple[str, ...]
-    p_value: float | None
-
-
 @dataclass(frozen=True, eq=False)
 class Compared:
     """The comparison of calibrations A and B.
 
     aligned: whether B was brought to A; points: None without outputs; test: of the difference
-    between the machines; misfit: None where the models fit; notes: what must be known.
+    between the machines; reach: how many times less certain one is at the poses of the other than
+    at its own, None where learnt terms carry the error of both models or the poses are not known;
+    notes: what must be known.
     """
 
     a: str
@@ -127,7 +119,7 @@ class Compared:
     parameters: tuple[ParameterDifference, ...]
     points: PointDifference | None
     test: ContrastTest
-    misfit: Misfit | None
+    reach: float | None
     notes: tuple[str, ...]
 
     @property
@@ -149,11 +141,9 @@ class Compared:
     def differ(self) -> bool | None:
         """Whether the machines differ at the 5 % level; None where that cannot be decided."""
         p = self.p_value
-        if p is None or p >= SIGNIFICANT:
-            return None if p is None else False
-        if self.misfit is None or (self.misfit.p_value or 0.0) < SIGNIFICANT:
-            return True
-        return None
+        if p is None or (p < SIGNIFICANT and (self.reach or 0.0) > FAR):
+            return None
+        return p < SIGNIFICANT
 
     def document(self) -> dict[str, Any]:
         """Plain values, SI, for JSON."""
@@ -169,7 +159,7 @@ class Compared:
                 "denominator_degrees_of_freedom": known(self.test.denominator),
                 "p_value": self.p_value,
             },
-            "misfit": self.misfit and asdict(self.misfit),
+            "reach": self.reach,
             "differ": self.differ,
             "common_poses": points
             and {
@@ -196,8 +186,9 @@ class Compared:
         if self.differ is None:
             return (
                 "Undecided: the two machines differ by more than noise explains "
-                f"({where}{told}), but no more than an error of the machine model can. "
-                "Calibrate both in the same region, or with an effect that removes this error."
+                f"({where}{told}), but they were measured in different regions, where an "
+                "unmodelled error differs too. Measure both in the same region, or learn the "
+                'model error of both (model_error = "structured").'
             )
         own = [q for q in self.parameters if not (self.aligned and q.placement)]
         tested = [q for q in own if q.significant]
@@ -224,12 +215,6 @@ class Compared:
             lines.append(
                 f"{self.points.inside:.0%} of {len(self.points.poses)} common poses differ by no "
                 "more than their own 95 % region"
-            )
-        if self.misfit is not None:
-            lines.append(
-                f"the machine model does not fit the readings of "
-                f"{' and '.join(self.misfit.calibrations)}; if its error is the same in all poses, "
-                f"p = {self.misfit.p_value or 0.0:.2g}"
             )
         lines += ["", *_table(self.parameters)]
         for note in self.notes:

@@ -16,10 +16,12 @@ everything that either calibration left undetermined:
 not depend on how the alignment was weighted. Where sds were learnt, C is itself uncertain, and
 chi^2 over its degrees of freedom is compared with F (`loopcal.small_samples`).
 
-An error of the machine model moves the parameters by more than noise does, and otherwise in other
-poses. A calibration that shows one which its parameters do not carry is also tested as if this
-error were the same in all its N poses, with N times its covariance. Between the two tests the
-difference is undecided.
+Where chi-squared rejects the stated sds, C is as large as the residuals.
+
+An error of the machine model moves the parameters otherwise in other poses, by more than any
+residual shows. Two calibrations in different regions are compared by what each says of the region
+that it has not seen. Unless learnt terms carry the error of both models, a difference beyond the
+noise then decides nothing.
 """
 
 from __future__ import annotations
@@ -34,6 +36,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem.alignment import align
 from loopcal.estimation.result import Result
+from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.small_samples import LearntCovariance, f_limit
@@ -42,12 +45,10 @@ from loopcal.statistics.compared import (
     SIGNIFICANT,
     Compared,
     ContrastTest,
-    Misfit,
     ParameterDifference,
     PointDifference,
 )
 from loopcal.statistics.gauge import carried, difference, gauge, moved, values_of
-from loopcal.statistics.sensitivity import output_sensitivity
 
 Array = NDArray[np.float64]
 MOST_POSES = 500
@@ -89,10 +90,7 @@ def compare(
     if G.shape[1] and points is not None:
         stacked = points.S.reshape(-1, len(d))
         P = P - G @ np.linalg.lstsq(stacked @ G, stacked, rcond=None)[0]
-    left_out = np.hstack([G, loose])
-    tested = _statistic(d, C, left_out)
-    own = [c.name for c in (a, b) if c.misfit > 1.0]
-    bound = _statistic(d, _covariance(_counted(a), _counted(b)), left_out) if own else tested
+    tested = _statistic(d, C, np.hstack([G, loose]))
     spread = C.through(P)
     return Compared(
         a.name,
@@ -101,7 +99,7 @@ def compare(
         _parameters(a, b, d, spread, P @ loose),
         None if points is None else _differences(points, spread, points.S @ (P @ loose)),
         tested,
-        Misfit(tuple(own), bound.p_value) if own else None,
+        _reaches(a, b),
         _notes(a, b, aligned),
     )
 
@@ -238,9 +236,25 @@ def _covariance(a: Calibrated, b: Calibrated) -> LearntCovariance:
     )
 
 
-def _counted(one: Calibrated) -> Calibrated:
-    """With its covariance as often as the error of its model demands."""
-    return replace(one, covariance=one.covariance.scaled_by(one.misfit))
+def _reaches(a: Calibrated, b: Calibrated) -> float | None:
+    """How many times less certain one is at the poses of the other than at its own.
+
+    None where it does not matter: both models carry their error, or the poses are not known.
+    """
+    if (a.carried and b.carried) or a.poses is None or b.poses is None or not a.mechanism.outputs:
+        return None
+    ratios = []
+    for one, own, other in ((a, a.poses, b.poses), (b, b.poses, a.poses)):
+        there, here = (_size(one, _thinned(poses)) for poses in (other, own))
+        ratios.append(there / here if here > 0.0 else 1.0)
+    return max(ratios)
+
+
+def _size(one: Calibrated, poses: Dataset) -> float:
+    """Rms over poses of the sd that parameters cause at the end point."""
+    S = _sensitivity(one.mechanism, poses)
+    variances = np.einsum("noo->n", one.covariance.through(S[np.isfinite(S).all((1, 2))]).plain)
+    return float(np.sqrt(variances.mean())) if len(variances) else 0.0
 
 
 def _statistic(d: Array, C: LearntCovariance, left_out: Array) -> ContrastTest:
@@ -305,6 +319,12 @@ def _notes(a: Calibrated, b: Calibrated, aligned: bool) -> tuple[str, ...]:
             "Both come from the same readings and share their errors: the sds of the "
             "differences, computed as if independent, are too large and p is too close to 1."
         )
+    notes += [
+        f"Chi-squared rejects the sds of {c.name} itself: they count {math.sqrt(c.factor):.2g} "
+        "times as large here, as its residuals are."
+        for c in (a, b)
+        if c.factor > 1.0
+    ]
     return tuple(notes)
 
 

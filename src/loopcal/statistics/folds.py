@@ -1,8 +1,8 @@
 """Which poses are left out together: folds and hold-outs that depend on readings and seed alone.
 
-The same data and seed give the same folds for every method and model. Poses that repeat one
-another are never split between fit and validation: their common error would be predicted from
-itself.
+The same data, stated noise and seed give the same folds for every method and model. Poses that
+repeat one another are never split between fit and validation: their common error would be predicted
+from itself.
 """
 
 from __future__ import annotations
@@ -16,18 +16,21 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.measurements.dataset import Dataset
-from loopcal.measurements.noise import NoiseLike
+from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
 
 Index = NDArray[np.intp]
 SAME = 1e-4
 """Driven readings that differ by no more than this share of their range are one pose, repeated."""
+NOISY, MOST = 4.0, 0.01
+"""The same holds for a difference of so many sds, but at most of this share of the range."""
 
 
 class SchemeOptions(TypedDict, total=False):
     """The fields of `Scheme` as keyword arguments."""
 
     folds: int
+    blocks: int
     hold_out: float | None
     other: Dataset | None
     other_noise: NoiseLike | None
@@ -39,13 +42,15 @@ class SchemeOptions(TypedDict, total=False):
 class Scheme:
     """Which poses take no part in a fit and are predicted by it.
 
-    folds: in how many parts the poses are cut, each left out once; hold_out: instead leave out
-    this share once; other: instead calibrate on all and predict these readings (other_noise:
+    folds: in how many parts the poses are cut, each left out once; blocks: in how many regions of
+    the joint space, left out one by one besides, 0 for none; hold_out: instead leave out this
+    share once; other: instead calibrate on all and predict these readings (other_noise:
     their noise where it is not the same); seed: of the choice; groups: one per pose, never split,
     by default poses with the same driven readings.
     """
 
     folds: int = 10
+    blocks: int = 0
     hold_out: float | None = None
     other: Dataset | None = None
     other_noise: NoiseLike | None = None
@@ -62,12 +67,11 @@ class Parts:
     words: str
 
 
-def parts_of(scheme: Scheme, mechanism: Mechanism, data: Dataset) -> Parts:
-    """The parts that are left out of one data set.
+def parts_of(scheme: Scheme, data: Dataset, chosen: Index) -> Parts:
+    """The parts that are left out of one data set; chosen: the group of each pose.
 
     Raises InputError for a choice that cannot be made.
     """
-    chosen = grouped(mechanism, data, scheme.groups)
     if scheme.hold_out is not None:
         indices: tuple[Index, ...] = (held_out(chosen, scheme.hold_out, scheme.seed),)
         stated: dict[str, Any] = {"hold_out": scheme.hold_out, "seed": scheme.seed}
@@ -83,39 +87,73 @@ def parts_of(scheme: Scheme, mechanism: Mechanism, data: Dataset) -> Parts:
     return Parts(indices, stated, words)
 
 
-def repeated(mechanism: Mechanism, data: Dataset) -> Index:
+def driven(mechanism: Mechanism, data: Dataset) -> tuple[str, ...]:
+    """The readings that say which pose it is.
+
+    All but the outputs, what instruments read, passive sensors (quantities with a home) and known
+    constants such as times and temperatures. A machine without any is driven by what is left.
+    """
+    read = {q for family in mechanism.families for q in family.readings}
+    apart = {*read, *mechanism.outputs, *mechanism.disturbances, *mechanism.home}
+    names = [q for q in mechanism.quantities if q in data.readings]
+    own = [q for q in names if q not in apart]
+    others = [*names, *(q for q in mechanism.known if q in data.readings)]
+    return tuple(own or [q for q in others if q not in mechanism.outputs])
+
+
+def stated_sds(noise: Noise | None, mechanism: Mechanism, data: Dataset) -> Mapping[str, float]:
+    """Quantity -> stated sd of a reading [SI], the median; none where no noise is stated."""
+    if noise is None:
+        return {}
+    names = tuple(mechanism.quantities)
+    try:
+        found = resolve_noise(noise, data, names, mechanism.quantity_group).sd
+    except InputError:
+        return {}  # a method that takes the readings as exact need not understand its noise
+    return {q: float(np.median(sd)) for q, sd in zip(names, found, strict=True)}
+
+
+def repeated(mechanism: Mechanism, data: Dataset, sds: Mapping[str, float] | None = None) -> Index:
     """A number for each pose, (N,), equal where the driven readings are the same.
 
-    Driven is every quantity that is not an output. Columns with gaps do not count.
+    The same are readings that differ by no more than `SAME` of their range, or by no more than
+    `NOISY` times their sd, but never by more than `MOST` of their range; sds: quantity -> sd of a
+    reading [SI]. Columns with gaps do not count.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
 
-    driven = [
-        data.readings[q]
-        for q in (*mechanism.quantities, *mechanism.known)
-        if q not in mechanism.outputs and q in data.readings
-    ]
-    complete = [v for v in driven if not np.isnan(v).any()]
-    if not complete:
-        return np.arange(len(data))
-    spans = [float(np.ptp(v)) for v in complete]
-    moving = [v / s for v, s in zip(complete, spans, strict=True) if s > 0.0]
+    complete = [q for q in driven(mechanism, data) if not np.isnan(data.readings[q]).any()]
+    moving = []
+    for q in complete:
+        values, span = data.readings[q], float(np.ptp(data.readings[q]))
+        if span > 0.0:
+            near = min(max(SAME * span, NOISY * (sds or {}).get(q, 0.0)), MOST * span)
+            moving.append(values / near)
     if not moving:
-        return np.zeros(len(data), dtype=np.intp)
-    pairs = KDTree(np.column_stack(moving)).query_pairs(SAME, p=np.inf, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(data),) * 2)
-    return np.asarray(connected_components(links, directed=False)[1], dtype=np.intp)
+        return np.arange(len(data)) if not complete else np.zeros(len(data), dtype=np.intp)
+    # the first pose of a group is its centre: dense paths are cut, not chained into one
+    group = np.full(len(data), -1, dtype=np.intp)
+    near_by = KDTree(np.column_stack(moving)).query_ball_point(
+        np.column_stack(moving), 1.0, p=np.inf
+    )
+    for i, others in enumerate(near_by):
+        if group[i] < 0:
+            group[[j for j in others if group[j] < 0]] = i
+    return np.unique(group, return_inverse=True)[1]
 
 
-def grouped(mechanism: Mechanism, data: Dataset, groups: Sequence[object] | None = None) -> Index:
-    """The group of each pose (N,): those stated, or the repeated poses.
+def grouped(
+    mechanism: Mechanism,
+    data: Dataset,
+    groups: Sequence[object] | None = None,
+    sds: Mapping[str, float] | None = None,
+) -> Index:
+    """The group of each pose (N,): those stated, or the repeated poses (`repeated`).
 
     Raises InputError where not every pose has a group.
     """
     if groups is None:
-        return repeated(mechanism, data)
+        return repeated(mechanism, data, sds)
     if len(groups) != len(data):
         raise InputError(
             f"{len(groups)} groups are stated for {len(data)} poses",

@@ -35,7 +35,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.effects.model import Model, with_only
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.statistics.folds import Scheme, grouped
+from loopcal.statistics.folds import Scheme, grouped, stated_sds
 from loopcal.statistics.validation import Asked, Case, Validation, ValidationOptions, validated
 
 Array = NDArray[np.float64]
@@ -171,7 +171,7 @@ def compare_models(
         found.append(_validated(one, fits[name], run))
     if not fits:
         raise errors[0]
-    judged = _judged(found, _groups(mechanism, data, asked.scheme))
+    judged = _judged(found, _groups(shared, asked.scheme))
     chosen = recommended(judged)
     return ModelComparison(tuple(judged), chosen, fits[chosen])
 
@@ -188,12 +188,13 @@ def _validated(one: ComparedModel, fit: Result, run: Callable[[], Validation]) -
     return replace(one, validation=found)
 
 
-def _groups(mechanism: Mechanism, data: Dataset, scheme: Scheme) -> Mapping[str, int]:
+def _groups(case: Case, scheme: Scheme) -> Mapping[str, int]:
     """The group of each pose by its id; none where other readings are predicted."""
     if scheme.other is not None:
         return {}
-    codes = grouped(mechanism, data, scheme.groups).tolist()
-    return dict(zip(data.poses, codes, strict=True))
+    sds = stated_sds(case.noise, case.mechanism, case.data)
+    codes = grouped(case.mechanism, case.data, scheme.groups, sds).tolist()
+    return dict(zip(case.data.poses, codes, strict=True))
 
 
 def _judged(models: Sequence[ComparedModel], groups: Mapping[str, int]) -> list[ComparedModel]:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.result import Result
+from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -29,7 +30,6 @@ from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import with_unit
 from loopcal.small_samples import LearntCovariance, f_limit, t_quantile
 from loopcal.statistics.predictor import Predictor, by_parameters, predictor, trace_sd
-from loopcal.statistics.sensitivity import output_sensitivity
 
 Array = NDArray[np.float64]
 ALARM = 3.0

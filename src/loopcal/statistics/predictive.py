@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.model_error import noise_told, weighed
 from loopcal.estimation.noise.estimation import scaled
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.noise.linear_model import ModelBlock, linear_model
@@ -31,6 +32,8 @@ from loopcal.measurements.noise import Noise
 Array = NDArray[np.float64]
 _UNPREDICTABLE = 1e-6
 """A direction that the fit left open moves a loop, beside the largest effect of any direction."""
+LEVEL = 0.95
+"""Stated probability of a region."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +64,11 @@ def _by_pose(key: object, value: object) -> bool:
 
 def held_problem(fit: Result, data: Dataset, noise: Noise | None) -> Held:
     """The poses of a data set at the parameters and sds that a fit of others found."""
-    exact = fit.fit.method.exact
-    if exact:
-        noise = None
+    exact = fit.fit.solver.exact
     mechanism = fit.mechanism
+    noise = noise_told(fit.fit, mechanism, data, noise)
     if noise is not None:
+        data = weighed(fit.fit, data)
         mechanism, data = with_model(mechanism, data, noise)
     # Nothing is estimated here: with informative priors any number of poses will do.
     known = mechanism.with_parameters(mechanism.parameters.with_prior({"*": 1.0}))
@@ -92,16 +95,33 @@ def _ratios(fit: Result, stated: Array) -> Array:
     return np.where(usable, np.square(found / np.where(usable, stated, 1.0)), 1.0)
 
 
-def log_densities(fit: Result, held: Held) -> Array | None:
-    """log N(misclosure; 0, W + J Cov_p J^T) of each pose (N,), None where it has no density.
+@dataclass(frozen=True)
+class Predictive:
+    """What a fit stated of the misclosures of poses that it has not seen, and what they were.
 
-    A pose without loops has no misclosure: its probability is one.
+    log_density (N,): log N(misclosure; 0, W + J Cov_p J^T); zero for a pose without loops. squares
+    (N,): misclosure^2 over that covariance, chi-squared with `loops` (N,) degrees of freedom.
     """
+
+    log_density: Array
+    squares: Array
+    loops: NDArray[np.intp]
+
+    def inside(self, level: float = LEVEL) -> Array:
+        """(N,) 1 where the measured point lies in its stated region, 0 outside, NaN without one."""
+        from scipy.special import chdtri
+
+        held = self.squares <= chdtri(np.maximum(self.loops, 1), 1.0 - level)
+        return np.where(self.loops > 0, held, np.nan)
+
+
+def predictive(fit: Result, held: Held) -> Predictive | None:
+    """What the fit stated of these poses; None where their misclosures have no density."""
     problem = held.problem
     model = linear_model(problem, problem.start, held.corrections, ())
     own = 0.0
-    if fit.fit.method.exact:
-        variance = fit.fit.method.unit_variance(fit.information.chi_squared, fit.freedom)
+    if fit.fit.solver.exact:
+        variance = fit.fit.solver.unit_variance(fit.information.chi_squared, fit.freedom)
         if variance is None:
             return None
         own = variance
@@ -109,18 +129,21 @@ def log_densities(fit: Result, held: Held) -> Array | None:
     free = system.scale[:, None] * system.directions[:, ~system.kept]
     limit = _UNPREDICTABLE * float(system.singular_values.max(initial=0.0))
     scale = math.sqrt(own) if own else 1.0
-    out = np.zeros(len(problem.poses))
+    density, squares = np.zeros((2, len(problem.poses)))
+    loops = np.zeros(len(problem.poses), dtype=np.intp)
     for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):
         found = _densities(block, own, fit.covariance, free, limit / scale)
         if found is None:
             return None
-        out[poses] = found
-    return out
+        density[poses], squares[poses] = found
+        loops[poses] = block.e.shape[1]
+    return Predictive(density, squares, loops)
 
 
 def _densities(
     block: ModelBlock, own: float, covariance: Array, free: Array, limit: float
-) -> Array | None:
+) -> tuple[Array, Array] | None:
+    """Log densities and squares of the poses of a block."""
     r = block.e.shape[1]
     W = block.fixed + own * np.eye(r)
     try:
@@ -132,5 +155,6 @@ def _densities(
         return None  # a loop without any uncertainty
     z = np.linalg.solve(L, block.e[:, :, None])[:, :, 0]
     volume = np.log(np.einsum("brr->br", L)).sum(axis=1)
-    density: Array = -0.5 * np.square(z).sum(axis=1) - volume - 0.5 * r * math.log(2.0 * math.pi)
-    return density
+    squares: Array = np.square(z).sum(axis=1)
+    density: Array = -0.5 * squares - volume - 0.5 * r * math.log(2.0 * math.pi)
+    return density, squares

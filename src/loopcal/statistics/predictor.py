@@ -18,13 +18,13 @@ from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem.patterns import Pattern
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
+from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.presentation.shown import with_unit
 from loopcal.small_samples import LearntCovariance
-from loopcal.statistics.sensitivity import output_sensitivity
 from loopcal.statistics.stored_covariance import stored_covariance
 
 Array = NDArray[np.float64]
@@ -162,7 +162,7 @@ def predictor(result: Result) -> Predictor | None:
     names = problem.mechanism.tape.quantities
     everywhere = [frozenset(pattern.unmeasured) for pattern in problem.patterns]
     unmeasured = [names[i] for i in frozenset.intersection(*everywhere)] if everywhere else []
-    joint = () if result.fit.method.exact else joint_covariances(problem)
+    joint = () if result.fit.solver.exact else joint_covariances(problem)
     x = problem.readings + corrections
     return predictor_at(
         problem,

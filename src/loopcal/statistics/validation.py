@@ -18,7 +18,7 @@ from typing import Any, Unpack, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.accuracy import FailedPart, ValidationEntry
+from loopcal.document.accuracy import Coverage, FailedPart, ValidationEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import validation_table
 from loopcal.errors import InputError, NoTrustworthyResult
@@ -32,8 +32,17 @@ from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.statistics.folds import Index, Scheme, SchemeOptions, parts_of
-from loopcal.statistics.predictive import held_problem, log_densities, taken
+from loopcal.statistics.blocks import blocks_of
+from loopcal.statistics.folds import (
+    Index,
+    Parts,
+    Scheme,
+    SchemeOptions,
+    grouped,
+    parts_of,
+    stated_sds,
+)
+from loopcal.statistics.predictive import LEVEL, Predictive, held_problem, predictive, taken
 
 Array = NDArray[np.float64]
 
@@ -47,7 +56,10 @@ class Validation:
     log_likelihood: sum over these poses of log N(misclosure; 0, W + D Cov_p D^T) in the units of
     the loop equations, None where the method has no distribution for it; by_pose: (N,) its
     terms, distances: (N,) between computed and measured outputs, both in the order of `poses`;
-    parts: how many parts were to be predicted; failed: those whose fit failed, which do not count.
+    parts: how many parts were to be predicted; failed: those whose fit failed, which do not count;
+    inside: (N,) 1 where the measured point lies in its stated region of probability `LEVEL`, else
+    0, NaN where a pose has none, None where the method states none; blocked: the same for regions
+    of the joint space left out one by one, None where that was not asked for.
     """
 
     scheme: Mapping[str, Any]
@@ -59,15 +71,25 @@ class Validation:
     by_pose: Array | None = None
     parts: int = 1
     failed: tuple[FailedPart, ...] = ()
+    inside: Array | None = None
+    blocked: Validation | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Which parts could not be predicted, and why."""
-        return tuple(
-            f"Fold {part.number} of {self.parts} ({part.poses} poses) is not validated: "
-            f"{part.reason}."
+        found = tuple(
+            f"{'Block' if 'blocks' in self.scheme else 'Fold'} {part.number} of {self.parts} "
+            f"({part.poses} poses) is not validated: {part.reason}."
             for part in self.failed
         )
+        return found if self.blocked is None else (*found, *self.blocked.warnings)
+
+    @property
+    def coverage(self) -> Coverage | None:
+        """How often the stated regions hold; None where the method states none."""
+        if self.inside is None or not (there := np.isfinite(self.inside)).any():
+            return None
+        return Coverage(LEVEL, float(self.inside[there].mean()), int(there.sum()))
 
     @property
     def entry(self) -> ValidationEntry:
@@ -84,6 +106,8 @@ class Validation:
             () if found is None else tuple(one.entry for one in found.by),
             self.parts,
             self.failed,
+            self.coverage,
+            None if self.blocked is None else self.blocked.entry,
         )
 
     def added_to(self, document: ResultDocument) -> ResultDocument:
@@ -113,8 +137,9 @@ def validate(
     if it is at hand; executor: who does the refits, this process one by one if it is None, which
     changes no value; progress: called with how many refits are done.
 
-    folds: in how many parts the poses are cut, each left out once (default 10); hold_out: instead
-    leave out this share once; other: instead calibrate on all and predict these readings
+    folds: in how many parts the poses are cut, each left out once (default 10); blocks: in how many
+    regions of the joint space, left out one by one besides (default none); hold_out: instead leave
+    out this share once; other: instead calibrate on all and predict these readings
     (other_noise: their noise where it is not the same); seed: of the choice; groups: one per pose,
     never split, by default poses with the same driven readings.
 
@@ -142,11 +167,21 @@ def validated(
         known = case.noise if scheme.other_noise is None else Noise.of(scheme.other_noise)
         name = other.source.name or "other readings"
         part = _predicted(whole, other, known, np.arange(len(other)))
-        return _pooled(whole, [part], {"file": name}, f"{len(other)} poses of {name}", other)
-    parts = parts_of(scheme, case.mechanism, case.data)
+        words = f"{len(other)} poses of {name}"
+        return _pooled(whole, [part], Parts((), {"file": name}, words), other)
+    sds = stated_sds(case.noise, case.mechanism, case.data)
+    groups = grouped(case.mechanism, case.data, scheme.groups, sds)
+    parts = [parts_of(scheme, case.data, groups)]
+    if scheme.blocks:
+        parts.append(blocks_of(scheme, case.mechanism, case.data, groups))
     begun = _Begun.at(case, whole)
-    made = gathered(executor, _left_out, begun, parts.indices, progress)
-    return _pooled(whole, made, parts.stated, parts.words, case.data)
+    indices = [index for part in parts for index in part.indices]
+    made = gathered(executor, _left_out, begun, indices, progress)
+    count = len(parts[0].indices)
+    found = _pooled(whole, made[:count], parts[0], case.data)
+    if len(parts) == 1:
+        return found
+    return replace(found, blocked=_pooled(whole, made[count:], parts[1], case.data))
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,14 +203,14 @@ class Asked:
 class _Predicted:
     """Poses that a fit has not seen, n of them, at these positions.
 
-    measured, differences (c, n) [SI]: what is compared, and computed minus measured ones; terms
-    (n,): their log densities, None where there are none.
+    measured, differences (c, n) [SI]: what is compared, and computed minus measured ones; stated:
+    what the fit stated of them, None where it states nothing.
     """
 
     index: Index
     measured: Array
     differences: Array
-    terms: Array | None
+    stated: Predictive | None
 
 
 @dataclass(frozen=True)
@@ -244,17 +279,16 @@ def _predicted(fit: Result, data: Dataset, noise: Noise | None, index: Index) ->
     held = held_problem(fit, data, noise)
     rows = [fit.mechanism.tape.quantities.index(q) for q in fit.mechanism.compared]
     differences = output_differences(held.problem, held.problem.start, held.corrections)
-    return _Predicted(index, held.problem.readings[rows], differences, log_densities(fit, held))
+    return _Predicted(index, held.problem.readings[rows], differences, predictive(fit, held))
 
 
 def _pooled(
     whole: Result,
     made: Sequence[_Predicted | _Failed],
-    stated: Mapping[str, Any],
-    words: str,
+    parts_left: Parts,
     data: Dataset,
 ) -> Validation:
-    mechanism = whole.mechanism
+    mechanism, words = whole.mechanism, parts_left.words
     failed = tuple(
         FailedPart(number, len(part.index), part.reason)
         for number, part in enumerate(made, 1)
@@ -268,29 +302,31 @@ def _pooled(
             remedy="use fewer folds, or check the summary of the fit of all poses",
         )
     if failed:
-        words += f"; {len(parts)} of {len(made)} folds predicted"
+        kind = "blocks" if "blocks" in parts_left.stated else "folds"
+        words += f"; {len(parts)} of {len(made)} {kind} predicted"
     measured, differences = np.full((2, len(mechanism.compared), len(data)), np.nan)
-    terms: Array | None = np.full(len(data), np.nan)
+    terms, inside = np.full((2, len(data)), np.nan)
     for part in parts:
         measured[:, part.index] = part.measured
         differences[:, part.index] = part.differences
-        if part.terms is None or terms is None:
-            terms = None
-        else:
-            terms[part.index] = part.terms
+        if part.stated is not None:
+            terms[part.index] = part.stated.log_density
+            inside[part.index] = part.stated.inside()
+    judged = all(part.stated is not None for part in parts)
     apart = deviations(mechanism, measured, differences)
     off = by_pose(apart)
     predicted = np.unique(np.concatenate([part.index for part in parts]))
     return Validation(
-        MappingProxyType(dict(stated)),
+        MappingProxyType(dict(parts_left.stated)),
         words,
         accuracy(apart),
-        None if terms is None else float(terms[predicted].sum()),
+        float(terms[predicted].sum()) if judged else None,
         tuple(data.poses[i] for i in predicted),
         None if off is None else off[predicted],
-        None if terms is None else terms[predicted],
+        terms[predicted] if judged else None,
         len(made),
         failed,
+        inside[predicted] if judged else None,
     )
 
 

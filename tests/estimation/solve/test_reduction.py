@@ -65,6 +65,35 @@ def test_the_step_is_that_of_least_squares(condition: float, triangular: bool) -
     assert found.predicted() == pytest.approx(removed, rel=digits)
 
 
+@pytest.mark.parametrize("condition", [1.0, 1e2, 1e3])
+def test_a_well_conditioned_step_needs_no_directions_and_is_that_by_them(condition: float) -> None:
+    D, E = system(condition)
+    direct, by_directions = solved(D, E, False), solved(D, E, False)
+    assert direct.well_conditioned
+    step, removed = direct.step(), direct.decrement
+    assert "_found" not in vars(direct)  # no eigendecomposition
+    z = by_directions.components / by_directions.singular_values
+    expected = by_directions.scale * (by_directions.directions @ z)
+    digits = 1e-14 * condition**2 + 1e-13
+    assert step == pytest.approx(expected, rel=digits, abs=digits * np.abs(expected).max())
+    assert removed == pytest.approx(float(np.square(by_directions.components).sum()), rel=digits)
+
+
+@pytest.mark.parametrize("triangular", WAYS)
+def test_only_a_condition_number_above_1e4_counts_as_ill(triangular: bool) -> None:
+    for condition in (9e3, 1.2e4):
+        D, E = system(condition)
+        D /= np.linalg.norm(D, axis=0)
+        s = np.linalg.svd(D, compute_uv=False)
+        assert solved(D, E, triangular).well_conditioned == bool(s[0] / s[-1] <= 1e4)
+
+
+def test_a_singular_system_is_not_well_conditioned() -> None:
+    D, E = system()
+    D[:, 1] = D[:, 0]
+    assert not solved(D, E, False).well_conditioned
+
+
 @pytest.mark.parametrize("condition", [1.0, 1e2, 1e4])
 def test_normal_equations_and_triangles_agree(condition: float) -> None:
     D, E = system(condition)

@@ -73,7 +73,7 @@ def test_so_many_steps_are_those_of_the_formulas(name: str, steps: int) -> None:
     exact = np.array([simulated.exact[q] for q in simulated.exact])
     noisy = dict(zip(simulated.exact, exact + NOISE(exact.shape, stacked), strict=True))
     data = simulated.read().with_readings(noisy)
-    machine = start.with_parameters(Prior(prior_sds).apply(start.parameters))
+    machine = Prior(prior_sds).apply(start)
     solution = iterate_undamped(build_problem(machine, data, Noise(sds)), max_iterations=steps)
     nominal = np.array([p.nominal for p in start.parameters])
     expected = by_hand(simulated, stacked, np.array(list(prior_sds.values())), nominal, steps)

@@ -14,7 +14,12 @@ import jsonschema
 import numpy as np
 import pytest
 
+from loopcal.document.accuracy import Coverage, ValidationEntry
+from loopcal.document.choice import Candidate, Chosen
 from loopcal.document.plain import plain
+from loopcal.document.result_document import ResultDocument
+from loopcal.document.terms import TermEntry
+from loopcal.document.verdict import Answer, Verdict
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.result import Result
@@ -98,6 +103,45 @@ def test_every_result_keeps_to_the_published_schema_and_reads_back(
     assert document["inputs"]["prior"]["*"]["sd"] == "inf"
     assert document["warnings"][0] == "odd"
     assert result_json(written.document) == text
+
+
+def judged() -> ResultDocument:
+    """A document with all that schema 2 added."""
+    document = RESULTS["implicit loop"]().document
+    assert document.accuracy is not None
+    far = document.accuracy.before
+    answer = Answer(None, "undecided", 1.0, "Nobody asked.", None)
+    held = ValidationEntry({"blocks": 5}, "5 regions", 64, far, None)
+    held = replace(held, coverage=Coverage(0.95, 0.94, 64))
+    over = (
+        Candidate("implicit-loop", far, far, 0.0, 0.0),
+        Candidate("x", None, None, None, None, "hopeless"),
+    )
+    return replace(
+        document,
+        chosen=Chosen("implicit-loop", ("sag",), "implicit-loop, over x", over),
+        terms=(TermEntry("sag", "rad/m", 5e-4, (2e-4, None), 4e-4, 3, 2.5, 11.0, "it gives way"),),
+        verdict=Verdict(answer, answer, answer, answer, "Undecided."),
+        accuracy=replace(document.accuracy, nominal=far, noise_floor=1e-4),
+        validation=replace(held, scheme={"folds": 10}, blocked=held),
+    )
+
+
+def test_a_document_with_all_of_schema_2_keeps_to_it_and_reads_back(tmp_path: Path) -> None:
+    document, path = judged(), tmp_path / "result.json"
+    path.write_text(result_json(document), encoding="utf-8")
+    jsonschema.Draft202012Validator(result_schema()).validate(json.loads(path.read_text("utf-8")))
+    assert plain(read_result(path)) == plain(document)
+
+
+def test_a_file_of_schema_1_is_read(tmp_path: Path) -> None:
+    document, path = RESULTS["implicit loop"]().document, tmp_path / "result.json"
+    old = plain(document) | {"schema": 1}
+    for added in ("chosen", "terms", "verdict"):
+        del old[added]
+    del old["accuracy"]["nominal"], old["accuracy"]["noise_floor"]
+    path.write_text(json.dumps(old), encoding="utf-8")
+    assert plain(read_result(path)) == plain(document)
 
 
 def test_floats_are_the_same_bits() -> None:
@@ -207,7 +251,8 @@ def document_with(**changes: Any) -> dict[str, Any]:
         ("", "empty"),
         ("{", "line 1"),
         ("[]", "schema"),
-        ('{"schema": 2}', "schema is 2"),
+        ('{"schema": 3}', "schema is 3"),
+        ('{"schema": true}', "schema is True"),
         ('{"schema": 1}', "is missing"),
         ('{"schema": 1, "closure": NaN}', "NaN"),
         (json.dumps(document_with(methd="x")), "did you mean 'method'"),

@@ -37,8 +37,12 @@ def align(points: Array, targets: Array) -> RigidMotion:
     Least squares by singular values; columns with NaN are left out. Source: Kabsch (1976),
     Umeyama (1991). Raises InputError if fewer than d points are left, or they coincide.
     """
-    P, T = _known(points, targets)
-    d = len(points)
+    return _aligned(*_known(points, targets))
+
+
+def _aligned(P: Array, T: Array) -> RigidMotion:
+    """The same where no number is missing."""
+    d = len(P)
     if P.shape[1] < d:
         raise InputError(
             f"{P.shape[1]} measured points are too few to place the instrument",
@@ -72,7 +76,7 @@ def align_most(points: Array, targets: Array) -> RigidMotion:
         if good.all():
             break
         P, T = P[:, good], T[:, good]
-    return align(P, T)
+    return _aligned(P, T)
 
 
 def _known(points: Array, targets: Array) -> tuple[Array, Array]:

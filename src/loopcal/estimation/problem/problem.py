@@ -73,6 +73,11 @@ class Problem:
         """How many poses there are."""
         return len(self.poses)
 
+    def with_nominal(self, mechanism: Mechanism) -> Problem:
+        """The problem of a mechanism that differs in nominal values alone, begun at these."""
+        values = np.array([p.nominal for p in mechanism.parameters])
+        return replace(self, mechanism=mechanism, start=values, nominal=values[self.free])
+
     def pose(self, number: int) -> str:
         """The id of the pose at a position."""
         return self.poses[number]

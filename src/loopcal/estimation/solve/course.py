@@ -40,12 +40,11 @@ class Course:
 
     def accepted(self, system: Spectrum, step: Array, gain: float) -> Course:
         """After a step that changed the merit by a share of what was predicted."""
-        weakest = _weakest(system)
         if gain < _POOR:
-            damping = max(2.0 * self.damping, 0.1 * weakest)
+            damping = max(2.0 * self.damping, 0.1 * _weakest(system))
         else:
             damping = self.damping / (10.0 if gain > _GOOD else 3.0)
-            damping = damping if damping > 1e-3 * weakest else 0.0
+            damping = damping if damping and damping > 1e-3 * _weakest(system) else 0.0
         return Course(damping, step, self.descend)
 
     def rejected(self, system: Spectrum) -> Course:

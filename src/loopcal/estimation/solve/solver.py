@@ -36,12 +36,7 @@ from loopcal.estimation.solve.merit import (
     State,
     without_state,
 )
-from loopcal.estimation.solve.reduction import (
-    WELL_CONDITIONED,
-    hardly_determined,
-    spectrum,
-    vanished,
-)
+from loopcal.estimation.solve.reduction import hardly_determined, spectrum, vanished
 from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solution import End, Solution
 from loopcal.estimation.solve.status import Status, weakness
@@ -145,7 +140,7 @@ class _Solver(Generic[State]):
             self.effects = current.found.data.lengths
         while True:
             assert current.spectrum is not None
-            if not self.triangular and current.spectrum.condition > WELL_CONDITIONED:
+            if not (self.triangular or current.spectrum.well_conditioned):
                 self.triangular = True
                 current = self._evaluate(current.parameters, current.found.state)
                 continue

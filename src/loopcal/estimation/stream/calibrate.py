@@ -65,7 +65,7 @@ def calibrate_stream(
     first, fit = stream.chunk(0), fit or Fit()
     refuse_unstreamable(fit)
     _refuse_estimates(fit, first.noise)
-    mechanism, exact = fit.with_prior(mechanism), fit.method.exact
+    mechanism, exact = fit.with_prior(mechanism), fit.solver.exact
     if not exact:
         stream = Disturbed(mechanism, stream)
         mechanism, data = with_model(mechanism, first.data, first.noise)
@@ -141,7 +141,7 @@ def refuse_unstreamable(fit: Fit) -> None:
 
 
 def _refuse_estimates(fit: Fit, noise: Noise) -> None:
-    if noise.estimate and not fit.method.exact:
+    if noise.estimate and not fit.solver.exact:
         raise InputError(
             "estimating sds needs all poses in memory, but they are read as a stream",
             code="unsupported",

@@ -16,9 +16,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ValidationSpec:
-    """One of folds, hold_out and file is stated; group: the column of numbers that name groups."""
+    """One of folds, hold_out and file is stated, blocks beside the first two; group: the column of
+    numbers that name groups."""
 
     folds: int | None = None
+    blocks: int | None = None
     hold_out: float | None = None
     file: str | None = None
     seed: int = 0
@@ -67,6 +69,15 @@ def validation_spec(entry: ValidationEntry | None, place: Place) -> ValidationSp
     if entry is None:
         return None
     stated = [k for k in ("folds", "hold_out", "file") if getattr(entry, k) is not None]
+    if not stated and entry.blocks is not None:
+        return ValidationSpec(**(entry.model_dump() | {"folds": 10}))
+    if entry.file is not None and entry.blocks is not None:
+        raise InputError(
+            "the validation states blocks and file, but another file has no regions to leave out",
+            code="conflicting-keys",
+            place=str(place),
+            remedy='give blocks = 5 with folds = 10, or file = "other.csv" alone',
+        )
     if len(stated) != 1:
         raise InputError(
             f"the validation states {' and '.join(stated) or 'no way to leave poses out'}",
@@ -89,6 +100,7 @@ def fit_of(entry: SettingsEntry, place: Place) -> Fit:
             start=entry.start,
             max_iterations=entry.max_iterations,
             tolerance=entry.tolerance,
+            model_error=entry.model_error,
         )
     except InputError as error:
         raise error.at(str(place)) from None

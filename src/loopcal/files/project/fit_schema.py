@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from loopcal.estimation.fit import STARTS
+from loopcal.estimation.fit import MODEL_ERRORS, STARTS
 from loopcal.estimation.methods.registry import DEFAULT, METHODS
 from loopcal.estimation.solve.loss import LOSSES
 from loopcal.files.toml.model import Model, NameOrNumber, OneOf
@@ -33,13 +33,24 @@ class SettingsEntry(Model):
         default=None,
         description="Step, in sds, that counts as converged; default: that of the method.",
     )
+    model_error: Annotated[str, OneOf(MODEL_ERRORS)] = Field(
+        default="none",
+        description="structured: add terms for what the machine model lacks; their sizes are "
+        "learnt.",
+    )
 
 
 class ValidationEntry(Model):
-    """Which poses take no part in a fit and are predicted by it: one of folds, hold_out, file."""
+    """Which poses take no part in a fit and are predicted by it: one of folds, hold_out, file, and
+    blocks beside the first two."""
 
     folds: Annotated[int, Field(ge=2)] | None = Field(
         default=None, description="So many parts, each left out once."
+    )
+    blocks: Annotated[int, Field(ge=2)] | None = Field(
+        default=None,
+        description="So many regions of the joint space, each left out once besides; alone it "
+        "comes with 10 folds.",
     )
     hold_out: Annotated[float, Field(gt=0, lt=1)] | None = Field(
         default=None, description="This share is left out, once."
@@ -68,7 +79,7 @@ class FitEntry(SettingsEntry):
     validation: ValidationEntry | None = Field(
         default=None,
         description="Accuracy on poses not used for the fit.",
-        examples=[{"folds": 10, "seed": 0}, {"hold_out": 0.3}, {"file": "other.csv"}],
+        examples=[{"folds": 10, "blocks": 5}, {"hold_out": 0.3}, {"file": "other.csv"}],
     )
     profile: list[str] = Field(
         default=[],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,9 +23,11 @@ from loopcal.files.toml.reader import checked_schema, read_toml, shown, toml_dat
 from loopcal.mechanisms.effects.model import Model
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameters
+from loopcal.mechanisms.prior import check_estimate
+from loopcal.mechanisms.terms import stated_terms
 
 if TYPE_CHECKING:
-    from loopcal.files.project.project_schema import ProjectModel, SdEntry
+    from loopcal.files.project.project_schema import PriorEntry, ProjectModel
     from loopcal.files.project.simulation_entries import SimulationSpec
     from loopcal.files.study.study_schema import StudyModel
 
@@ -124,10 +126,11 @@ def _mechanism(
 ) -> Mechanism:
     def told(parameters: Parameters) -> Parameters:
         said = changed(parameters, model.parameters, place.at("parameters"))
-        return changed(said, priors(model.prior), place.at("prior"))
+        return changed(said, _priors(model.prior), place.at("prior"))
 
     made = stated_mechanism(model, data, folder, given, place, told)
-    return made.with_parameters(told(made.parameters))
+    said = changed(made.parameters, model.parameters, place.at("parameters"))
+    return with_priors(made.with_parameters(said), model.prior, place.at("prior"))
 
 
 def stated_mechanism(
@@ -169,7 +172,28 @@ def stated_mechanism(
     return mechanism_from_data(stated, here, function=given, parameters=model.parameters, told=told)
 
 
-def priors(entries: Mapping[str, SdEntry]) -> dict[str, Any]:
+def with_priors(mechanism: Mechanism, entries: Mapping[str, PriorEntry], place: Place) -> Mechanism:
+    """The mechanism with the prior sds of a file, and a term for each that is learnt.
+
+    Raises InputError for a name that stands for nothing, a unit that does not fit, and for an sd
+    to be learnt that is 0 or inf.
+    """
+    parameters = changed(mechanism.parameters, _priors(entries), place)
+    for key, entry in entries.items():
+        try:
+            if entry.estimate is not None:
+                check_estimate(key, entry.estimate, entry.sd)
+        except InputError as error:
+            raise error.at(str(place.at(key))) from None
+    keys = {key: entry.estimate is not None for key, entry in entries.items()}
+    try:
+        terms = stated_terms(mechanism.terms, parameters, keys)
+    except InputError as error:
+        raise error.at(str(place)) from None
+    return replace(mechanism, parameters=parameters, terms=terms)
+
+
+def _priors(entries: Mapping[str, PriorEntry]) -> dict[str, Any]:
     """Prior sds as entries of parameters."""
     from loopcal.files.machines.mechanism_parts import ParameterEntry
 

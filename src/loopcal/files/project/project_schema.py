@@ -258,6 +258,19 @@ class SdEntry(Model):
 Sds = dict[str, Annotated[SdEntry, plain_number_as("sd", SdEntry)]]
 
 
+class PriorEntry(SdEntry):
+    """How well the nominal values are known."""
+
+    estimate: Literal["group"] | None = Field(
+        default=None,
+        description="group: these parameters share one sd, which is learnt from the calibration; "
+        "the sd stated is its expected size, known to a factor of e.",
+    )
+
+
+Priors = dict[str, Annotated[PriorEntry, plain_number_as("sd", PriorEntry)]]
+
+
 class ModelEntry(Model):
     """One of several models of the machine."""
 
@@ -319,10 +332,13 @@ class ProjectModel(Model):
     mechanism: MechanismEntry | None = None
     data: DataEntry | None = None
     noise: NoiseEntries = Field(default={})
-    prior: Sds = Field(
+    prior: Priors = Field(
         default={},
         description="Prior sds of parameters by name or glob, inf: flat; later lines win.",
-        examples=[{"d_*": {"sd": 1.0, "unit": "mm"}}],
+        examples=[
+            {"d_*": {"sd": 1.0, "unit": "mm"}},
+            {"c_*": {"sd": 1.0, "unit": "mrad", "estimate": "group"}},
+        ],
     )
     parameters: ParameterEntries = Field(default={})
     fit: FitEntry = FitEntry()

@@ -26,7 +26,11 @@ def validation_arguments(
 
     Raises InputError where a file cannot be read.
     """
-    found: dict[str, Any] = {"folds": asked.folds or 0, "hold_out": asked.hold_out}
+    found: dict[str, Any] = {
+        "folds": asked.folds or 0,
+        "blocks": asked.blocks or 0,
+        "hold_out": asked.hold_out,
+    }
     if asked.file is not None:
         other = _other(project, asked.file)
         found |= {"other": other.dataset, "other_noise": other.noise}

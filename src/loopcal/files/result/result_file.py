@@ -23,6 +23,8 @@ from loopcal.files.toml.place import Place
 if TYPE_CHECKING:
     from pydantic import TypeAdapter, ValidationError
 
+READ = (1, SCHEMA)
+"""Schemas that can be read."""
 _REMEDY = "name a result.json that loopcal wrote, or calibrate again"
 
 
@@ -65,13 +67,13 @@ def write_result(
 
 
 def read_result(path: str | Path) -> ResultDocument:
-    """The document of a result.json, checked.
+    """The document of a result.json, checked; schema 1 lacks only what schema 2 added.
 
     Raises InputError, naming the place in the file, for anything else.
     """
     from pydantic import ValidationError
 
-    content = read_json(path, "result.json", SCHEMA)
+    content = read_json(path, "result.json", *READ) | {"schema": SCHEMA}
     try:
         return _adapter().validate_json(json.dumps(content).encode())
     except ValidationError as error:

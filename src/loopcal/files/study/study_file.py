@@ -16,7 +16,7 @@ from loopcal.files.machines.parameter_entries import changed, in_si
 from loopcal.files.machines.python_function import Loops
 from loopcal.files.project.fit_entries import fit_of
 from loopcal.files.project.noise_entries import NoiseSpec, noise_spec
-from loopcal.files.project.project_file import plain, priors, stated_mechanism
+from loopcal.files.project.project_file import plain, stated_mechanism, with_priors
 from loopcal.files.project.simulation_entries import SimulationSpec, simulation_spec
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml, shown, toml_data
@@ -26,7 +26,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameters
 
 if TYPE_CHECKING:
-    from loopcal.files.project.project_schema import NoiseEntry, SdEntry
+    from loopcal.files.project.project_schema import NoiseEntry
     from loopcal.files.study.study_schema import (
         MethodEntry,
         PublishedEntry,
@@ -168,8 +168,8 @@ def _refuse_repeated(names: Sequence[str], place: Place) -> None:
 
 def _scenario(model: StudyModel, index: int, machine: Mechanism, place: Place) -> Scenario:
     entry, top = model.scenarios[index], Place(place.file)
-    mechanism = _with_priors(machine, model.prior, top.at("prior"))
-    mechanism = _with_priors(mechanism, entry.prior, place.at("prior"))
+    mechanism = with_priors(machine, model.prior, top.at("prior"))
+    mechanism = with_priors(mechanism, entry.prior, place.at("prior"))
     told = _noise(model.noise, machine, top.at("noise")).followed_by(
         _noise(entry.noise, machine, place.at("noise"))
     )
@@ -180,10 +180,6 @@ def _scenario(model: StudyModel, index: int, machine: Mechanism, place: Place) -
     )
     published = _published(entry.published, mechanism, methods, place.at("published"))
     return Scenario(entry.name, mechanism, spec, spec.noise.noise(), methods, published)
-
-
-def _with_priors(mechanism: Mechanism, entries: Mapping[str, SdEntry], place: Place) -> Mechanism:
-    return mechanism.with_parameters(changed(mechanism.parameters, priors(entries), place))
 
 
 def _noise(
@@ -251,7 +247,7 @@ def _method(entry: MethodEntry, mechanism: Mechanism, told: NoiseSpec, place: Pl
         raise error.at(str(place)) from None
     return StudyMethod(
         entry.name or entry.method,
-        _with_priors(mechanism, entry.prior, place.at("prior")),
+        with_priors(mechanism, entry.prior, place.at("prior")),
         noise,
         fit,
     )

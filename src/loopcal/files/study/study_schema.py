@@ -12,8 +12,8 @@ from loopcal.files.project.project_schema import (
     Length,
     MechanismEntry,
     NoiseEntries,
+    Priors,
     RangeEntry,
-    Sds,
     SimulationEntry,
 )
 from loopcal.files.toml.model import Finite, Model
@@ -45,7 +45,7 @@ class ScenarioEntry(Model):
     noise: NoiseEntries = Field(
         default={}, description="What the estimator is told, and true unless simulation.noise says."
     )
-    prior: Sds = Field(default={})
+    prior: Priors = Field(default={})
     published: PublishedEntry | None = None
 
 
@@ -56,7 +56,7 @@ class MethodEntry(SettingsEntry):
     method: MethodName
     start: StartName = "nominal"
     noise: NoiseEntries = Field(default={}, description="What this method is told instead.")
-    prior: Sds = Field(default={})
+    prior: Priors = Field(default={})
 
 
 class StudyModel(Model):
@@ -69,7 +69,7 @@ class StudyModel(Model):
     mechanism: MechanismEntry | None = None
     parameters: ParameterEntries = Field(default={})
     noise: NoiseEntries = Field(default={})
-    prior: Sds = Field(default={})
+    prior: Priors = Field(default={})
     simulation: SharedSimulation = SharedSimulation()
     scenarios: Annotated[list[ScenarioEntry], Field(min_length=1, max_length=1000)]
     methods: Annotated[list[MethodEntry], Field(min_length=1)]

@@ -1,0 +1,39 @@
+"""Which method was chosen for a calibration, over which others, and by how much."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from loopcal.document.accuracy import Distances
+from loopcal.document.bounds import Size
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A way to calibrate that was validated on the same poses as the chosen one."""
+
+    name: str
+    out_of_sample: Distances | None
+    """On poses not used, random folds, in the unit of `accuracy`; null: it failed."""
+    blocked: Distances | None
+    """On regions not used; null: it failed, or there are too few poses for regions."""
+    difference: float | None
+    """Its rms on poses not used minus that of the chosen one; null: it failed."""
+    sd: Size | None
+    """Standard error of the difference, paired by pose."""
+    failed: str | None = None
+    """Why it was discarded before the end; null: it was not."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """What the method "auto" chose."""
+
+    method: str
+    """The method of the chosen candidate."""
+    terms: tuple[str, ...]
+    """Names of the terms of its model error; empty: none."""
+    words: str
+    """What was chosen, over what, by how much, in a sentence."""
+    over: tuple[Candidate, ...]
+    """All candidates, the chosen one first."""
