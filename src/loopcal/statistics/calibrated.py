@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.fit import NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.result_document import ResultDocument
 from loopcal.estimation.result import Result
@@ -19,6 +20,14 @@ from loopcal.statistics.stored_covariance import stored_covariance
 Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class ResidualVariance:
+    """Of a loop equation [SI squared], from residuals with so many degrees of freedom."""
+
+    value: float
+    freedom: int
+
+
 @dataclass(frozen=True, eq=False)
 class Calibrated:
     """A calibrated machine and how sure it is.
@@ -26,9 +35,9 @@ class Calibrated:
     mechanism: with the calibrated values; covariance: (n_all, n_all) [SI], zero for fixed
     parameters; undetermined: (n_all, d) steps [SI] that neither data nor prior limit; nominal,
     prior_sd: (n_all,) what was known before; poses: its readings; data: what tells the readings
-    apart from others; factor: by which the covariance is larger than the stated sds
-    say, because chi-squared rejects these; carried: whether parameters with learnt sds (terms)
-    carry the error of the model.
+    apart from others; rejected: chi-squared, where it rejects the stated sds; carried: whether
+    parameters with learnt sds (terms) carry the error of the model; noise: the sds of its sensors;
+    residual: of a method that takes the readings as exact.
     """
 
     name: str
@@ -39,8 +48,10 @@ class Calibrated:
     prior_sd: Array
     poses: Dataset | None
     data: str | None
-    factor: float
+    rejected: ChiSquared | None
     carried: bool
+    noise: tuple[NoiseEntry, ...] = ()
+    residual: ResidualVariance | None = None
 
     @classmethod
     def of(cls, result: Result, name: str) -> Calibrated:
@@ -49,18 +60,19 @@ class Calibrated:
         exact = result.fit.solver.exact
         loose = system.scale[:, None] * system.directions[:, ~system.kept]
         free, size = result.problem.free, len(parameters)
-        factor = _factor(result.chi_squared, result.variance_factor_applied)
         return cls(
             name,
             result.calibrated,
-            _spread(_allowing(result.learnt_covariance, factor, result.chi_squared), free, size),
+            _spread(result.learnt_covariance, free, size),
             _rows(loose, free, size),
             np.array([p.nominal for p in parameters]),
             np.array([math.inf if exact else p.prior_sd for p in parameters]),
             result.dataset,
             result.dataset.source.sha256 or str(id(result.dataset)),
-            factor,
+            _rejected(result.chi_squared, result.variance_factor_applied),
             bool(result.terms),
+            result.noise,
+            _residual(result.solution.chi_squared, result.freedom) if exact else None,
         )
 
     @classmethod
@@ -80,9 +92,7 @@ class Calibrated:
             # a parameter without covariance is one that nothing limits
             matrix = np.array(document.covariance.matrix, dtype=float).reshape((len(free),) * 2)
             determined, loose = None, np.eye(len(free))[:, np.isnan(np.diag(matrix))]
-        factor = _factor(document.chi_squared, document.variance_factor_applied)
         covariance = stored_covariance(document.covariance, determined)
-        covariance = _allowing(covariance, factor, document.chi_squared)
         prior = [entries[n].prior_sd for n in names]
         exact = document.sensors_exact
         return cls(
@@ -94,26 +104,55 @@ class Calibrated:
             np.array([math.inf if exact or sd is None else sd for sd in prior]),
             poses,
             document.data.sha256,
-            factor,
+            _rejected(document.chi_squared, document.variance_factor_applied),
             bool(document.terms),
+            document.noise,
+            _residual(_squares(document), _freedom(document)) if exact else None,
         )
 
+    @property
+    def factor(self) -> float:
+        """By how much the residuals are larger than the stated variances say; 1 where not."""
+        return 1.0 if self.rejected is None else self.rejected.variance_factor or 1.0
 
-def _factor(chi: ChiSquared | None, applied: bool) -> float:
-    if chi is None or applied or not chi.too_large or chi.variance_factor is None:
-        return 1.0
-    return chi.variance_factor
+    @property
+    def as_its_residuals(self) -> Calibrated:
+        """With a covariance as large as the residuals, where chi-squared rejects the sds."""
+        chi, own = self.rejected, self.covariance
+        if chi is None:
+            return self
+        if len(own.slopes):
+            return replace(self, covariance=own.scaled_by(self.factor))
+        scaled = LearntCovariance.scaled(self.factor * own.matrix, chi.degrees_of_freedom)
+        return replace(self, covariance=scaled)
 
 
-def _allowing(
-    covariance: LearntCovariance, factor: float, chi: ChiSquared | None
-) -> LearntCovariance:
-    """As large as the residuals are, where chi-squared rejects the stated sds."""
-    if factor == 1.0 or chi is None:
-        return covariance
-    if len(covariance.slopes):
-        return covariance.scaled_by(factor)
-    return LearntCovariance.scaled(factor * covariance.matrix, chi.degrees_of_freedom)
+def _rejected(chi: ChiSquared | None, applied: bool) -> ChiSquared | None:
+    return chi if chi is not None and chi.too_large and not applied else None
+
+
+def _residual(squares: float, freedom: int) -> ResidualVariance | None:
+    return ResidualVariance(squares / freedom, freedom) if freedom > 0 and squares > 0.0 else None
+
+
+def _values(document: ResultDocument) -> int:
+    """How many loop values there are: equations, and what the loops find beside the parameters."""
+    index, known = document.identifiability.calibration_index, document.mechanism
+    if index is None or known is None:
+        return 0
+    unmeasured = len(known.quantities) - len(document.data.quantities)
+    return index.value + (unmeasured * document.data.used if index.value else 0)
+
+
+def _squares(document: ResultDocument) -> float:
+    """Sum of the squares of the loop values."""
+    rms = document.closure.after.rms
+    return 0.0 if rms is None else rms**2 * _values(document)
+
+
+def _freedom(document: ResultDocument) -> int:
+    index = document.identifiability.calibration_index
+    return 0 if index is None else index.value - document.identifiability.rank
 
 
 def _spread(covariance: LearntCovariance, free: NDArray[np.intp], size: int) -> LearntCovariance:

@@ -74,6 +74,7 @@ def compare(
     """
     a = Calibrated.of(a, "A") if isinstance(a, Result) else a
     b = Calibrated.of(b, "B") if isinstance(b, Result) else b
+    a, b = a.as_its_residuals, b.as_its_residuals
     _check_same(a.mechanism, b.mechanism)
     aligned = align and a.mechanism.placement is not None and len(a.mechanism.outputs) in (2, 3)
     points = _points(a, b, poses) if a.mechanism.outputs else None

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.noise.linear_model import Whitened, whitened
+from loopcal.estimation.noise.linear_model import WhitenedModel, whitened_model
 from loopcal.estimation.noise.variances import owners
 from loopcal.small_samples import LearntCovariance
 
@@ -67,7 +67,7 @@ def learnt_parameters(estimate: NoiseEstimate) -> LearntParameters:
     Over the directions that data and prior determine.
     """
     model, found = estimate.model, estimate.found
-    at = whitened(model, found.ratios)
+    at = whitened_model(model, found.ratios)
     assert at is not None  # the estimate was made there
     prior = np.sqrt(model.precision)
     own, stated = owners(estimate.problem), estimate.problem.mechanism.terms
@@ -86,7 +86,7 @@ def learnt_parameters(estimate: NoiseEstimate) -> LearntParameters:
     return LearntParameters(LearntCovariance(total, plain, slopes), errors[: len(found.ratios)])
 
 
-def _inner(at: Whitened, prior: Array, terms: Sequence[_Term], components: int) -> Array:
+def _inner(at: WhitenedModel, prior: Array, terms: Sequence[_Term], components: int) -> Array:
     """root^T M_j root of the sensors, then by the log variance of each term, (c + t, k, k)."""
     rank = at.root.shape[1]
     inner = np.zeros((components + len(terms), rank, rank))
@@ -122,7 +122,7 @@ def _errors(found: Estimate, inner: Array, terms: Sequence[_Term]) -> Array:
 
 
 def _moves(
-    at: Whitened, errors: Array, slopes: Array, prior: Array, terms: Sequence[_Term]
+    at: WhitenedModel, errors: Array, slopes: Array, prior: Array, terms: Sequence[_Term]
 ) -> Array:
     """Lambda (n, n), as a sum of squares; prior: (n,) roots of its precision."""
     n, c = len(prior), len(errors) - len(terms)

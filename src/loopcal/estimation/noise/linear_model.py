@@ -155,7 +155,7 @@ def mixed_fit(model: LinearModel, joined: Joined) -> MixedFit:
 
 
 @dataclass(frozen=True)
-class Whitened:
+class WhitenedModel:
     """The model whitened at some ratios: H^-1 = root root^T (n, rank), and all blocks."""
 
     root: Array
@@ -169,13 +169,13 @@ class Whitened:
         return zip(self.J, self.W, self.owners, strict=True)
 
 
-def whitened(model: LinearModel, ratios: Array) -> Whitened | None:
+def whitened_model(model: LinearModel, ratios: Array) -> WhitenedModel | None:
     """The model whitened at these variance ratios; None where some V is singular."""
-    joined = _joined(model, ratios)
+    joined = whitened(model, ratios)
     if joined is None:
         return None
     n = len(model.precision)
-    return Whitened(
+    return WhitenedModel(
         _solved(joined.R[:, :n]).root,
         tuple(rows[:, :, :n] for rows in joined.rows),
         tuple(joined.W),
