@@ -62,6 +62,8 @@ if TYPE_CHECKING:
         compare_methods,
         validate,
     )
+    from loopcal.statistics.verification import verify
+    from loopcal.statistics.verified import Verification
     from loopcal.workflow.calibration import write_result
 
 _HOME = {
@@ -109,6 +111,8 @@ _HOME = {
     "statistics.comparison": ("compare",),
     "statistics.intervals": ("Interval", "intervals"),
     "statistics.validation": ("MethodComparison", "Validation", "compare_methods", "validate"),
+    "statistics.verification": ("verify",),
+    "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
     "statistics.outliers": ("Outliers", "find_outliers"),
     "statistics.findings": ("Findings", "findings"),
@@ -165,6 +169,7 @@ __all__ = [
     "Tracker",
     "Undetermined",
     "Validation",
+    "Verification",
     "WrittenResult",
     "__version__",
     "assemble",
@@ -205,6 +210,7 @@ __all__ = [
     "tracker_covariance",
     "validate",
     "vector",
+    "verify",
     "with_effects",
     "write_result",
 ]
