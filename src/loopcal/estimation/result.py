@@ -349,7 +349,9 @@ class Result:
     def restricted_criterion(self) -> float | None:
         """-2 log of the restricted likelihood, up to a constant of the readings, where sds were
         estimated: the difference between two models of the same readings is what counts."""
-        return None if self.estimate is None else self.estimate.criterion
+        if self.estimate is None or self.all_poses is not None:
+            return None
+        return self.estimate.criterion
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
