@@ -65,3 +65,28 @@ class ChangePoint:
             text += f" (or else {'; '.join(self.alternatives)})"
         when = f"from pose {self.pose} on" if self.shape == "step" else "over the whole run"
         return f"{when} {text}: {sizes}, p = {self.p_value:.2g}"
+
+
+@dataclass(frozen=True)
+class ChangePoints:
+    """What a search for change points found."""
+
+    found: tuple[ChangePoint, ...]
+    """In the order of the poses."""
+    level: Probability
+    """Of finding any in independent errors."""
+    poses: Count
+    """Poses that were searched; 0: too many or too few."""
+    toml: str = ""
+    """The lines of a project or mechanism file that model them."""
+
+    def warnings(self) -> tuple[str, ...]:
+        """One sentence for each, and the remedy."""
+        if not self.found:
+            return ()
+        words = "; ".join(str(point) for point in self.found)
+        return (
+            f"The residuals show {len(self.found)} change"
+            f"{'s' if len(self.found) > 1 else ''} along the run: {words}. Correct the setup, or "
+            f"model the changes with the effects that change_points of result.json lists.",
+        )

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import tail
 from loopcal.document.change_points import Change, ChangePoint, Moved
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
@@ -34,23 +35,30 @@ MOST_POSES = 5000
 """More poses are not searched: parts of a long run can be."""
 LEAST = 5
 """Poses between two changes, and before the first and after the last."""
+UNREMARKABLE = 1e-3
+"""A pose that is at least so probable fits."""
 _WAVES, _EDGE = 6, 1e-3
 """A step is kept if its edge stands out of so many slow cosines over the run at this level."""
 _RARE = 10.0
 """By so much must the log p-value of a joint's zero be lower: a target that moves about the axis of
 the last joint does the same, and does it more often."""
-_ALIKE = 10.0
+_ALIKE = 7.0
 """An alternative whose log p is within this of the best explains the change about as well."""
 
 
 @dataclass(frozen=True)
 class Shifts:
-    """What find_shifts found: change points in order; level: probability of finding any in
-    independent errors; tested: poses that were searched, 0 where there are too many or too few."""
+    """What find_shifts found.
+
+    found: change points in order; level: probability of finding any in independent errors; tested:
+    poses that were searched, 0 where there are too many or too few; explained: ids of the poses
+    that fit once the shifts are modelled, empty where none was found.
+    """
 
     found: tuple[ChangePoint, ...]
     level: float
     tested: int
+    explained: frozenset[str] = frozenset()
 
     def __len__(self) -> int:
         return len(self.found)
@@ -66,6 +74,9 @@ class Shifts:
         if not self.found:
             return [f"shifts: none ({rule})"]
         return [f"shifts: {len(self.found)} ({rule})", *(f"  {point}" for point in self.found)]
+
+
+NOT_SEARCHED = Shifts((), 0.01, 0)
 
 
 @dataclass(frozen=True)
@@ -108,9 +119,9 @@ def find_shifts(result: Result, *, level: float = 0.01, most: int = 8) -> Shifts
         )
     count = len(result.problem.poses)
     if result.all_poses is not None or not 4 * LEAST <= count <= MOST_POSES:
-        return Shifts((), level, 0)
+        return replace(NOT_SEARCHED, level=level)
     with one_blas_thread():
-        return Shifts(_Search(result, level).run(most), level, count)
+        return _Search(result, level).run(most)
 
 
 class _Search:
@@ -124,7 +135,7 @@ class _Search:
         ramps = sum(c.ramps for c in self.candidates)
         self.tests = {False: 2.0 * max(steps, 1), True: 2.0 * max(ramps, 1)}
 
-    def run(self, most: int) -> tuple[ChangePoint, ...]:
+    def run(self, most: int) -> Shifts:
         """The change points in order."""
         steps: list[_Step] = []
         while len(steps) < most:
@@ -141,7 +152,14 @@ class _Search:
             if not step.ramp:
                 steps[i] = self._best(rest, others, [step.candidate], ramps=False)[0] or step
             found.append(self._point(rest, steps[i]))
-        return tuple(sorted(found, key=lambda point: point.number))
+        order = self.system.order
+        fits = self._fitted(steps).p_values >= UNREMARKABLE if steps else np.zeros(0, dtype=bool)
+        return Shifts(
+            tuple(sorted(found, key=lambda point: point.number)),
+            self.level,
+            len(order),
+            frozenset(self.problem.poses[i] for i in order[np.flatnonzero(fits)].tolist()),
+        )
 
     def _sharp(self, steps: Sequence[_Step], i: int) -> bool:
         """Whether a step is there beside slow changes over the run, which leave only its edge."""
@@ -230,9 +248,14 @@ class _Search:
 
 
 def _log_tail(gain: float, rank: int) -> float:
-    from scipy.stats import chi2
-
-    return float(chi2.logsf(gain, rank)) if rank else 0.0
+    """Log of the probability of a chi-squared above the gain, also where it underflows."""
+    if not rank:
+        return 0.0
+    p = float(tail(np.array([gain]), np.array([rank]))[0])
+    if p > 1e-280:
+        return math.log(p)
+    half = 0.5 * rank  # the leading term of the asymptotic series
+    return -0.5 * gain + (half - 1.0) * math.log(0.5 * gain) - math.lgamma(half)
 
 
 def _unit(problem: Problem, name: str) -> str:

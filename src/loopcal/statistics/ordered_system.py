@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import tail
 from loopcal.estimation.dependence.dependence import joint_rows, pose_order
 from loopcal.estimation.dependence.seen import instruments, units_of
 from loopcal.estimation.problem.pose_equations import pose_equations
@@ -25,7 +26,7 @@ from loopcal.mechanisms.structure.smooth import Smooth
 
 Array = NDArray[np.float64]
 _HUBER, _ROUNDS = 2.0, 3
-_RATIOS = 10.0 ** np.arange(-4.0, 5.0)
+_RATIOS, _BESIDE = 10.0 ** np.arange(-4.0, 5.0), 10.0 ** np.arange(-1.0, 2.0)
 _ABSORBED = 1e-6
 """What else the fit determines to less than this share cannot be told from a step."""
 
@@ -75,16 +76,19 @@ class OrderedSystem:
         Z = np.concatenate([*steps, self.Z], axis=2)
         more = Z.shape[2] - self.Z.shape[2]
         P, pull = np.pad(self.P, ((more, 0), (more, 0))), np.pad(self.pull, (more, 0))
-        left, weights, used = self.E, np.ones(len(Z)), 0.0
+        left, weights, used, ratios = self.E, np.ones(len(Z)), 0.0, _RATIOS
         for _ in range(_ROUNDS):
             T = weights[:, None, None] * self._whitening(left, weights, used)
             E, scaled = np.einsum("nrs,ns->nr", T, self.E), T @ Z
-            fit = _ridge(E, scaled, P, pull, self.smooth)
+            fit = _ridge(E, scaled, P, pull, self.smooth, ratios)
             left, used = self.E - Z @ fit.z, fit.used
+            ratios = fit.ratio * _BESIDE
             away = np.square(np.einsum("nrs,ns->nr", T, left)).sum(axis=1)
             away = np.sqrt(away / np.maximum(self.rows.sum(axis=1), 1)) / weights
             weights = np.sqrt(np.minimum(1.0, _HUBER / np.maximum(away, 1e-300)))
-        return Fitted(T, E - scaled @ fit.z, scaled, fit.root)
+        count = np.maximum(self.rows.sum(axis=1), 1)
+        p_values = tail(np.square(away) * count, count)
+        return Fitted(T, E - scaled @ fit.z, scaled, fit.root, p_values)
 
     def _whitening(self, left: Array, weights: Array, used: float) -> Array:
         """(N, R, R) S^(-1/2) of each pose, S the scatter of what is left in poses like it."""
@@ -109,12 +113,13 @@ class OrderedSystem:
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """A fit of an ordered system: T (N, R, R) scales the rows; left (N, R) and Z (N, R, m) are
-    scaled; root (m, k): H^-1 = root root^T."""
+    scaled; root (m, k): H^-1 = root root^T; p_values: (N,) of what is left of each pose."""
 
     T: Array
     left: Array
     Z: Array
     root: Array
+    p_values: Array
 
     def gains(self, columns: Array) -> tuple[Array, NDArray[np.intp]]:
         """The gain (N,) of a step of these columns (N, R, d) from each pose on, and its rank."""
@@ -148,7 +153,7 @@ class Fitted:
         return np.einsum("ndr,nr->nd", turned, self.left), turned @ C, turned @ self.Z
 
     def _sums(self, u: Array, Q: Array, U: Array) -> tuple[Array, Array, Array]:
-        W = U @ self.root
+        W = (U.reshape(-1, U.shape[2]) @ self.root).reshape(*U.shape[:2], -1)
         return u, Q - W @ W.transpose(0, 2, 1), np.einsum("ndd->n", Q)
 
 
@@ -164,37 +169,73 @@ class Step:
 
 @dataclass(frozen=True)
 class _Ridge:
-    """z (m,), root of H^-1, and the number of degrees of freedom that the fit uses."""
+    """z (m,), root of H^-1, the degrees of freedom that the fit uses, and the variance of the smooth
+    columns over that of a row."""
 
     z: Array
     root: Array
     used: float
+    ratio: float
 
 
-def _ridge(E: Array, Z: Array, P: Array, pull: Array, smooth: int) -> _Ridge:
+def _ridge(E: Array, Z: Array, P: Array, pull: Array, smooth: int, ratios: Array) -> _Ridge:
     """The fit of unit variance; the smooth columns' variance by restricted likelihood."""
     m = Z.shape[2]
     flat, e = Z.reshape(-1, m), E.ravel()
     ZZ, g = flat.T @ flat, flat.T @ e + pull
     scale = 1.0 / np.sqrt(np.maximum(np.diag(ZZ) + np.diag(P), 1e-300))
-    best, least = None, np.inf
     size = np.trace(ZZ[m - smooth :, m - smooth :]) / max(len(e) * smooth, 1)
-    for ratio in _RATIOS if smooth else (1.0,):
+    best, least, at = None, np.inf, 1.0
+    for ratio in ratios.tolist() if smooth else (1.0,):
         precision = np.zeros(m)
         precision[m - smooth :] = max(size, 1e-300) / ratio
-        H = (ZZ + P + np.diag(precision)) * scale * scale[:, None]
-        values, vectors = np.linalg.eigh(H)
-        kept = values > 1e-11 * values[-1]
-        root = scale[:, None] * vectors[:, kept] / np.sqrt(values[kept])
-        along = root.T @ g
-        criterion = float(np.log(values[kept]).sum() - along @ along)
+        factor = _Factor.of((ZZ + P + np.diag(precision)) * scale * scale[:, None])
+        along = factor.half(scale * g)
+        criterion = factor.log_determinant - float(along @ along)
         criterion -= float(np.log(precision[m - smooth :]).sum())
         if criterion < least:
-            best, least = (root, along), criterion
+            best, least, at = factor, criterion, ratio
     assert best is not None
-    root, along = best
-    used = float(np.einsum("ik,ij,jk->", root, ZZ, root, optimize=True))
-    return _Ridge(root @ along, root, used)
+    root = scale[:, None] * best.root
+    used = float(np.einsum("ik,ik->", root, ZZ @ root))
+    return _Ridge(root @ (root.T @ g), root, used, at)
+
+
+@dataclass(frozen=True, eq=False)
+class _Factor:
+    """H = L L^T, or its eigenvectors where a direction is not determined."""
+
+    L: Array | None
+    values: Array
+    vectors: Array
+
+    @classmethod
+    def of(cls, H: Array) -> _Factor:
+        none = np.zeros((0, 0))
+        try:
+            L = np.linalg.cholesky(H)
+            if float(np.diag(L).min()) > _ABSORBED * float(np.diag(L).max()):
+                return cls(L, np.diag(L), none)
+        except np.linalg.LinAlgError:
+            pass
+        values, vectors = np.linalg.eigh(H)
+        kept = values > 1e-11 * values[-1]
+        return cls(None, np.sqrt(values[kept]), vectors[:, kept])
+
+    @property
+    def log_determinant(self) -> float:
+        return 2.0 * float(np.log(self.values).sum())
+
+    @property
+    def root(self) -> Array:
+        """(m, k) with H^-1 = root root^T."""
+        if self.L is None:
+            return self.vectors / self.values
+        return np.asarray(np.linalg.inv(self.L).T)
+
+    def half(self, g: Array) -> Array:
+        """L^-1 g."""
+        return self.root.T @ g if self.L is None else np.linalg.solve(self.L, g)
 
 
 def ordered_system(result: Result) -> OrderedSystem:

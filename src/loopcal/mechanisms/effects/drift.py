@@ -30,8 +30,9 @@ class Drift:
     """Parameters linear in a known constant t: p' = p + P_drift (t - since) / over.
 
     changing: parameters by names or globs, such as base_* for the place of an instrument, or
-    readings, whose zeros drift: x' = x - x_drift (t - since) / over; column: the known constant t; unit: of since and over, such as "s", "K" or "1"; since, over: where the
-    drift is zero, and the span in which it grows to P_drift [m or rad].
+    readings, whose zeros drift: x' = x - x_drift (t - since) / over; column: the known constant t;
+    unit: of since and over, such as "s", "K" or "1"; since, over: where the drift is zero, and the
+    span in which it grows to P_drift [m or rad].
 
     Raises InputError for a span that is not a positive number.
     """
@@ -77,9 +78,10 @@ class Shift:
     """Parameters that change at once, until they do again: p' = p + P_fromA for A <= t.
 
     For a reflector knocked in its seat, a tracker that was moved, a machine set up anew between
-    the poses. changing: parameters by names or globs, or readings, whose zeros change, as of a joint
-    whose encoder was mastered anew: x' = x - x_fromA; column: a known constant t that grows, such
-    as the number of the pose; unit: of at; at: values of t at which a new segment begins, rising.
+    the poses. changing: parameters by names or globs, or readings, whose zeros change, as of a
+    joint whose encoder was mastered anew: x' = x - x_fromA; column: a known constant t that grows,
+    such as the number of the pose; unit: of at; at: values of t at which a new segment begins,
+    rising.
     Before the first, P itself holds; each segment adds its own P_fromA [m or rad], A in SI.
 
     Raises InputError where no change is stated, or they do not rise.
