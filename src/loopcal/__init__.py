@@ -66,6 +66,8 @@ if TYPE_CHECKING:
         compare_methods,
         validate,
     )
+    from loopcal.statistics.verification import verify
+    from loopcal.statistics.verified import Verification
     from loopcal.workflow.calibration import write_result
 
 _HOME = {
@@ -115,6 +117,8 @@ _HOME = {
     "statistics.comparison": ("compare",),
     "statistics.intervals": ("Interval", "intervals"),
     "statistics.validation": ("MethodComparison", "Validation", "compare_methods", "validate"),
+    "statistics.verification": ("verify",),
+    "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
     "statistics.change_points": ("Shifts", "find_shifts"),
     "statistics.outliers": ("Outliers", "find_outliers"),
@@ -177,6 +181,7 @@ __all__ = [
     "Tracker",
     "Undetermined",
     "Validation",
+    "Verification",
     "WrittenResult",
     "__version__",
     "assemble",
@@ -218,6 +223,7 @@ __all__ = [
     "tracker_covariance",
     "validate",
     "vector",
+    "verify",
     "with_effects",
     "with_shifts",
     "write_result",

@@ -24,6 +24,10 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 
+LEARNT = 1e-5
+"""With terms a fit converges to so many sds, unless the user says otherwise: their own sds are
+learnt from it, and are never known to so many digits."""
+
 
 def calibrate(
     mechanism: Mechanism,
@@ -65,17 +69,17 @@ def calibrate(
     refuse_noise(fit, stated)
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
-    mechanism = modelled(fit, fit.with_prior(mechanism))
+    mechanism = modelled(fit, fit.with_prior(mechanism), len(data))
     told = noise_told(fit, mechanism, data, stated)
     refuse_learning(fit, mechanism, told)
     if told is not None:
         data = weighed(fit, data)
         mechanism, data = with_model(mechanism, data, told)
 
-    def fitted(problem: Problem) -> Solution:
+    def fitted(problem: Problem, tolerance: float | None) -> Solution:
         limits: dict[str, Any] = {
             "max_iterations": fit.max_iterations,
-            "tolerance": fit.tolerance,
+            "tolerance": tolerance,
             "progress": progress,
         }
         if (loss := fit.robust_loss) is not None:
@@ -85,11 +89,16 @@ def calibrate(
     learns = told is not None and bool(told.estimate or mechanism.terms)
     judged = not (fit.solver.exact or fit.robust_loss or learns)
 
-    def solved(problem: Problem) -> Solution:
+    own = (fit.tolerance or LEARNT) if told is not None and mechanism.terms else fit.tolerance
+
+    def solved(problem: Problem, *, tolerance: float | None = None) -> Solution:
+        def once(problem: Problem) -> Solution:
+            return fitted(problem, own if tolerance is None else tolerance)
+
         # an undamped method is for study: it shows how its own iteration ends
         if fit.solver.damped:
-            return fitted(problem)
-        return solve_or_fall_back(problem, fitted, fit.max_iterations, judged=judged)
+            return once(problem)
+        return solve_or_fall_back(problem, once, fit.max_iterations, judged=judged)
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)

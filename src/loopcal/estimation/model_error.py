@@ -15,6 +15,7 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.measurements.noise import MODEL, Noise
+from loopcal.mechanisms.structure.structured import EFFECT, MANY_POSES, structured
 
 if TYPE_CHECKING:
     from loopcal.estimation.fit import Fit
@@ -34,13 +35,13 @@ def noise_told(fit: Fit, mechanism: Mechanism, data: Dataset, noise: Noise | Non
         return None
     if fit.model_error == "none":
         return noise
+    begin = None if noise is None else noise.begin
     if fit.method.exact:
-        return _of_instruments(mechanism, data)
-    assert noise is not None
-    if MODEL in noise.entries or MODEL in noise.estimate or not _isotropic(mechanism):
-        return noise
-    begun = Noise({**noise.entries, MODEL: BEGIN}, estimate={**noise.estimate, MODEL: "group"})
-    return begun if noise.begin is None else begun.begun_at(noise.begin)
+        noise = _of_instruments(mechanism, data)
+    elif noise is not None and _isotropic(mechanism) and MODEL not in noise.entries:
+        estimate = {**noise.estimate, MODEL: "group"}
+        noise = Noise({**noise.entries, MODEL: BEGIN}, estimate=estimate)
+    return noise if begin is None or noise is None else noise.begun_at(begin)
 
 
 def weighed(fit: Fit, data: Dataset) -> Dataset:
@@ -48,9 +49,14 @@ def weighed(fit: Fit, data: Dataset) -> Dataset:
     return replace(data, sds={}) if fit.method.exact else data
 
 
-def modelled(fit: Fit, mechanism: Mechanism) -> Mechanism:
-    """The mechanism with the terms for its model error that a fit asks for."""
-    return mechanism
+def modelled(fit: Fit, mechanism: Mechanism, poses: int) -> Mechanism:
+    """The mechanism with the terms for its model error that a fit of so many poses asks for.
+
+    A mechanism that is structured already stays as it is.
+    """
+    if fit.model_error == "none" or EFFECT in mechanism.effects:
+        return mechanism
+    return structured(mechanism, discrepancy=poses >= MANY_POSES)
 
 
 def _isotropic(mechanism: Mechanism) -> bool:

@@ -169,7 +169,7 @@ class Step:
 
 @dataclass(frozen=True)
 class _Ridge:
-    """z (m,), root of H^-1, the degrees of freedom that the fit uses, and the variance of the smooth
+    """z (m,), root of H^-1, the degrees of freedom that the fit uses, and the variance of smooth
     columns over that of a row."""
 
     z: Array

@@ -247,8 +247,8 @@ class _Begun:
     def at(cls, case: Case, whole: Result) -> _Begun:
         """Parameters and learnt sds of the calibration of all poses."""
         noise, learnt = case.noise, whole.estimate
-        if noise is not None and learnt is not None and learnt.settled:
-            noise = noise.begun_at(learnt.factors)
+        if learnt is not None and learnt.settled:
+            noise = (noise or Noise({})).begun_at(learnt.factors)
         # the mechanism of the calibration has the prior already
         fit = replace(case.fit, start=dict(whole.value), prior=None)
         return cls(case, Case(whole.mechanism, case.data, noise, fit))
