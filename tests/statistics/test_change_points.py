@@ -151,6 +151,7 @@ def test_two_zero_shifts_of_a_wire_are_found_and_the_refit_gives_the_noise_back(
     refit = lc.calibrate(again.mechanism, again.data, noise=noise)
     assert refit.chi_squared is not None
     assert result.chi_squared is not None
+    assert result.chi_squared.variance_factor is not None
     assert result.chi_squared.variance_factor > 5.0
     assert refit.chi_squared.variance_factor == pytest.approx(1.0, abs=0.25)
 

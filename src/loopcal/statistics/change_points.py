@@ -275,7 +275,7 @@ def _candidates(problem: Problem, system: OrderedSystem) -> list[_Candidate]:
     found += [("station", p.parameters) for p in placed if p is not None]
     read = {q for f in mechanism.families for q in f.readings} | {*mechanism.outputs}
     aside = {*mechanism.disturbances, *mechanism.turns}
-    missing = np.isinf(problem.uncertainty.sd).any(axis=1)
+    missing = np.isinf(problem.uncertainty.sd).max(axis=1).tolist()
     names = mechanism.tape.quantities
     found += [
         ("joint", (q,))

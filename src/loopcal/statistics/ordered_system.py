@@ -213,7 +213,7 @@ class _Factor:
     def of(cls, H: Array) -> _Factor:
         none = np.zeros((0, 0))
         try:
-            L = np.linalg.cholesky(H)
+            L = np.asarray(np.linalg.cholesky(H), dtype=np.float64)
             if float(np.diag(L).min()) > _ABSORBED * float(np.diag(L).max()):
                 return cls(L, np.diag(L), none)
         except np.linalg.LinAlgError:
@@ -235,7 +235,8 @@ class _Factor:
 
     def half(self, g: Array) -> Array:
         """L^-1 g."""
-        return self.root.T @ g if self.L is None else np.linalg.solve(self.L, g)
+        found = self.root.T @ g if self.L is None else np.linalg.solve(self.L, g)
+        return np.asarray(found, dtype=np.float64)
 
 
 def ordered_system(result: Result) -> OrderedSystem:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.mechanisms.effects.effect import Changing, Name, meant
+from loopcal.mechanisms.effects.effect import Name, meant
 from loopcal.mechanisms.frame import Values
 from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
@@ -20,6 +20,9 @@ from loopcal.units import difference_to_si, to_si, unit
 DRIFT_SD, SHIFT_SD = 1e-3, 1e-2
 """Prior sds [m or rad]: 1 mm or 1 mrad over a drift's span, 10 mm or 10 mrad at a shift."""
 
+Moving = Annotated[
+    tuple[str, ...], Key("Parameters by names or globs, and readings by name.", least=1)
+]
 Column = Annotated[str, Key("Name of the known constant, such as a time or a temperature.")]
 Since = Annotated[float, Key("Value of the known constant at which the drift is zero.")]
 Over = Annotated[float, Key("Span in which the drift grows to P_drift.", positive=True)]
@@ -37,7 +40,7 @@ class Drift:
     Raises InputError for a span that is not a positive number.
     """
 
-    changing: Changing = ("base_*",)
+    changing: Moving = ("base_*",)
     column: Column = "t"
     unit: Annotated[str, Key("Unit of since and over.", is_unit=True)] = "1"
     since: Since = 0.0
@@ -87,7 +90,7 @@ class Shift:
     Raises InputError where no change is stated, or they do not rise.
     """
 
-    changing: Changing
+    changing: Moving
     at: Annotated[tuple[float, ...], Key("Where each new segment begins, rising.", least=1)]
     column: Annotated[str, Key("Name of the known constant, such as the number of the pose.")] = (
         "pose"
