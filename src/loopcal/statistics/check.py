@@ -102,6 +102,7 @@ class Check:
                     "name": p.name,
                     "unit": p.unit,
                     "nominal": p.nominal,
+                    "kind": self.mechanism.kinds[p.name],
                     "prior_sd": p.prior_sd if math.isfinite(p.prior_sd) else None,
                     "fixed": p.fixed,
                     "expected_sd": _finite(self.expected_sd[p.name]),
@@ -265,7 +266,8 @@ def _range_table(check: Check) -> list[str]:
 
 
 def _parameter_table(check: Check) -> list[str]:
-    rows = [["parameter", "nominal", "prior sd", "expected sd", "unit"]]
+    rows = [["parameter", "nominal", "prior sd", "expected sd", "unit", "kind"]]
+    kinds = check.mechanism.kinds
     for p in check.mechanism.parameters:
         unit = SHOWN.get(p.unit, p.unit)
         prior = significant(float(from_si(p.prior_sd, unit)), 3)
@@ -275,7 +277,8 @@ def _parameter_table(check: Check) -> list[str]:
             expected = significant(float(from_si(sd, unit)), 3)
         nominal = f"{round(float(from_si(p.nominal, unit)), 9):.8g}"
         known = "flat" if math.isinf(p.prior_sd) else prior
-        rows.append([p.name, nominal, *(("", "fixed") if p.fixed else (known, expected)), unit])
+        sds = ("", "fixed") if p.fixed else (known, expected)
+        rows.append([p.name, nominal, *sds, unit, kinds[p.name]])
     return columns(rows)
 
 
