@@ -186,7 +186,7 @@ class ResultDocument:
         return not self.noise
 
     def __str__(self) -> str:
-        """The summary: verdict, state, accuracy, sensors, parameters, intervals, models, warnings."""
+        """The summary: the verdict, then state, accuracy, sensors, parameters, warnings."""
         loss = "" if self.loss == "gaussian" else f", loss {self.loss}"
         name = self.mechanism.name if self.mechanism else self.title
         lines = [f"{name}: {self.method_label or self.method}{loss}", ""]

@@ -45,6 +45,12 @@ class Verdict:
     """The worst of the answers in one sentence."""
 
     @property
+    def grade(self) -> str:
+        """good, care or bad: of the worst answer."""
+        asked = [a.passed for a in self.answers.values() if a.code != "no-tolerance"]
+        return "bad" if False in asked else "care" if None in asked else "good"
+
+    @property
     def answers(self) -> dict[str, Answer]:
         """By question."""
         return {name: getattr(self, name) for name in QUESTIONS}

@@ -41,7 +41,7 @@ def region_of(
     machine, problem = mechanism.predicting(), result.problem
     names, outputs = machine.tape.quantities, set(machine.outputs)
     corrected = problem.readings + result.solution.corrections
-    unread = np.isinf(problem.uncertainty.sd).all(axis=1).tolist()
+    unread = [bool(np.isinf(sd).all()) for sd in problem.uncertainty.sd]
     still = (*machine.disturbances, *machine.unused)
     driven = [
         q for i, q in enumerate(names) if q not in outputs and q not in still and not unread[i]

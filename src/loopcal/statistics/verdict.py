@@ -26,6 +26,8 @@ LOOSE = 0.25
 NEAR_ONLY = 5.0
 """Predicted sd in the working region over that at the measured poses from which a result is valid
 near these poses only."""
+WORSE = 1.5
+"""Rms on poses not used over rms on poses used that is called too large."""
 _CERTAIN = 2.0
 _RELATIVE = 0.41
 """sd of an rms of N distances in space over rms / sqrt(N): sqrt(2/3) / 2."""
@@ -153,6 +155,31 @@ def _coverage(document: ResultDocument) -> Said | None:
     )
 
 
+def _model_error(document: ResultDocument) -> Said | None:
+    entries = [e for e in document.noise if e.role == "disturbance" and e.sd]
+    if not entries:
+        return None
+    sd = with_unit(entries[0].sd, entries[0].unit)
+    return Said(
+        f"Besides the sensors, the machine model has an error with an sd of {sd}, taken as "
+        "independent from pose to pose.",
+        entries[0].sd,
+    )
+
+
+def _overfitted(document: ResultDocument) -> Said | None:
+    accuracy, validation = document.accuracy, document.validation
+    unseen = None if validation is None else validation.accuracy
+    if accuracy is None or unseen is None or unseen.rms <= WORSE * accuracy.after.rms:
+        return None
+    ratio = unseen.rms / accuracy.after.rms
+    return Said(
+        f"Poses not used are predicted much worse than those used ({significant(ratio, 2)} times "
+        "the rms).",
+        ratio,
+    )
+
+
 def _outliers(document: ResultDocument) -> Said | None:
     poses = list(dict.fromkeys(entry.pose for entry in document.outliers or ()))
     if not poses:
@@ -209,6 +236,13 @@ SOUND: tuple[Rule, ...] = (
         "Check the units of the sds, state smaller ones, or estimate them.",
     ),
     Rule("serial-dependence", None, _serial, "Look for shifts, or measure in random order."),
+    Rule("overfitted", None, _overfitted, "Measure more poses, or estimate fewer parameters."),
+    Rule(
+        "white-model-error",
+        None,
+        _model_error,
+        "Check for missing effects (compliance, eccentric gears, drift).",
+    ),
     Rule("outliers", None, _outliers, "Inspect these poses; correct or exclude them."),
     Rule("other-optimum", None, _optima, "State priors from the drawing."),
     Rule(

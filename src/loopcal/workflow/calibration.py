@@ -62,9 +62,10 @@ class Request:
 
     method: instead of the project's; truth: a file of true parameters, whose errors are added;
     require_identifiable: whether every parameter must be determined, as the project may ask;
-    require: questions of the verdict that must be answered with yes, beside "sound"; folds: of a validation, instead of the project's; profile: parameters that get a profile
-    interval, beside those of the project; compare: whether the project's models are compared, and
-    the result is that of the one recommended; report: whether report.html is written as well.
+    require: questions of the verdict that must be answered with yes, beside "sound"; folds: of a
+    validation, instead of the project's; profile: parameters that get a profile interval, beside
+    those of the project; compare: whether the project's models are compared, and the result is
+    that of the one recommended; report: whether report.html is written as well.
     """
 
     method: str | None = None

@@ -12,7 +12,7 @@ from pydantic_core import core_schema
 from loopcal.document.verdict import QUESTIONS
 from loopcal.files.machines.effects import Effects
 from loopcal.files.machines.instruments import Instruments
-from loopcal.files.machines.mechanism_parts import ParameterEntries, Units, Value
+from loopcal.files.machines.mechanism_parts import Amount, ParameterEntries, Units, Value
 from loopcal.files.machines.registry import kinds, table_of
 from loopcal.files.project.fit_schema import FitEntry
 from loopcal.files.toml.by_type import ByType
@@ -334,15 +334,15 @@ class SpanEntry(Model):
 class VerdictEntry(Model):
     """What the verdict judges, and which of its answers are required."""
 
-    tolerance: Annotated[Value, plain_number_as("value", Value)] | None = Field(
+    tolerance: Amount | None = Field(
         default=None,
         description="Distance that 95 % of poses in the working region shall keep.",
         examples=[{"value": 0.3, "unit": "mm"}],
     )
     region: dict[str, SpanEntry] = Field(
         default={},
-        description="Where the machine works, by reading; default: the ranges of [simulation], else "
-        "the joints' limits.",
+        description="Where the machine works, by reading; default: the ranges of [simulation], "
+        "else the joints' limits.",
         examples=[{"theta_1": {"from": -90, "to": 90, "unit": "deg"}}],
     )
     require: list[Annotated[str, OneOf(QUESTIONS)]] = Field(
