@@ -58,7 +58,7 @@ class Rule:
 def _column_faults(document: ResultDocument) -> Said | None:
     faults = document.column_faults or ()
     words = "; ".join(fault.words for fault in faults)
-    return Said(f"Columns are at fault: {words}.") if faults else None
+    return Said(f"The file is at fault: {words}.") if faults else None
 
 
 def _not_converged(document: ResultDocument) -> Said | None:
