@@ -197,10 +197,10 @@ class PredictionEntry:
     """Parameter steps [SI] that neither data nor prior limit."""
     by: tuple[UsualSd, ...] = ()
     """Per instrument; empty: written by an earlier version, which took all outputs together."""
-    region: RegionEntry | None = None
-    """The working region; null: not known, or written by an earlier version."""
     unmeasured: tuple[str, ...] = ()
     """Quantities that no sensor read: a column of one holds start values only."""
+    region: RegionEntry | None = None
+    """The working region; null: not known, or written by an earlier version."""
 
 
 @dataclass(frozen=True)
