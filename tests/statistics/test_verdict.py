@@ -57,6 +57,7 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
     "not-converged": ("status.converged", False, False),
     "sds-too-small": ("chi_squared", ChiSquared.of(400.0, 114), False),
     "sds-too-large": ("chi_squared", ChiSquared.of(11.0, 114), False),
+    "sds-generous": ("chi_squared", ChiSquared.of(57.0, 114), None),
     "model-incomplete": ("dependence", depends(1.0, 1e-9), False),
     "serial-dependence": ("dependence", depends(1e-9, 1.0), None),
     "regions-too-small": ("validation.coverage", Coverage(0.95, 0.6, 60), False),

@@ -165,8 +165,11 @@ class Result:
 
     @cached_property
     def _learnt(self) -> LearntParameters | None:
-        """Kenward and Roger's covariance, where sds were learnt by a fit that converged."""
-        if self.estimate is None or not self.status.converged:
+        """Kenward and Roger's covariance, where sds were learnt by a fit that converged.
+
+        A stream has too many poses for it to matter.
+        """
+        if self.estimate is None or self.all_poses is not None or not self.status.converged:
             return None
         from loopcal.estimation.noise.kenward_roger import learnt_parameters
 

@@ -80,17 +80,25 @@ def _noise_too_small(document: ResultDocument) -> Said | None:
     )
 
 
-def _noise_too_large(document: ResultDocument) -> Said | None:
+def _scatter_less(document: ResultDocument) -> Said | None:
     chi = document.chi_squared
-    if chi is None or chi.variance_factor is None or chi.variance_factor >= LOOSE:
-        return None
-    if chi_squared.lower(chi.value, chi.degrees_of_freedom) >= RARE:
+    if chi is None or not chi.too_small or chi.variance_factor is None:
         return None
     return Said(
-        f"The readings scatter much less than the stated sds: chi-squared per degree of freedom is "
+        "The readings scatter less than the stated sds: chi-squared per degree of freedom is "
         f"{significant(chi.variance_factor, 2)}.",
         chi.variance_factor,
     )
+
+
+def _noise_too_large(document: ResultDocument) -> Said | None:
+    said = _scatter_less(document)
+    return said if said is not None and (said.number or 0.0) < LOOSE else None
+
+
+def _noise_generous(document: ResultDocument) -> Said | None:
+    said = _scatter_less(document)
+    return said if said is not None and (said.number or 0.0) >= LOOSE else None
 
 
 def _prior_tension(document: ResultDocument) -> Said | None:
@@ -235,6 +243,7 @@ SOUND: tuple[Rule, ...] = (
         _noise_too_large,
         "Check the units of the sds, state smaller ones, or estimate them.",
     ),
+    Rule("sds-generous", None, _noise_generous, "State smaller sds, or estimate them."),
     Rule("serial-dependence", None, _serial, "Look for shifts, or measure in random order."),
     Rule("overfitted", None, _overfitted, "Measure more poses, or estimate fewer parameters."),
     Rule(
