@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from loopcal import effects, instruments, machines
+    from loopcal.document.change_points import ChangePoint
+    from loopcal.document.dependence import Dependence
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
     from loopcal.document.fit import NoiseEntry
     from loopcal.document.goodness_of_fit import ChiSquared
     from loopcal.document.result_document import ResultDocument
+    from loopcal.document.verdict import Answer, Verdict
     from loopcal.errors import InputError, LoopcalError
     from loopcal.estimation.accuracy import Accuracy, InstrumentAccuracy
     from loopcal.estimation.calibrate import calibrate
@@ -47,15 +50,18 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.terms import Term
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation, simulate
+    from loopcal.statistics.change_points import Shifts, find_shifts
     from loopcal.statistics.check import Check, check
     from loopcal.statistics.compared import Compared
     from loopcal.statistics.comparison import compare
     from loopcal.statistics.findings import Findings, findings
     from loopcal.statistics.intervals import Interval, intervals
+    from loopcal.statistics.judging import verdict
     from loopcal.statistics.models import ComparedModel, ModelComparison, compare_models
     from loopcal.statistics.outliers import Outliers, find_outliers
     from loopcal.statistics.prediction import Prediction, predict
     from loopcal.statistics.repeats import Repeats, repeated_readings
+    from loopcal.statistics.shifted import Shifted, with_shifts
     from loopcal.statistics.validation import (
         MethodComparison,
         Validation,
@@ -68,6 +74,8 @@ if TYPE_CHECKING:
 
 _HOME = {
     "document.goodness_of_fit": ("ChiSquared",),
+    "document.change_points": ("ChangePoint",),
+    "document.dependence": ("Dependence",),
     "document.findings": ("ColumnFault", "Identifiability", "Outlier", "Undetermined"),
     "document.fit": ("NoiseEntry",),
     "document.result_document": ("ResultDocument",),
@@ -111,10 +119,14 @@ _HOME = {
     "statistics.comparison": ("compare",),
     "statistics.intervals": ("Interval", "intervals"),
     "statistics.validation": ("MethodComparison", "Validation", "compare_methods", "validate"),
+    "document.verdict": ("Answer", "Verdict"),
+    "statistics.judging": ("verdict",),
     "statistics.verification": ("verify",),
     "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
+    "statistics.change_points": ("Shifts", "find_shifts"),
     "statistics.outliers": ("Outliers", "find_outliers"),
+    "statistics.shifted": ("Shifted", "with_shifts"),
     "statistics.findings": ("Findings", "findings"),
     "statistics.prediction": ("Prediction", "predict"),
     "statistics.repeats": ("Repeats", "repeated_readings"),
@@ -125,6 +137,8 @@ _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name
 
 __all__ = [
     "Accuracy",
+    "Answer",
+    "ChangePoint",
     "Check",
     "ChiSquared",
     "Closure",
@@ -133,6 +147,7 @@ __all__ = [
     "Compared",
     "ComparedModel",
     "Dataset",
+    "Dependence",
     "Findings",
     "Fit",
     "Identifiability",
@@ -161,6 +176,8 @@ __all__ = [
     "Repeats",
     "Result",
     "ResultDocument",
+    "Shifted",
+    "Shifts",
     "Simulation",
     "Status",
     "Term",
@@ -169,6 +186,7 @@ __all__ = [
     "Tracker",
     "Undetermined",
     "Validation",
+    "Verdict",
     "Verification",
     "WrittenResult",
     "__version__",
@@ -183,6 +201,7 @@ __all__ = [
     "effects",
     "encoder_sd",
     "find_outliers",
+    "find_shifts",
     "findings",
     "fix_redundant",
     "grid_poses",
@@ -210,8 +229,10 @@ __all__ = [
     "tracker_covariance",
     "validate",
     "vector",
+    "verdict",
     "verify",
     "with_effects",
+    "with_shifts",
     "write_result",
 ]
 

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
 from loopcal.document.bounds import Count, Size
+from loopcal.document.change_points import ChangePoints
 from loopcal.document.choice import Chosen
 from loopcal.document.dependence import Dependence
 from loopcal.document.findings import (
@@ -161,6 +162,8 @@ class ResultDocument:
     """Models that were compared; null: none were."""
     dependence: Dependence | None = None
     """Whether residuals depend on pose order or place; null: not tested."""
+    change_points: ChangePoints | None = None
+    """What moved along the run; null: not sought."""
     identifiability: Identifiability
     observability: Observability | None
     """Null: not computed."""
@@ -189,10 +192,12 @@ class ResultDocument:
         return not self.noise
 
     def __str__(self) -> str:
-        """The summary: state, accuracy, sensors, parameters, intervals, models, warnings."""
+        """The summary: the verdict, then state, accuracy, sensors, parameters, warnings."""
         loss = "" if self.loss == "gaussian" else f", loss {self.loss}"
         name = self.mechanism.name if self.mechanism else self.title
         lines = [f"{name}: {self.method_label or self.method}{loss}", ""]
+        if self.verdict is not None:
+            lines += [*self.verdict.lines(), ""]
         lines += _state(self)
         lines += ["", *_accuracy(self)]
         p_value = 1.0 if self.chi_squared is None else self.chi_squared.p_value

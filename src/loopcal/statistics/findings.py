@@ -3,37 +3,55 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from loopcal.document.findings import Observability, OtherOptimum
+from loopcal.document.change_points import ChangePoints
+from loopcal.document.findings import Observability, OtherOptimum, RegionEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, find_shifts
 from loopcal.statistics.identifiability import WhatDataSay, calibration_index, what_data_say
 from loopcal.statistics.observability import data_spectrum, observability
 from loopcal.statistics.optima import other_optima
 from loopcal.statistics.outliers import Outliers, find_outliers
 from loopcal.statistics.predictor import Predictor, predictor, usual_words
+from loopcal.statistics.region import Span, region_of
+from loopcal.statistics.shifted import with_shifts
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
     """identifiability: data beside prior; observability: of the poses; predictor: or None;
-    outliers: what does not fit; optima: others that fit about as well."""
+    outliers: what does not fit; shifts: what moved along the run, toml: the lines that model it;
+    optima: others that fit about as well; region: where the machine works, and the sd there.
+
+    Poses that fit with the shifts modelled are not outliers.
+    """
 
     identifiability: WhatDataSay
     observability: Observability
     predictor: Predictor | None
     outliers: Outliers
+    shifts: Shifts
+    toml: str
     optima: tuple[OtherOptimum, ...]
+    region: RegionEntry | None = None
 
     def added_to(self, document: ResultDocument) -> ResultDocument:
         """The document of the result with these figures."""
+        shifts = self.shifts
+        moved = ChangePoints(shifts.found, shifts.level, shifts.tested, self.toml)
         return replace(
             document,
+            change_points=moved,
+            warnings=(*document.warnings, *moved.warnings()),
             identifiability=self.identifiability.added_to(document.identifiability),
             observability=self.observability,
-            prediction=None if self.predictor is None else self.predictor.entry,
+            prediction=None
+            if self.predictor is None
+            else replace(self.predictor.entry, region=self.region),
             outliers=self.outliers.found,
             outlier_tests=self.outliers.tests,
             column_faults=self.outliers.columns,
@@ -48,14 +66,22 @@ class Findings:
                 f"prediction: {words} at 95 % of these poses"
                 for words in usual_words(self.predictor.usual)
             ]
-        lines += self.identifiability.words() + self.outliers.lines()
+        lines += self.identifiability.words() + self.outliers.lines() + self.shifts.lines()
         return "\n".join(lines + [str(optimum) for optimum in self.optima])
 
 
-def findings(result: Result) -> Findings:
-    """Everything that follows from the result's parameter system."""
+def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findings:
+    """Everything that follows from the result's parameter system.
+
+    region: quantity -> range [SI] in which the machine works, where not its joints' limits.
+    """
     solution = result.solution
     with one_blas_thread():
+        known = predictor(result)
+        outliers = find_outliers(result)
+        searched = result.status.converged and not outliers.columns
+        shifts = find_shifts(result) if searched else NOT_SEARCHED
+        apart = tuple(o for o in outliers.found if o.pose not in shifts.explained)
         return Findings(
             what_data_say(
                 result.problem,
@@ -65,9 +91,12 @@ def findings(result: Result) -> Findings:
                 unit_sd=_unit_sd(result),
             ),
             observability(result.information, solution.poses),
-            predictor(result),
-            find_outliers(result),
+            known,
+            replace(outliers, found=apart),
+            shifts,
+            with_shifts(result.mechanism, result.dataset, shifts.found).toml,
             () if result.all_poses is not None else other_optima(result),
+            None if known is None else region_of(result, known, region),
         )
 
 
