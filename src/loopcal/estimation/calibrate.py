@@ -107,7 +107,7 @@ def calibrate(
 
 def refuse_noise(fit: Fit, noise: Noise | None) -> None:
     """Raise InputError where these settings need a noise, or cannot learn from this one."""
-    if noise is None and not fit.method.exact:
+    if noise is None and not fit.method.exact and not fit.method.choice:
         raise InputError(
             f"the method {fit.method.name!r} needs the sds of the readings",
             code="missing-sd",

@@ -169,19 +169,63 @@ def validated(
         part = _predicted(whole, other, known, np.arange(len(other)))
         words = f"{len(other)} poses of {name}"
         return _pooled(whole, [part], Parts((), {"file": name}, words), other)
+    plan = planned(case, scheme)
+    made = left_out(case, whole, plan.indices, executor, progress)
+    return pooled(whole, made, plan, case.data)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Which poses of a case are left out together: at random, and by regions where asked for.
+
+    groups: (N,) of poses that are never split.
+    """
+
+    random: Parts
+    blocked: Parts | None
+    groups: Index
+
+    @property
+    def indices(self) -> tuple[Index, ...]:
+        """All parts, those at random first."""
+        return (*self.random.indices, *(self.blocked.indices if self.blocked else ()))
+
+
+def planned(case: Case, scheme: Scheme) -> Plan:
+    """The parts that a scheme leaves out of the readings of a case.
+
+    Raises InputError for a choice that cannot be made.
+    """
     sds = stated_sds(case.noise, case.mechanism, case.data)
     groups = grouped(case.mechanism, case.data, scheme.groups, sds)
-    parts = [parts_of(scheme, case.data, groups)]
-    if scheme.blocks:
-        parts.append(blocks_of(scheme, case.mechanism, case.data, groups))
-    begun = _Begun.at(case, whole)
-    indices = [index for part in parts for index in part.indices]
-    made = gathered(executor, _left_out, begun, indices, progress)
-    count = len(parts[0].indices)
-    found = _pooled(whole, made[:count], parts[0], case.data)
-    if len(parts) == 1:
+    blocked = blocks_of(scheme, case.mechanism, case.data, groups) if scheme.blocks else None
+    return Plan(parts_of(scheme, case.data, groups), blocked, groups)
+
+
+def left_out(
+    case: Case,
+    whole: Result,
+    indices: Sequence[Index],
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> list[Outcome]:
+    """Each part predicted by a fit of all other poses, in their order."""
+    return gathered(executor, _left_out, _Begun.at(case, whole), indices, progress)
+
+
+def pooled(whole: Result, made: Sequence[Outcome], plan: Plan, data: Dataset) -> Validation:
+    """The parts of a plan together.
+
+    Raises NoTrustworthyResult where no part at random could be predicted.
+    """
+    count = len(plan.random.indices)
+    found = _pooled(whole, made[:count], plan.random, data)
+    if plan.blocked is None:
         return found
-    return replace(found, blocked=_pooled(whole, made[count:], parts[1], case.data))
+    try:
+        return replace(found, blocked=_pooled(whole, made[count:], plan.blocked, data))
+    except NoTrustworthyResult:
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +244,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class _Predicted:
+class Predicted:
     """Poses that a fit has not seen, n of them, at these positions.
 
     measured, differences (c, n) [SI]: what is compared, and computed minus measured ones; stated:
@@ -214,11 +258,15 @@ class _Predicted:
 
 
 @dataclass(frozen=True)
-class _Failed:
+class Failed:
     """Poses at these positions that could not be predicted, and why."""
 
     index: Index
     reason: str
+
+
+Outcome = Predicted | Failed
+"""What became of a part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +309,7 @@ class _Begun:
         return found
 
 
-def _left_out(begun: _Begun, index: Index) -> _Predicted | _Failed:
+def _left_out(begun: _Begun, index: Index) -> Outcome:
     """The poses at these positions, predicted by a fit of the others."""
     case = begun.case
     rest = np.setdiff1d(np.arange(len(case.data)), index)
@@ -269,22 +317,22 @@ def _left_out(begun: _Begun, index: Index) -> _Predicted | _Failed:
         try:
             found = begun.calibrated(rest)
             if not found.status.converged:
-                return _Failed(index, f"the fit did not converge ({found.status.reason})")
+                return Failed(index, f"the fit did not converge ({found.status.reason})")
             return _predicted(found, case.data.take(index), taken(case.noise, index), index)
         except (InputError, NoTrustworthyResult) as error:
-            return _Failed(index, error.message)
+            return Failed(index, error.message)
 
 
-def _predicted(fit: Result, data: Dataset, noise: Noise | None, index: Index) -> _Predicted:
+def _predicted(fit: Result, data: Dataset, noise: Noise | None, index: Index) -> Predicted:
     held = held_problem(fit, data, noise)
     rows = [fit.mechanism.tape.quantities.index(q) for q in fit.mechanism.compared]
     differences = output_differences(held.problem, held.problem.start, held.corrections)
-    return _Predicted(index, held.problem.readings[rows], differences, predictive(fit, held))
+    return Predicted(index, held.problem.readings[rows], differences, predictive(fit, held))
 
 
 def _pooled(
     whole: Result,
-    made: Sequence[_Predicted | _Failed],
+    made: Sequence[Outcome],
     parts_left: Parts,
     data: Dataset,
 ) -> Validation:
@@ -292,9 +340,9 @@ def _pooled(
     failed = tuple(
         FailedPart(number, len(part.index), part.reason)
         for number, part in enumerate(made, 1)
-        if isinstance(part, _Failed)
+        if isinstance(part, Failed)
     )
-    parts = [part for part in made if isinstance(part, _Predicted)]
+    parts = [part for part in made if isinstance(part, Predicted)]
     if not parts:
         raise NoTrustworthyResult(
             f"no part could be predicted ({words}): {failed[0].reason}",

@@ -1,0 +1,56 @@
+"""The candidates of a choice: each method, with a model error and without, and the nominal machine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from loopcal.estimation.model_error import instrument_noise, modelled, weighed
+from loopcal.estimation.nominal import nominal_machine
+from loopcal.statistics.validation import Case
+
+NOMINAL = "nominal"
+
+
+@dataclass(frozen=True, eq=False)
+class Entrant:
+    """One way to calibrate.
+
+    name: for the reader; case: what to calibrate, and how; structured: with terms for the model
+    error; drawn: nothing but placement and mounting is estimated.
+    """
+
+    name: str
+    case: Case
+    structured: bool = False
+    drawn: bool = False
+
+    @property
+    def cheap(self) -> bool:
+        """Whether it is what every calibration is compared with: the nominal machine, or exact."""
+        return self.drawn or (self.case.fit.method.exact and not self.structured)
+
+
+def entrants(case: Case) -> Iterator[Entrant]:
+    """All that compete for a case: those with a model error first, the nominal machine last."""
+    fit, lossless = case.fit, case.fit.robust_loss is None
+    methods = fit.among(case.data, case.noise)
+    for method in methods if lossless else ():
+        with_error = fit.changed(method=method, model_error="structured")
+        own = with_error.with_prior(case.mechanism)
+        if len(modelled(with_error, own).terms) > len(own.terms):
+            yield Entrant(f"{method.name} with model error", replace(case, fit=with_error), True)
+    for method in methods:
+        plain = fit.changed(method=method, model_error="none")
+        yield Entrant(method.name, replace(case, fit=plain))
+    if case.mechanism.outputs:
+        yield Entrant(NOMINAL, nominal_case(case), drawn=True)
+
+
+def nominal_case(case: Case) -> Case:
+    """The nominal machine, placed and mounted by readings of instruments weighted alike."""
+    mechanism = nominal_machine(case.fit.with_prior(case.mechanism))
+    noise = instrument_noise(mechanism, case.data)
+    method = next(m for m in case.fit.method.choice if m.likelihood and not m.exact)
+    fit = case.fit.changed(method=method, loss="gaussian", prior=None, model_error="none")
+    return Case(mechanism, weighed(case.data), noise, fit)
