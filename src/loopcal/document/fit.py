@@ -72,29 +72,6 @@ class CovarianceEntry:
 
 
 @dataclass(frozen=True)
-class TermEntry:
-    """What the calibration says of a term: parameters that share one prior sd, which is learnt."""
-
-    name: str
-    unit: str
-    """SI unit of the scale."""
-    scale: Size
-    """The learnt sd."""
-    interval: tuple[float, float]
-    """95 % interval of the scale."""
-    expected: Size
-    """The sd stated for it: median of its prior."""
-    columns: Count
-    """Estimated parameters of the term."""
-    effective: Size
-    """Degrees of freedom that the data used of them: from 0, no effect, to their number."""
-    gain: float
-    """By how much the term lowers -2 log of the restricted likelihood."""
-    words: str
-    """What it means, in a sentence."""
-
-
-@dataclass(frozen=True)
 class NoiseEntry:
     """The sd [SI unit] used for one or several quantities."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from loopcal.document.bounds import Size
+from loopcal.document.bounds import Count, Size
 
 
 @dataclass(frozen=True)
@@ -18,5 +18,13 @@ class TermEntry:
     """The learnt prior sd that its parameters share."""
     interval: tuple[Size, Size | None] | None
     """95 % interval of the scale; null: unknown; an upper end of null: unbounded."""
+    expected: Size | None
+    """The sd stated for it, median of its prior."""
+    columns: Count
+    """Its estimated parameters."""
+    effective: Size
+    """Degrees of freedom that the data use of them: from 0, no effect, to their number."""
+    gain: float | None
+    """By how much the term lowers -2 log of the restricted likelihood; null: unknown."""
     words: str
     """What it means for the machine, in a sentence."""

@@ -8,6 +8,7 @@ from typing import Any, Unpack
 from loopcal.errors import InputError
 from loopcal.estimation.fit import Fit, FitOptions, Start
 from loopcal.estimation.methods.registry import names_where
+from loopcal.estimation.model_error import modelled, noise_told, weighed
 from loopcal.estimation.noise.learning import components, with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
@@ -60,14 +61,15 @@ def calibrate(
     Raises InputError for input that cannot be used. A fit that does not converge is returned, with
     the reason in its status.
     """
-    fit, told = Fit.of(fit, options), Noise.of(noise)
-    refuse_noise(fit, told)
+    fit, stated = Fit.of(fit, options), Noise.of(noise)
+    refuse_noise(fit, stated)
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
-    mechanism = fit.with_prior(mechanism)
-    if fit.method.exact:
-        told = None
+    mechanism = modelled(fit, fit.with_prior(mechanism))
+    told = noise_told(fit, mechanism, data, stated)
+    refuse_learning(fit, mechanism, told)
     if told is not None:
+        data = weighed(fit, data)
         mechanism, data = with_model(mechanism, data, told)
 
     def fitted(problem: Problem) -> Solution:
@@ -77,20 +79,21 @@ def calibrate(
             "progress": progress,
         }
         if (loss := fit.robust_loss) is not None:
-            return solve_robust(problem, loss, method=fit.method, **limits)
-        return fit.method.solve(problem, **limits)
+            return solve_robust(problem, loss, method=fit.solver, **limits)
+        return fit.solver.solve(problem, **limits)
 
-    judged = not (fit.method.exact or fit.robust_loss or (told and told.estimate))
+    learns = told is not None and bool(told.estimate or mechanism.terms)
+    judged = not (fit.solver.exact or fit.robust_loss or learns)
 
     def solved(problem: Problem) -> Solution:
         # an undamped method is for study: it shows how its own iteration ends
-        if fit.method.damped:
+        if fit.solver.damped:
             return fitted(problem)
         return solve_or_fall_back(problem, fitted, fit.max_iterations, judged=judged)
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)
-        if told is None or not told.estimate:
+        if told is None or not learns:
             return Result(fit, data, problem, solved(problem), problem)
         from loopcal.estimation.noise.estimation import estimate_noise
 
@@ -98,7 +101,7 @@ def calibrate(
             problem,
             components(problem, told),
             solved,
-            at_readings=fit.method.at_readings,
+            at_readings=fit.solver.at_readings,
             begin=told.begin,
         )
         learnt = replace(estimate.problem, start=problem.start)
@@ -114,7 +117,18 @@ def refuse_noise(fit: Fit, noise: Noise | None) -> None:
             remedy="give noise=Noise({...}) with an sd for every quantity, or use "
             f"method={' or '.join(map(repr, names_where('exact')))}",
         )
-    if noise is not None and noise.estimate and fit.robust_loss is not None:
+    if noise is not None and noise.estimate:
+        _refuse_loss(fit)
+
+
+def refuse_learning(fit: Fit, mechanism: Mechanism, noise: Noise | None) -> None:
+    """Raise InputError where a loss would have to learn the sds of terms."""
+    if noise is not None and (noise.estimate or mechanism.terms):
+        _refuse_loss(fit)
+
+
+def _refuse_loss(fit: Fit) -> None:
+    if fit.robust_loss is not None:
         raise InputError(
             f"sds cannot be estimated under the loss {fit.loss!r}: outliers would inflate them",
             code="unsupported",

@@ -147,6 +147,15 @@ class Fit:
         )
 
     @property
+    def solver(self) -> Method:
+        """The method whose fit is made: the implicit loop where least squares learns model error.
+
+        Only readings of instruments are uncertain then, all alike.
+        """
+        learns = self.method.exact and self.model_error != "none"
+        return method_named(DEFAULT) if learns else self.method
+
+    @property
     def robust_loss(self) -> Loss | None:
         """The loss, None for the gaussian one, which needs no weights."""
         return loss_named(self.loss)

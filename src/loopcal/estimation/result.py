@@ -17,6 +17,7 @@ from loopcal.document.findings import Identifiability
 from loopcal.document.fit import ClosureEntry, NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
+from loopcal.document.terms import TermEntry
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
 from loopcal.estimation.document_parts import (
@@ -29,6 +30,7 @@ from loopcal.estimation.document_parts import (
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.identifiability import identifiability
 from loopcal.estimation.noise.learning import entries, words
+from loopcal.estimation.noise.terms import term_entries
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.residuals import Closure, by_name, residuals
@@ -120,7 +122,7 @@ class Result:
     @property
     def freedom(self) -> int:
         """Degrees of freedom: loop equations + finite priors - determined parameters."""
-        informed = 0 if self.fit.method.exact else int(np.isfinite(self.problem.prior_sd).sum())
+        informed = 0 if self.fit.solver.exact else int(np.isfinite(self.problem.prior_sd).sum())
         return self.solution.equations + informed - self.spectrum.rank
 
     @cached_property
@@ -132,7 +134,7 @@ class Result:
     @cached_property
     def covariance(self) -> Array:
         """(n, n) of the estimated parameters."""
-        loss, method = self.fit.robust_loss, self.fit.method
+        loss, method = self.fit.robust_loss, self.fit.solver
         if loss is not None:
             sums = self.robust_sums if self.all_poses is None else self.all_poses.robust
             return sums.covariance(self.spectrum, self.problem.prior_sd)
@@ -146,7 +148,7 @@ class Result:
     @property
     def robust_sums(self) -> RobustSums:
         """What the covariance under a loss needs of the poses; nothing under the gaussian one."""
-        loss, at_readings = self.fit.robust_loss, self.fit.method.at_readings
+        loss, at_readings = self.fit.robust_loss, self.fit.solver.at_readings
         if loss is None:
             return RobustSums({})
         return RobustSums.of(self.problem, self.solution, loss, at_readings=at_readings)
@@ -165,15 +167,20 @@ class Result:
     def chi_squared(self) -> ChiSquared | None:
         """None where the method or the loss has none."""
         value = self.solution.chi_squared
-        known = not self.fit.method.exact and self.fit.robust_loss is None
+        known = not self.fit.solver.exact and self.fit.robust_loss is None
         return ChiSquared.of(value, self.freedom) if known and math.isfinite(value) else None
 
     @cached_property
     def noise(self) -> tuple[NoiseEntry, ...]:
         """The sds that were used."""
-        if self.fit.method.exact:
+        if self.fit.solver.exact:
             return ()
         return entries(self.problem, self.estimate, self.stated)
+
+    @cached_property
+    def terms(self) -> tuple[TermEntry, ...]:
+        """What was learnt of each term of the mechanism; empty where nothing was."""
+        return () if self.estimate is None else term_entries(self.mechanism, self.estimate.terms)
 
     @cached_property
     def corrections(self) -> Mapping[str, Array]:
@@ -372,6 +379,7 @@ class Result:
             ),
             covariance=covariance_entry(self.estimated, self.covariance, loose),
             noise=noise_entries(self.noise, self.chi_squared_shares),
+            terms=self.terms,
             model_discrepancy=self.model_discrepancy,
             variance_factor_applied=self.variance_factor_applied,
             restricted_criterion=self.restricted_criterion,

@@ -165,7 +165,7 @@ def _residuals(result: Result, poses: Sequence[str]) -> Figure | None:
     figure = over_poses(
         result.residuals_before, result.residuals_after, poses, "SI", "Values of the loop equations"
     )
-    if figure is None or result.fit.method.exact:
+    if figure is None or result.fit.solver.exact:
         return figure
     closed = " Corrected readings close the loops to rounding; this does not show accuracy."
     return replace(figure, caption=figure.caption + closed)

@@ -40,7 +40,7 @@ class Calibrated:
     def of(cls, result: Result, name: str) -> Calibrated:
         """From a result."""
         system, parameters = result.spectrum, result.mechanism.parameters
-        exact = result.fit.method.exact
+        exact = result.fit.solver.exact
         loose = system.scale[:, None] * system.directions[:, ~system.kept]
         free = result.problem.free
         return cls(

@@ -74,5 +74,5 @@ def findings(result: Result) -> Findings:
 def _unit_sd(result: Result) -> float | None:
     """Sd of a whitened equation: 1 by the stated sds, else from the residuals."""
     freedom = result.solution.equations - data_spectrum(result.information).rank
-    variance = result.fit.method.unit_variance(result.information.chi_squared, freedom)
+    variance = result.fit.solver.unit_variance(result.information.chi_squared, freedom)
     return None if variance is None else math.sqrt(variance)

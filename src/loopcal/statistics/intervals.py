@@ -131,7 +131,7 @@ def intervals(
 
 
 def _check(result: Result) -> None:
-    if not result.fit.method.likelihood:
+    if not result.fit.solver.likelihood:
         raise InputError(
             f"the method {result.method!r} has no likelihood to profile",
             code="unsupported",
@@ -154,7 +154,7 @@ def _check(result: Result) -> None:
 def _quantile(result: Result, level: float) -> float:
     from scipy.special import ndtri, stdtrit
 
-    if result.fit.method.exact:
+    if result.fit.solver.exact:
         return float(stdtrit(result.freedom, 0.5 + 0.5 * level))
     return float(ndtri(0.5 + 0.5 * level))
 
@@ -177,7 +177,7 @@ class _Optimum:
 
     @classmethod
     def of(cls, result: Result, level: float) -> _Optimum:
-        whole, method = result.problem, result.fit.method
+        whole, method = result.problem, result.fit.solver
         best = np.array([result.value[n] for n in whole.mechanism.parameters.names])
         least = _merit(result, whole, best)
         variance = method.unit_variance(least, result.freedom) or 1.0
@@ -277,7 +277,7 @@ def _held(problem: Problem, j: int) -> Problem:
 
 def _merit(result: Result, problem: Problem, best: Array) -> float:
     """Chi-squared at the solution (the sum of squared loop values for an exact method)."""
-    if not result.fit.method.exact:
+    if not result.fit.solver.exact:
         assert result.chi_squared is not None
         return result.chi_squared.value
     return solve(replace(problem, start=best), exact=True).chi_squared

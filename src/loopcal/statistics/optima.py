@@ -44,7 +44,7 @@ def other_optima(result: Result) -> tuple[OtherOptimum, ...]:
     it stands. An optimum with the same chi-squared is the same machine written otherwise, and is
     not told of.
     """
-    usable = result.fit.method.solve is solve and result.fit.robust_loss is None
+    usable = result.fit.solver.solve is solve and result.fit.robust_loss is None
     if not (usable and result.status.converged and result.chi_squared and _vague(result)):
         return ()
     best = result.chi_squared.value

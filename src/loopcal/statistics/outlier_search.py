@@ -29,7 +29,7 @@ class Search:
 
     def __init__(self, result: Result, level: float, scale: str) -> None:
         self.result, self.problem = result, result.problem
-        self.exact = result.fit.method.exact
+        self.exact = result.fit.solver.exact
         self.level = level
         self.scale = "residual" if self.exact else scale
         names = self.problem.mechanism.tape.quantities
@@ -98,7 +98,7 @@ class Search:
         return remarkable
 
     def _fit(self, problem: Problem, start: Array, loss: Loss | None) -> Solution:
-        return self.result.fit.method.safe.solve(replace(problem, start=start), loss=loss)
+        return self.result.fit.solver.safe.solve(replace(problem, start=start), loss=loss)
 
     def _robust(self, fit: Fitted) -> Fitted:
         """Huber's fit, its tuning constant in units of the scale that it finds itself."""

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.model_error import noise_told, weighed
 from loopcal.estimation.noise.estimation import scaled
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.noise.linear_model import ModelBlock, linear_model
@@ -63,11 +64,11 @@ def _by_pose(key: object, value: object) -> bool:
 
 def held_problem(fit: Result, data: Dataset, noise: Noise | None) -> Held:
     """The poses of a data set at the parameters and sds that a fit of others found."""
-    exact = fit.fit.method.exact
-    if exact:
-        noise = None
+    exact = fit.fit.solver.exact
     mechanism = fit.mechanism
+    noise = noise_told(fit.fit, mechanism, data, noise)
     if noise is not None:
+        data = weighed(fit.fit, data)
         mechanism, data = with_model(mechanism, data, noise)
     # Nothing is estimated here: with informative priors any number of poses will do.
     known = mechanism.with_parameters(mechanism.parameters.with_prior({"*": 1.0}))
@@ -119,8 +120,8 @@ def predictive(fit: Result, held: Held) -> Predictive | None:
     problem = held.problem
     model = linear_model(problem, problem.start, held.corrections, ())
     own = 0.0
-    if fit.fit.method.exact:
-        variance = fit.fit.method.unit_variance(fit.information.chi_squared, fit.freedom)
+    if fit.fit.solver.exact:
+        variance = fit.fit.solver.unit_variance(fit.information.chi_squared, fit.freedom)
         if variance is None:
             return None
         own = variance

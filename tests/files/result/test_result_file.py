@@ -120,7 +120,7 @@ def judged() -> ResultDocument:
     return replace(
         document,
         chosen=Chosen("implicit-loop", ("sag",), "implicit-loop, over x", over),
-        terms=(TermEntry("sag", "rad/m", 5e-4, (2e-4, None), "it gives way"),),
+        terms=(TermEntry("sag", "rad/m", 5e-4, (2e-4, None), 4e-4, 3, 2.5, 11.0, "it gives way"),),
         verdict=Verdict(answer, answer, answer, answer, "Undecided."),
         accuracy=replace(document.accuracy, nominal=far, noise_floor=1e-4),
         validation=replace(held, scheme={"folds": 10}, blocked=held),

@@ -15,12 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.noise.linear_model import LinearModel, linear_model
+from loopcal.estimation.noise.linear_model import fit as fit_at
+from loopcal.estimation.noise.terms import EstimatedTerm, judged_terms
 from loopcal.estimation.noise.variance_components import (
     Component,
     Estimate,
     estimate_ratios,
     upper_bound,
     without_component,
+)
+from loopcal.estimation.noise.variances import (
+    Variances,
+    all_learnt,
+    by_common_factor,
+    in_turn,
+    scales_of,
+    with_scales,
 )
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.solution import Solution
@@ -67,29 +77,67 @@ class EstimatedSd:
 class NoiseEstimate:
     """The fit at the estimated sds, and what was learnt of these.
 
-    problem: at these sds; model: the loops linearised at this fit; found: its variance ratios.
+    problem: at these sds, those of its terms included; began: at the stated ones; variances: what
+    the last linearisation says; at_readings: whether the fit weighs the readings where they are.
     """
 
     problem: Problem
     solution: Solution
     stated: tuple[Component, ...]
-    model: LinearModel
-    found: Estimate
+    began: Problem
+    variances: Variances
     settled: bool
+    at_readings: bool = False
 
-    @property
+    @cached_property
+    def model(self) -> LinearModel:
+        """The loops linearised at this fit."""
+        return linear_model(
+            replace(self.began, prior_sd=self.problem.prior_sd),
+            self.solution.parameters,
+            self.solution.corrections,
+            [component.quantities for component in self.stated],
+            at_readings=self.at_readings,
+        )
+
+    @cached_property
+    def found(self) -> Estimate:
+        """The variance ratios of the sensor components."""
+        return self.variances.sensors or estimate_ratios(self.model, self.variances.ratios)
+
+    @cached_property
     def criterion(self) -> float:
         """-2 log of the restricted likelihood at this fit's own linearisation.
 
         Up to a constant of the readings; not to be compared with that of another fit, whose loops
         are linearised elsewhere.
         """
-        return self.found.criterion
+        if self.variances.terms is None:
+            return self.found.criterion
+        at = fit_at(self.model, self.variances.ratios)
+        assert at is not None
+        return at.criterion + self.variances.terms.own_criterion
+
+    @cached_property
+    def terms(self) -> tuple[EstimatedTerm, ...]:
+        """What the calibration says of each term."""
+        return judged_terms(self.variances, self._without)
+
+    def _without(self, term: int) -> Variances:
+        """The variances learnt again with a term counting as absent."""
+        ratios, learnt = self.variances.ratios, self.variances.terms
+        if self.variances.sensors is None and learnt is not None:
+            # the sums are whitened with the ratio of the fit, before the last factor
+            ratio = float(ratios[0]) / learnt.at.factor if len(ratios) else None
+            return by_common_factor(self.problem, self.solution, ratio, held=term)
+        common = all_learnt(self.problem, [c.quantities for c in self.stated])
+        lowest = np.zeros(len(ratios))
+        return in_turn(self.problem, self.model, ratios, lowest, common=common, held=term)
 
     @property
     def factors(self) -> Mapping[str, float]:
         """Estimated over stated sd of each component, by name."""
-        ratios = zip(self.stated, self.found.ratios, strict=True)
+        ratios = zip(self.stated, self.variances.ratios, strict=True)
         return {component.name: math.sqrt(ratio) for component, ratio in ratios}
 
     @cached_property
@@ -124,14 +172,14 @@ def estimate_noise(
     at_readings: bool = False,
     begin: Mapping[str, float] | None = None,
 ) -> NoiseEstimate:
-    """Fit and sds together.
+    """Fit and sds together: those of sensors, and those of the terms of the mechanism.
 
     fit: the method; at_readings: whether it weighs the readings where they are (reweighted);
     begin: `NoiseEstimate.factors` of nearly the same readings, from which the sds settle in a few
-    rounds; by default the search begins at the sds that the problem states.
+    rounds; by default the search begins at the sds that the problem states. The sds of terms begin
+    at the prior sds of their parameters.
     """
-    positions = [component.quantities for component in components]
-    search = _Search(problem, positions, fit, at_readings)
+    search = _Search(problem, [component.quantities for component in components], fit, at_readings)
     if begin is not None:
         best = search.run(
             np.square([begin.get(component.name, 1.0) for component in components]), near=True
@@ -151,20 +199,20 @@ def estimate_noise(
         best.present,
         replace(best.solution, status=status),
         tuple(components),
-        best.model,
+        problem,
         best.found,
         best.settled,
+        at_readings,
     )
 
 
 @dataclass(frozen=True)
 class _Round:
-    """Where a search ended: the problem at its sds, its fit, the model linearised there."""
+    """Where a search ended: the problem at its sds, its fit, and what the linearisation says."""
 
     present: Problem
     solution: Solution
-    model: LinearModel
-    found: Estimate
+    found: Variances
     settled: bool
     iterations: int
 
@@ -187,13 +235,25 @@ class _Search:
     fit: Callable[[Problem], Solution]
     at_readings: bool
 
+    @cached_property
+    def common(self) -> bool:
+        """Whether all noise is learnt, so that a factor common to it is."""
+        return all_learnt(self.stated, self.positions)
+
+    @cached_property
+    def by_sums(self) -> bool:
+        """Whether the sums over all poses say everything: sensors have one factor, or none."""
+        learnt = len(self.positions)
+        alone = not learnt or (learnt == 1 and self.common)
+        return bool(self.stated.mechanism.terms) and alone and not self.at_readings
+
     def doubtful(self, end: _Round) -> Iterator[Array]:
         """Other ratios to begin from, where the end is far from what was stated.
 
         At sds that are wrong by much the first fit may blame the wrong sensor and never get away
         from it: each sensor that ended far from its stated sd gets a second chance there.
         """
-        if _hopeless(end.solution):
+        if self.by_sums or _hopeless(end.solution):
             return
         for i, ratio in enumerate(end.found.ratios):
             if not 1.0 / _FAR < ratio < _FAR:
@@ -202,36 +262,49 @@ class _Search:
                 yield other
 
     def run(self, ratios: Array, *, near: bool = False) -> _Round:
-        """Fit and ratios in turn, from these ratios, until neither moves.
+        """Fit and variances in turn, from these ratios, until neither moves.
 
         near: they are roughly right. Fits that do not converge end the search: sds learnt where
         the loops were left mean nothing, and a second fit from there is the last attempt.
         """
         start, before, vanish, iterations, failed = self.stated.start, math.inf, near, 0, 0
+        scales = scales_of(self.stated)
         for number in range(_MOST):
-            present = replace(scaled(self.stated, self.positions, ratios), start=start)
-            solution = self.fit(present)
+            present = scaled(with_scales(self.stated, scales), self.positions, ratios)
+            solution = self.fit(replace(present, start=start))
             start, iterations = solution.parameters, iterations + solution.status.iterations
             failed = 0 if solution.status.converged else failed + 1
-            model = linear_model(
-                replace(self.stated, start=start),
-                start,
-                solution.corrections,
-                self.positions,
-                at_readings=self.at_readings,
-            )
+            present = replace(present, start=start)
             lowest = np.zeros(len(ratios)) if vanish else ratios / _SLOWLY
-            found = estimate_ratios(model, ratios, lowest=lowest)
+            found = self._variances(present, solution, ratios, lowest)
             change = _change(ratios, found.ratios)
+            if found.terms is not None:
+                change = max(change, _change(np.square(scales), np.square(found.terms.scales)))
             ended = change <= _SETTLED or abs(before - found.criterion) <= _BETTER
             if ended and vanish and not failed:
-                return _Round(present, solution, model, found, found.converged, iterations)
+                return _Round(present, solution, found, found.converged, iterations)
             if failed > _FAILURES or _hopeless(solution):
                 break
             # No component may vanish before the others are roughly right.
             vanish = vanish or ended or change <= _ROUGHLY or number >= _MOST // 2
             ratios, before = found.ratios, found.criterion
-        return _Round(present, solution, model, found, False, iterations)
+            scales = scales if found.terms is None else found.terms.scales
+        return _Round(present, solution, found, False, iterations)
+
+    def _variances(
+        self, present: Problem, solution: Solution, ratios: Array, lowest: Array
+    ) -> Variances:
+        """What the loops say where a fit at these ratios has ended."""
+        if self.by_sums:
+            return by_common_factor(present, solution, float(ratios[0]) if len(ratios) else None)
+        model = linear_model(
+            replace(self.stated, prior_sd=present.prior_sd),
+            solution.parameters,
+            solution.corrections,
+            self.positions,
+            at_readings=self.at_readings,
+        )
+        return in_turn(present, model, ratios, lowest, common=self.common)
 
 
 def scaled(problem: Problem, components: Sequence[Sequence[int]], ratios: Array) -> Problem:

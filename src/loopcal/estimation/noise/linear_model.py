@@ -17,12 +17,13 @@ a component with one column costs one column, not a matrix V_j for every pose.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.noise.term_scales import Sums
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.kernel import eliminate, loadings
 from loopcal.estimation.solve.sweep import Sweeper
@@ -156,6 +157,15 @@ def fit(model: LinearModel, ratios: Array) -> MixedFit | None:
     return MixedFit(joined.volume + log_H + residual**2, score, information)
 
 
+def sums_at(model: LinearModel, ratios: Array) -> Sums | None:
+    """[J e]^T V^-1 [J e] as a triangle, without the prior; None where some V is singular."""
+    flat = replace(model, precision=np.zeros(len(model.precision)))
+    joined = _joined(flat, ratios)
+    if joined is None:
+        return None
+    return Sums(joined.R, True, sum(block.e.size for block in model.blocks))
+
+
 def _joined(model: LinearModel, ratios: Array) -> _Joined | None:
     n = len(model.precision)
     prior = np.sqrt(model.precision)
@@ -194,5 +204,5 @@ def _slopes(model: LinearModel, joined: _Joined, root: Array, dp: Array) -> tupl
         for j in range(count):
             own = Y[:, block.owner == j].reshape(-1, rank)
             inner[j] += own.T @ own
-    flat = inner.reshape(count, -1)
+    flat = inner.reshape(count, rank * rank)
     return score, 0.5 * (pairs + flat @ flat.T)

@@ -66,7 +66,7 @@ def calibrate_stream(
     fit = fit.changed(method=fit.among(first.data, first.noise)[0])
     refuse_unstreamable(fit)
     _refuse_estimates(fit, first.noise)
-    mechanism, exact = fit.with_prior(mechanism), fit.method.exact
+    mechanism, exact = fit.with_prior(mechanism), fit.solver.exact
     if not exact:
         stream = Disturbed(mechanism, stream)
         mechanism, data = with_model(mechanism, first.data, first.noise)
@@ -142,7 +142,7 @@ def refuse_unstreamable(fit: Fit) -> None:
 
 
 def _refuse_estimates(fit: Fit, noise: Noise) -> None:
-    if noise.estimate and not fit.method.exact:
+    if noise.estimate and not fit.solver.exact:
         raise InputError(
             "estimating sds needs all poses in memory, but they are read as a stream",
             code="unsupported",

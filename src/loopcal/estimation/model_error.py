@@ -1,0 +1,89 @@
+"""Model error as part of a fit: the terms that a mechanism gets, and what its noise is then.
+
+Sensors whose sds are stated keep them; a learnt white error of the model joins them. Least squares
+states no sds: then the readings of instruments carry one learnt sd in each unit, and all other
+readings stay exact, e ~ N(0, sigma^2 I).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from loopcal.errors import InputError
+from loopcal.measurements.noise import MODEL, Noise
+
+if TYPE_CHECKING:
+    from loopcal.estimation.fit import Fit
+    from loopcal.measurements.dataset import Dataset
+    from loopcal.mechanisms.mechanism import Mechanism
+
+BEGIN = 1e-4
+"""Learnt sds begin here [SI]: 0.1 mm, 0.1 mrad."""
+
+
+def noise_told(fit: Fit, mechanism: Mechanism, data: Dataset, noise: Noise | None) -> Noise | None:
+    """The noise that a fit uses; None where every reading is exact and no sd is learnt.
+
+    Raises InputError where least squares with model error meets a loop without instrument.
+    """
+    if fit.solver.exact:
+        return None
+    if fit.model_error == "none":
+        return noise
+    if fit.method.exact:
+        return _of_instruments(mechanism, data)
+    assert noise is not None
+    if MODEL in noise.entries or MODEL in noise.estimate or not _isotropic(mechanism):
+        return noise
+    begun = Noise({**noise.entries, MODEL: BEGIN}, estimate={**noise.estimate, MODEL: "group"})
+    return begun if noise.begin is None else begun.begun_at(noise.begin)
+
+
+def weighed(fit: Fit, data: Dataset) -> Dataset:
+    """The data without the sds that came with them, where a fit learns its own weights."""
+    return replace(data, sds={}) if fit.method.exact else data
+
+
+def modelled(fit: Fit, mechanism: Mechanism) -> Mechanism:
+    """The mechanism with the terms for its model error that a fit asks for."""
+    return mechanism
+
+
+def _isotropic(mechanism: Mechanism) -> bool:
+    """Whether one sd can serve all outputs, or all loops without outputs."""
+    return len({mechanism.quantities[q] for q in mechanism.outputs}) <= 1
+
+
+def _of_instruments(mechanism: Mechanism, data: Dataset) -> Noise:
+    """All readings exact but those of instruments, which have one learnt sd in each unit."""
+    entries: dict[str, float] = {}
+    groups: dict[tuple[str, str], list[str]] = {}
+    forms = {q: f.form for f in mechanism.families if f.form != "closure" for q in f.readings}
+    for name, unit in mechanism.quantities.items():
+        read = name in mechanism.implied or np.isfinite(data.readings.get(name, np.nan)).any()
+        if not read:
+            entries[name] = math.inf
+        elif name in forms or name in mechanism.outputs:
+            entries[name] = BEGIN
+            groups.setdefault((forms.get(name, ""), unit), []).append(name)
+        else:
+            entries[name] = 0.0
+    learnt = {tuple(names): "group" for names in groups.values()}
+    if not groups:
+        return Noise({**entries, MODEL: BEGIN}, estimate={MODEL: "group"})
+    noisy = {name for names in groups.values() for name in names}
+    noisy |= {name for name, sd in entries.items() if math.isinf(sd)}
+    for loop, names in zip(mechanism.tape.loops, mechanism.tape.depends_on(), strict=True):
+        if noisy.isdisjoint(names):
+            raise InputError(
+                f"the loop {loop!r} has no reading of an instrument, so least squares cannot weigh "
+                "its model error",
+                code="unsupported",
+                remedy="state the sds of the readings ([noise]) and use method = "
+                '"implicit-loop", or set model_error = "none"',
+            )
+    return Noise(entries, estimate=learnt)

@@ -1,0 +1,180 @@
+"""All variances that are learnt at one linearisation: those of sensors, and those of terms.
+
+Where one factor is common to all noise, the sums over all poses of the fit itself say everything,
+whatever the number of poses. Else the sensors' ratios (`variance_components`, by pose) and the
+scales of the terms (`term_scales`, by sums) are learnt in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.noise.linear_model import LinearModel, sums_at
+from loopcal.estimation.noise.term_scales import (
+    Sums,
+    TermFit,
+    TermSystem,
+    begun,
+    learn_scales,
+    term_system,
+)
+from loopcal.estimation.noise.variance_components import Estimate, estimate_ratios
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.solve.solution import End
+
+Array = NDArray[np.float64]
+_TURNS, _SETTLED = 10, 1e-3
+"""So often sensors and terms take turns at one linearisation, until logarithms of variances change
+by less: the next linearisation goes on."""
+
+
+@dataclass(frozen=True)
+class TermVariances:
+    """The terms at one linearisation: the sums that say it, and where the criterion is least.
+
+    free: which of the criterion's arguments were learnt.
+    """
+
+    system: TermSystem
+    at: TermFit
+    free: NDArray[np.bool_]
+
+    @property
+    def scales(self) -> Array:
+        """The sd of each term [SI]."""
+        return self.at.scales
+
+    @property
+    def own_criterion(self) -> float:
+        """What the priors of the terms' parameters and of their scales add to -2 log likelihood."""
+        own = self.system.owner
+        volume = 2.0 * float(np.log(self.scales)[own[own >= 0]].sum())
+        return volume + float(self.at.penalties.sum())
+
+
+@dataclass(frozen=True)
+class Variances:
+    """What one linearisation says.
+
+    ratios: (c,) of the sensor components to the stated variances; terms: None without any;
+    sensors: how the ratios were found, None where one is common to all noise; criterion: -2 log
+    of the restricted likelihood, up to a constant.
+    """
+
+    ratios: Array
+    criterion: float
+    converged: bool
+    terms: TermVariances | None = None
+    sensors: Estimate | None = None
+
+
+def owners(problem: Problem) -> NDArray[np.intp]:
+    """(n,) which term each estimated parameter is in, -1 if none."""
+    by_name = {n: i for i, term in enumerate(problem.mechanism.terms) for n in term.parameters}
+    return np.array([by_name.get(name, -1) for name in problem.names], dtype=np.intp)
+
+
+def scales_of(problem: Problem) -> Array:
+    """The present sd of each term [SI]; the median of what is expected where none is estimated."""
+    own = owners(problem)
+    return np.array(
+        [
+            float(problem.prior_sd[own == i][0]) if (own == i).any() else term.sd
+            for i, term in enumerate(problem.mechanism.terms)
+        ]
+    )
+
+
+def with_scales(problem: Problem, scales: Array) -> Problem:
+    """The problem with these sds of its terms, in its mechanism too."""
+    if not len(scales):
+        return problem
+    own, machine = owners(problem), problem.mechanism
+    stated = {
+        name: float(scale)
+        for term, scale in zip(machine.terms, scales, strict=True)
+        for name in term.parameters
+        if not machine.parameters[name].fixed
+    }
+    prior_sd = np.where(own >= 0, scales[own], problem.prior_sd)
+    mechanism = machine.with_parameters(machine.parameters.with_prior(stated))
+    return replace(problem, mechanism=mechanism, prior_sd=prior_sd)
+
+
+def system_of(problem: Problem, sums: Sums, parameters: Array) -> TermSystem:
+    """The system of a problem's terms where a fit has ended."""
+    offset = problem.unknowns.offset(parameters)
+    return term_system(sums, problem.prior_sd, offset, owners(problem), problem.mechanism.terms)
+
+
+def sums_of(end: End[Any]) -> Sums:
+    """The sums of a fit, whitened with the sds that it used."""
+    return Sums(end.data.total, end.data.triangular, end.equations)
+
+
+def by_common_factor(
+    problem: Problem, end: End[Any], ratio: float | None, held: int | None = None
+) -> Variances:
+    """The scales of the terms, and the factor common to all noise unless it is as stated.
+
+    problem: at the sds of the fit; ratio: of these to the stated variances, None: not learnt;
+    held: a term that counts as absent.
+    """
+    system, common = system_of(problem, sums_of(end), end.parameters), ratio is not None
+    start = begun(problem.mechanism.terms, scales_of(problem), held, common=common)
+    at = learn_scales(system, start)
+    learnt = TermVariances(system, at, start.free)
+    if ratio is None:
+        return Variances(np.zeros(0), at.criterion, True, learnt)
+    volume = end.equations * float(np.log(ratio))
+    return Variances(np.array([ratio * at.factor]), at.criterion + volume, True, learnt)
+
+
+def in_turn(
+    problem: Problem,
+    linear: LinearModel,
+    ratios: Array,
+    lowest: Array,
+    *,
+    common: bool,
+    held: int | None = None,
+) -> Variances:
+    """Sensors and terms in turn, until neither moves.
+
+    problem: at the scales of the fit; linear: where the fit ended; ratios: (c,) to begin from,
+    lowest: (c,) what none falls below; common: whether all noise is learnt; held: a term that
+    counts as absent.
+    """
+    found = estimate_ratios(linear, ratios, lowest=lowest)
+    if not problem.mechanism.terms:
+        return Variances(found.ratios, found.criterion, found.converged, None, found)
+    own, terms = owners(problem), problem.mechanism.terms
+    start = begun(terms, scales_of(problem), held, common=common)
+    for _ in range(_TURNS):
+        sums = sums_at(linear, found.ratios)
+        assert sums is not None
+        prior_sd = np.where(own >= 0, np.exp(0.5 * start.x[1:])[own], problem.prior_sd)
+        system = term_system(sums, prior_sd, linear.offset, own, terms)
+        at = learn_scales(system, start)
+        moved = float(np.abs(at.x - start.x).max())
+        prior_sd = np.where(own >= 0, at.scales[own], problem.prior_sd)
+        linear = replace(linear, precision=1.0 / np.square(prior_sd))
+        found = estimate_ratios(linear, found.ratios * at.factor, lowest=lowest)
+        start = replace(start, x=np.append(0.0, at.x[1:]))
+        if moved <= _SETTLED:
+            break
+    learnt = TermVariances(system, at, start.free)
+    criterion = found.criterion + learnt.own_criterion
+    return Variances(found.ratios, criterion, found.converged, learnt, found)
+
+
+def all_learnt(problem: Problem, components: Sequence[Sequence[int]]) -> bool:
+    """Whether every sensor with noise is in one of the components."""
+    sd = problem.uncertainty.sd
+    noisy = np.flatnonzero((np.isfinite(sd) & (sd > 0.0)).any(axis=1))
+    return set(noisy.tolist()) <= {i for positions in components for i in positions}
