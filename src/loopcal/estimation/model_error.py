@@ -35,7 +35,7 @@ def noise_told(fit: Fit, mechanism: Mechanism, data: Dataset, noise: Noise | Non
     if fit.model_error == "none":
         return noise
     if fit.method.exact:
-        return _of_instruments(mechanism, data)
+        return instrument_noise(mechanism, data)
     assert noise is not None
     if MODEL in noise.entries or MODEL in noise.estimate or not _isotropic(mechanism):
         return noise
@@ -58,8 +58,11 @@ def _isotropic(mechanism: Mechanism) -> bool:
     return len({mechanism.quantities[q] for q in mechanism.outputs}) <= 1
 
 
-def _of_instruments(mechanism: Mechanism, data: Dataset) -> Noise:
-    """All readings exact but those of instruments, which have one learnt sd in each unit."""
+def instrument_noise(mechanism: Mechanism, data: Dataset) -> Noise:
+    """All readings exact but those of instruments, which have one learnt sd in each unit.
+
+    Raises InputError for a loop without any of these.
+    """
     entries: dict[str, float] = {}
     groups: dict[tuple[str, str], list[str]] = {}
     forms = {q: f.form for f in mechanism.families if f.form != "closure" for q in f.readings}

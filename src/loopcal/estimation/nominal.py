@@ -17,7 +17,11 @@ MOUNTED = {"m": 5e-3, "rad": 50e-3}
 
 def nominal_machine(mechanism: Mechanism) -> Mechanism:
     """The mechanism with all fixed but placements and mountings; these get default priors."""
-    kinds = mechanism.kinds
+    kinds = dict.fromkeys(mechanism.parameters.names, "length")
+    kinds |= dict.fromkeys(getattr(mechanism.placement, "tool", ()), "mounting")
+    kinds |= dict.fromkeys(
+        mechanism.placement.parameters if mechanism.placement else (), "placement"
+    )
     fixed = [p.name for p in mechanism.parameters if kinds[p.name] not in ("placement", "mounting")]
     priors = {
         p.name: MOUNTED[p.unit]

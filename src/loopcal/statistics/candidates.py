@@ -1,11 +1,11 @@
-"""The candidates of a choice: each method, with a model error and without, and the nominal machine."""
+"""The candidates of a choice: the methods, with a model error and without, and the drawing."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from loopcal.estimation.model_error import instrument_noise, modelled, weighed
+from loopcal.estimation.model_error import instrument_noise, modelled
 from loopcal.estimation.nominal import nominal_machine
 from loopcal.statistics.validation import Case
 
@@ -53,4 +53,4 @@ def nominal_case(case: Case) -> Case:
     noise = instrument_noise(mechanism, case.data)
     method = next(m for m in case.fit.method.choice if m.likelihood and not m.exact)
     fit = case.fit.changed(method=method, loss="gaussian", prior=None, model_error="none")
-    return Case(mechanism, weighed(case.data), noise, fit)
+    return Case(mechanism, replace(case.data, sds={}), noise, fit)

@@ -6,16 +6,16 @@ parts: poses at random, and regions of the joint space. The risk of a candidate 
 squared distance there, averaged over both ways to leave the pose out; without outputs it is minus
 twice the log density of its loops.
 
-The structured candidate of least risk is taken, or without one the first method, unless another
-is significantly better: by more than the 97.5 % point of Student's t times the standard error of the
-mean difference. Errors in one region are not independent, so regions are the units of that error;
-where none are left out, the poses are.
+The structured candidate of least risk is taken, or without one the first method, unless another is
+significantly better: lower in both, and in one of them by more than the 97.5 % point of Student's t
+times the standard error of the mean difference. Errors in one region are not independent, so
+regions are the units of the second; the units of the first are poses.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,9 +93,7 @@ class Choice:
                 nominal=placed.distances if placed else None,
                 noise_floor=noise_floor(self.result),
             )
-        document = replace(
-            document, method=self.method, chosen=self.chosen, accuracy=accuracy
-        )
+        document = replace(document, method=self.method, chosen=self.chosen, accuracy=accuracy)
         return self.validation.added_to(document) if self.validation else document
 
 
@@ -119,6 +117,7 @@ def choose(
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
     return _choice(case, judged, plan)
+
 
 def _fitted(one: Entrant) -> Judged:
     try:
@@ -183,12 +182,15 @@ def _ordered(one: Judged, order: Index) -> Judged:
 def _without_hopeless(judged: Sequence[Judged]) -> list[Judged]:
     rms = {one.name: _rms(one) for one in judged if not one.failed}
     best = min((size for size in rms.values() if math.isfinite(size)), default=math.inf)
-    return [
-        replace(one, made=(), failed=f"discarded halfway: {rms[one.name] / best:.1f} times the best rms")
-        if not one.failed and not one.entrant.cheap and rms[one.name] > HOPELESS * best
-        else one
-        for one in judged
-    ]
+    kept = []
+    for one in judged:
+        times = rms.get(one.name, 0.0) / best if best > 0.0 else 0.0
+        if times > HOPELESS and not one.entrant.cheap:
+            one = replace(
+                one, made=(), failed=f"discarded halfway, at {times:.1f} times the best rms"
+            )
+        kept.append(one)
+    return kept
 
 
 def _rms(one: Judged) -> float:
@@ -213,7 +215,7 @@ def _risks(mechanism: Mechanism, part: Predicted) -> Array:
 
 
 def _risk(one: Judged, plan: Plan, poses: int) -> Array:
-    """(2, N): risk where the pose was left out at random, and with its region; NaN where neither."""
+    """(2, N): risk where the pose was left out at random, and with its region; NaN if unknown."""
     found = np.full((2, poses), np.nan)
     if one.whole is not None:
         for number, part in enumerate(one.made):
@@ -233,20 +235,18 @@ class Gap:
 
     @classmethod
     def of(cls, own: Array, other: Array, cluster: Index) -> Gap:
-        """From risks (r, N) of both; cluster: (N,) poses whose errors belong together."""
+        """From risks (N,) of both; cluster: (N,) poses whose errors belong together."""
         both = own - other
         there = np.isfinite(both)
-        if not there.any():
+        label = np.unique(cluster[there], return_inverse=True)[1]
+        count = int(label.max(initial=-1)) + 1
+        if not count:
             return cls(math.nan, math.inf, 0)
-        weight = there.sum(axis=0)
         mean = float(both[there].mean())
-        off = np.where(there, both - mean, 0.0).sum(axis=0)
-        label = np.unique(cluster[weight > 0], return_inverse=True)[1]
-        sums = np.bincount(label, off[weight > 0])
-        count = len(sums)
-        if count < 2:
-            return cls(mean, math.inf, count)
-        sd = math.sqrt(count / (count - 1) * float(np.square(sums).sum())) / float(weight.sum())
+        if count == 1:
+            return cls(mean, math.inf, 1)
+        sums = np.bincount(label, both[there] - mean)
+        sd = math.sqrt(count / (count - 1) * float(np.square(sums).sum())) / int(there.sum())
         return cls(mean, sd, count)
 
     @property
@@ -268,8 +268,7 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
         chosen = Chosen(taken.name, _terms(taken), words, tuple(map(_bare, judged)))
         return Choice(case.fit.method.name, taken.whole, chosen, None, nominal)
     risks = {one.name: _risk(one, plan, len(case.data)) for one in judged if one.made}
-    region = _clusters(plan)
-    taken = _taken([one for one in judged if one.made], risks, region)
+    taken = _taken([one for one in judged if one.made], risks, plan)
     assert taken.whole is not None
     found = {
         one.name: pooled(one.whole, one.made, plan, one.entrant.case.data)
@@ -283,44 +282,51 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
         own = found.get(one.name)
         gap, scale = None, 0.0
         if own is not None and own.accuracy is not None and best is not None:
-            gap = Gap.of(risks[one.name][:1], risks[taken.name][:1], plan.groups)
+            gap = Gap.of(risks[one.name][0], risks[taken.name][0], plan.groups)
             scale = own.accuracy.rms + best.rms
         over.append(_candidate(one, own, gap, scale))
     better = [
         one.name
         for one in judged
-        if one.made and Gap.of(risks[one.name], risks[taken.name], region).mean < 0.0
+        if one.made and _score(risks[one.name]) < _score(risks[taken.name])
     ]
     words = _words(over, "" if best is None else best.unit, better)
     chosen = Chosen(taken.name, _terms(taken), words, tuple(over))
     return Choice(case.fit.method.name, taken.whole, chosen, found[taken.name], nominal)
 
 
-def _clusters(plan: Plan) -> Index:
-    """(N,) poses whose errors belong together: regions where they are left out, else repeats."""
-    if plan.blocked is None:
-        return plan.groups
-    region = np.zeros(len(plan.groups), dtype=np.intp)
-    for number, index in enumerate(plan.blocked.indices):
-        region[index] = number
-    return region
-
-
-def _taken(judged: Sequence[Judged], risks: dict[str, Array], region: Index) -> Judged:
+def _taken(judged: Sequence[Judged], risks: Mapping[str, Array], plan: Plan) -> Judged:
     """The candidate that the rule at the head of this module takes."""
 
     def score(one: Judged) -> float:
-        value = float(np.nanmean(risks[one.name])) if np.isfinite(risks[one.name]).any() else math.inf
-        return value
+        return _score(risks[one.name])
 
     structured = [one for one in judged if one.entrant.structured]
     preferred = min(structured, key=score) if structured else judged[0]
-    better = [
-        one
-        for one in judged
-        if Gap.of(risks[one.name], risks[preferred.name], region).significant
-    ]
+    better = [one for one in judged if _better(risks[one.name], risks[preferred.name], plan)]
     return min(better, key=score) if better else preferred
+
+
+def _score(risk: Array) -> float:
+    """Mean risk over both ways to leave a pose out."""
+    rows = [row[np.isfinite(row)] for row in risk]
+    return (
+        float(np.mean([row.mean() for row in rows if row.size]))
+        if any(map(len, rows))
+        else math.inf
+    )
+
+
+def _better(own: Array, other: Array, plan: Plan) -> bool:
+    """Whether a candidate is significantly better than another."""
+    gaps = [Gap.of(own[0], other[0], plan.groups)]
+    if plan.blocked is not None:
+        region = np.zeros(len(plan.groups), dtype=np.intp)
+        for number, index in enumerate(plan.blocked.indices):
+            region[index] = number
+        gaps.append(Gap.of(own[1], other[1], region))
+    known = [gap for gap in gaps if gap.clusters]
+    return all(gap.mean < 0.0 for gap in known) and any(gap.significant for gap in known)
 
 
 def _unvalidated(judged: Sequence[Judged]) -> Judged:

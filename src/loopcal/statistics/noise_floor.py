@@ -78,5 +78,5 @@ def _turned(readings: Array) -> Array:
     for row in range(len(readings)):
         moved = readings.astype(complex)
         moved[row] += 1j * _STEP
-        columns.append(cartesian(moved).imag / _STEP)  # type: ignore[arg-type]
+        columns.append(cartesian(moved).imag / _STEP)
     return np.array(columns).transpose(2, 1, 0)
