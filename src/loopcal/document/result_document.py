@@ -9,6 +9,7 @@ from typing import Any, Literal
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
 from loopcal.document.bounds import Count, Size
 from loopcal.document.choice import Chosen
+from loopcal.document.dependence import Dependence
 from loopcal.document.findings import (
     ColumnFault,
     Identifiability,
@@ -155,6 +156,8 @@ class ResultDocument:
     """Null: not judged."""
     models: tuple[ModelEntry, ...] | None = None
     """Models that were compared; null: none were."""
+    dependence: Dependence | None = None
+    """Whether residuals depend on pose order or place; null: not tested."""
     identifiability: Identifiability
     observability: Observability | None
     """Null: not computed."""

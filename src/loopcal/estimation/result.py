@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.choice import Chosen
+from loopcal.document.dependence import Dependence
 from loopcal.document.findings import Identifiability
 from loopcal.document.fit import ClosureEntry, NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
@@ -20,6 +21,7 @@ from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocum
 from loopcal.document.terms import TermEntry
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
+from loopcal.estimation.dependence.dependence import Depending, dependence
 from loopcal.estimation.document_parts import (
     covariance_entry,
     data_entry,
@@ -36,6 +38,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.residuals import Closure, by_name, residuals
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
 from loopcal.estimation.solve.robust import RobustSums
+from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
@@ -133,8 +136,10 @@ class Result:
 
     @cached_property
     def covariance(self) -> Array:
-        """(n, n) of the estimated parameters."""
+        """(n, n) of the estimated parameters; allows for serial dependence where there is any."""
         loss, method = self.fit.robust_loss, self.fit.solver
+        if self._depending is not None and self._depending.covariance is not None:
+            return self._depending.covariance
         if loss is not None:
             sums = self.robust_sums if self.all_poses is None else self.all_poses.robust
             return sums.covariance(self.spectrum, self.problem.prior_sd)
@@ -144,6 +149,24 @@ class Result:
             found = found * (math.inf if variance is None else variance)
         factor = self._variance_factor if self.variance_factor_applied else None
         return found if factor is None else found * factor
+
+    @property
+    def dependence(self) -> Dependence | None:
+        """Whether residuals of neighbouring poses are alike; None of a stream, under a loss, or
+        where the fit did not converge. Where they depend on the pose order, `covariance` is valid
+        under a drift that was learnt."""
+        return None if self._depending is None else self._depending.found
+
+    @cached_property
+    def _depending(self) -> Depending | None:
+        tested = self.all_poses is None and self.fit.robust_loss is None
+        if not tested or not self.status.converged:
+            return None
+        method = self.fit.method
+        with one_blas_thread():
+            return dependence(
+                self.problem, self.solution, exact=method.exact, at_readings=method.at_readings
+            )
 
     @property
     def robust_sums(self) -> RobustSums:
@@ -295,6 +318,8 @@ class Result:
             found += self.chi_squared.warnings(self.model_discrepancy, unit)
         if self.estimate is not None:
             found += words(self.estimate, self.noise, self.chi_squared_shares)
+        if self.dependence is not None:
+            found += self.dependence.warnings()
         return (*found, *self.notes)
 
     def noted(self, *notes: str) -> Result:
@@ -387,6 +412,7 @@ class Result:
             closure=ClosureEntry(self.closure_before.entry, self.closure_after.entry),
             accuracy=accuracy_entry(self.accuracy_before, self.accuracy_after),
             validation=None,
+            dependence=self.dependence,
             identifiability=self.identifiability,
             observability=None,
             prediction=None,

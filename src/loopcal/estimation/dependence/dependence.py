@@ -1,0 +1,127 @@
+"""The dependence of a fit's residuals: tested for every instrument, and learnt where it drifts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.dependence import Dependence, InstrumentDependence
+from loopcal.estimation.dependence.neighbours import Pairs, in_order, likeness, near
+from loopcal.estimation.dependence.seen import instruments, seen
+from loopcal.estimation.dependence.serial import Whole, serial_model
+from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.solve.reduction import Spectrum
+from loopcal.estimation.solve.solution import Solution
+
+Array = NDArray[np.float64]
+LEVEL = 0.001
+MOST_NEIGHBOURS = 2000
+"""Poses among which neighbours in joint space are sought; of more, every second, third, ..."""
+_APART = 0.1
+"""Poses closer in order than this share of all are no neighbours in joint space."""
+
+
+@dataclass(frozen=True, eq=False)
+class Depending:
+    """What was found; covariance: (n, n) [SI] of the estimate under a learnt drift, None without
+    serial dependence."""
+
+    found: Dependence
+    covariance: Array | None
+
+
+def dependence(
+    problem: Problem, solution: Solution, *, exact: bool = False, at_readings: bool = False
+) -> Depending:
+    """The tests of all instruments, and the covariance where an instrument drifts.
+
+    exact: the readings were taken as exact; at_readings: as in `pose_equations`.
+    """
+    equations = pose_equations(
+        problem, solution.parameters, solution.corrections, exact=exact, at_readings=at_readings
+    )
+    root = _root(solution.spectrum)
+    whole = _whole(problem, solution, equations, root, exact=exact)
+    informed = 0 if exact else int(np.isfinite(problem.prior_sd).sum())
+    freedom = whole.equations + informed - root.shape[1]
+    square = whole.EE + whole.square
+    order = pose_order(problem)
+    pairs = _spatial(problem, order)
+    families = instruments(problem)
+    rows = []
+    for family in families:
+        own = seen(problem, equations, root, family.readings)
+        following = order[in_order(own.take(order))]
+        serial = likeness(own, following, square, freedom)
+        spatial = likeness(own, pairs, square, freedom)
+        rows.append(InstrumentDependence(family.name, serial, spatial))
+    found = Dependence(tuple(rows), LEVEL)
+    drifting = [f for f, row in zip(families, rows, strict=True) if row in found.serial]
+    if not drifting:
+        return Depending(found, None)
+    readings = tuple(dict.fromkeys(q for f in drifting for q in f.readings))
+    model = serial_model(whole, seen(problem, equations, root, readings).take(order))
+    found = Dependence(tuple(rows), LEVEL, model.share, model.length)
+    return Depending(found, root @ model.covariance @ root.T)
+
+
+def pose_order(problem: Problem) -> NDArray[np.intp]:
+    """(N,) the poses as they were measured: by the known time if there is one, else by row."""
+    times = [i for i, q in enumerate(problem.mechanism.known.values()) if q == "s"]
+    if len(times) != 1:
+        return np.arange(len(problem.poses))
+    return np.argsort(problem.known[times[0]], kind="stable")
+
+
+def _root(spectrum: Spectrum) -> Array:
+    """(n, k) root of the covariance: dp = root z with D^T D + P = I in z."""
+    kept = spectrum.kept
+    root: Array = spectrum.scale[:, None] * spectrum.directions[:, kept]
+    return root / spectrum.singular_values[kept]
+
+
+def _whole(
+    problem: Problem,
+    solution: Solution,
+    equations: Sequence[PoseEquations],
+    root: Array,
+    *,
+    exact: bool,
+) -> Whole:
+    k = root.shape[1]
+    DD, DE, EE, count = np.zeros((k, k)), np.zeros(k), 0.0, 0
+    for block in equations:
+        D, E = (block.D @ root).reshape(-1, k), block.E.ravel()
+        DD, DE, EE, count = DD + D.T @ D, DE + D.T @ E, EE + float(E @ E), count + len(E)
+    precision = np.zeros(len(root)) if exact else 1.0 / np.square(problem.prior_sd)
+    away = problem.nominal - solution.parameters[problem.free]
+    pull = np.where(precision > 0.0, precision * away, 0.0)
+    P, square = root.T @ (precision[:, None] * root), float(pull @ away)
+    return Whole(DD, DE, EE, P, root.T @ pull, square, count)
+
+
+def _spatial(problem: Problem, order: NDArray[np.intp]) -> Pairs:
+    """The neighbours in joint space, of what no instrument reads: angles on the circle, lengths by
+    their spread."""
+    mechanism = problem.mechanism
+    read = {q for f in mechanism.families for q in f.readings} | {*mechanism.outputs}
+    aside = read | {*mechanism.disturbances}
+    hidden = set(np.flatnonzero(np.isinf(problem.uncertainty.sd).any(axis=1)).tolist())
+    names = mechanism.tape.quantities
+    rows = [i for i, q in enumerate(names) if q not in aside and i not in hidden]
+    if not rows:
+        return np.zeros((2, 0), dtype=np.intp)
+    order = order[:: -(-len(order) // MOST_NEIGHBOURS)]
+    points = []
+    for i in rows:
+        own = problem.readings[i, order]
+        if mechanism.quantities[names[i]] == "rad":
+            points += [np.cos(own), np.sin(own)]
+        else:
+            points.append((own - own.mean()) / max(float(own.std()), 1e-300))
+    pairs: Pairs = order[near(np.array(points).T, apart=int(_APART * len(order)))]
+    return pairs

@@ -1,0 +1,87 @@
+"""Whether residuals of neighbouring poses are alike: neighbours in order, or in joint space.
+
+For pairs of neighbours (i, j) the statistic is
+
+    r = sum over pairs of y_i . y_j / (|E|^2 + prior),
+
+von Neumann's ratio (1941) where neighbours follow each other, Moran's I (1950) where they are near
+in joint space. It is the score test of a component that neighbours share. The fit has taken part of
+the residuals; the moments of r allow for it exactly (Durbin and Watson 1950): with M the projector
+onto what is left, nu its rank and K the pairs as a matrix,
+
+    E r = tr MK / nu,   Var r = 2 (nu tr (MK)^2 - (tr MK)^2) / (nu^2 (nu + 2)).
+
+Errors of unlike size or direction, such as those of an arm that bends, scatter r more: the variance
+is at least sum (y_i . y_j)^2 / (|E|^2 + prior)^2, right for independent errors of any kind.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.dependence import Likeness
+from loopcal.estimation.dependence.seen import Seen
+
+Array = NDArray[np.float64]
+Pairs = NDArray[np.intp]
+_LEAST = 10
+"""Degrees of freedom and pairs that a test needs at least."""
+
+
+def in_order(seen: Seen) -> Pairs:
+    """(2, p) the poses that follow each other among those that were read."""
+    read = np.flatnonzero(seen.read)
+    return np.array([read[:-1], read[1:]])
+
+
+def likeness(seen: Seen, pairs: Pairs, square: float, freedom: int) -> Likeness | None:
+    """The test for these pairs; None where there is too little to test.
+
+    seen: in directions z of the parameters with D^T D + P = I; square: |E|^2 and that of the prior;
+    freedom: nu.
+    """
+    i, j = pairs
+    if freedom < _LEAST or len(i) < _LEAST or not square > 0.0:
+        return None
+    y, A, M = seen.y, seen.A, seen.M
+    products = np.einsum("pq,pq->p", y[i], y[j])
+    total = float(products.sum())
+    near = np.zeros_like(A)
+    np.add.at(near, i, 0.5 * A[j])
+    np.add.at(near, j, 0.5 * A[i])
+    once = np.einsum("nqi,nqj->ij", A, near)
+    twice = float(np.einsum("nqi,nqr,nri->", near, M, near, optimize=True))
+    trace = -float(np.trace(once))
+    squared = 0.5 * float(np.einsum("pqr,prq->", M[i], M[j])) - 2.0 * twice
+    squared += float(np.square(once).sum())
+    variance = 2.0 * (freedom * squared - trace**2) / (freedom**2 * (freedom + 2.0))
+    variance = max(variance, float(products @ products) / square**2)
+    if not variance > 0.0:
+        return None
+    deviate = (total / square - trace / freedom) / math.sqrt(variance)
+    own = float(np.einsum("nq,nq->", y, y)) / int(seen.read.sum())
+    correlation = total / len(i) / own if own > 0.0 else 0.0
+    return Likeness(correlation, 0.5 * math.erfc(deviate / math.sqrt(2.0)))
+
+
+def near(points: Array, neighbours: int = 6, apart: int = 0) -> Pairs:
+    """(2, p) pairs of poses that are nearest to each other at points (N, d).
+
+    apart: poses that follow each other within so many are no pair, so that a drift along a path
+    is not taken for a place in joint space.
+    """
+    N = len(points)
+    if 2 * apart + 2 >= N:
+        return np.zeros((2, 0), dtype=np.intp)
+    squares = np.square(points).sum(axis=1)
+    distance = squares[:, None] + squares - 2.0 * points @ points.T
+    rows = np.arange(N)
+    distance[np.abs(rows[:, None] - rows) <= apart] = np.inf
+    found = np.argpartition(distance, min(neighbours, N - 1), axis=1)[:, :neighbours]
+    both = np.sort(np.array([np.repeat(rows, found.shape[1]), found.ravel()]), axis=0)
+    kept = np.isfinite(distance[both[0], both[1]])
+    pairs: Pairs = np.unique(both[:, kept], axis=1)
+    return pairs

@@ -1,0 +1,78 @@
+"""What each instrument sees of the residuals: the equations of a fit along its own readings.
+
+With the whitened equations E = D dp + v of each pose and X = the effect of the instrument's
+readings in units of their sds, an error u_i of these readings in pose i moves E by X_i u_i. So
+
+    y_i = X_i^T E_i,   A_i = X_i^T D_i,   M_i = X_i^T X_i
+
+hold all that the readings of pose i say about u_i. They are zero where the instrument read nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.problem.pose_equations import PoseEquations
+from loopcal.estimation.problem.problem import Problem
+from loopcal.mechanisms.mechanism import Family
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """N poses as q readings see them: y (N, q), A (N, q, k), M (N, q, q)."""
+
+    y: Array
+    A: Array
+    M: Array
+
+    def take(self, order: NDArray[np.intp]) -> Seen:
+        """The poses at these positions, in this order."""
+        return Seen(self.y[order], self.A[order], self.M[order])
+
+    @property
+    def read(self) -> NDArray[np.bool_]:
+        """(N,) the poses in which anything was read."""
+        return np.asarray(np.einsum("nqq->n", self.M) > 0.0)
+
+
+def instruments(problem: Problem) -> tuple[Family, ...]:
+    """The instruments whose readings may depend on each other; the whole loop without any."""
+    mechanism = problem.mechanism
+    families = tuple(f for f in mechanism.families if f.form != "closure")
+    if families:
+        return families
+    readings = mechanism.outputs or mechanism.tape.quantities
+    return (Family(mechanism.name, mechanism.tape.loops, tuple(readings)),)
+
+
+def seen(
+    problem: Problem, equations: Sequence[PoseEquations], root: Array, readings: Sequence[str]
+) -> Seen:
+    """The poses as these readings see them; root: (n, k) directions of the parameters [SI]."""
+    rows = [problem.mechanism.tape.quantities.index(q) for q in readings]
+    N, q, k = len(problem.poses), len(rows), root.shape[1]
+    found = Seen(np.zeros((N, q)), np.zeros((N, q, k)), np.zeros((N, q, q)))
+    units = _units(problem, rows)
+    missing = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[rows])
+    for block in equations:
+        X = block.X[:, :, rows] * units * ~missing.T[block.poses][:, None, :]
+        turned = X.transpose(0, 2, 1)
+        found.y[block.poses] = np.einsum("bqr,br->bq", turned, block.E)
+        found.A[block.poses] = turned @ (block.D @ root)
+        found.M[block.poses] = turned @ X
+    return found
+
+
+def _units(problem: Problem, rows: Sequence[int]) -> Array:
+    """(q,) the usual sd of each reading [SI]; 1 where they are taken as exact."""
+    sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[list(rows)]
+    known = np.isfinite(sd) & (sd > 0.0)
+    if not known.any(axis=1).all():
+        return np.ones(len(rows))
+    return np.array([float(np.median(own[there])) for own, there in zip(sd, known, strict=True)])

@@ -1,0 +1,149 @@
+"""A covariance that is valid where the errors of an instrument depend on the pose before.
+
+The errors of its readings are taken as white noise and a drift that forgets,
+
+    E_i = D_i dp + X_i u_i + v_i,   v_i ~ N(0, s^2 I),   cov(u_i, u_j) = lambda s^2 rho^|i - j| I,
+
+whose restricted likelihood is evaluated on a grid of lambda and rho, s^2 at its best. The estimate
+stays; its covariance is the sandwich H^-1 (D^T V D + P) H^-1, averaged over the grid by likelihood:
+a drift that lasts as long as the run is known badly, and its mode alone is too small. H = D^T D + P
+with the prior's precision P. rho^|i - j| has a tridiagonal inverse, so each point of the grid costs
+one banded decomposition, whatever the number of poses (Rue and Held 2005, chapter 2).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.dependence.seen import Seen
+
+Array = NDArray[np.float64]
+_RATIOS = 10.0 ** np.arange(-1.5, 3.1, 0.5)
+
+
+@dataclass(frozen=True)
+class Whole:
+    """All equations in directions z of the parameters with D^T D + P = I.
+
+    DD (k, k), DE (k,), EE: products of D and E; P (k, k): the prior's precision; offset (k,) its
+    pull P (nominal - present); square: the prior's own square; equations: how many rows.
+    """
+
+    DD: Array
+    DE: Array
+    EE: float
+    P: Array
+    offset: Array
+    square: float
+    equations: int
+
+
+@dataclass(frozen=True)
+class SerialModel:
+    """What the grid says: covariance (k, k) of z; share: of the drift in the variance of a reading;
+    length: number of poses over which the drift forgets (to 1/e)."""
+
+    covariance: Array
+    share: float
+    length: float
+
+
+def serial_model(whole: Whole, seen: Seen) -> SerialModel:
+    """The model averaged over the grid; poses of `seen` in the order in which they were read."""
+    N = len(seen.y)
+    lengths = np.geomspace(0.7, max(2.0 * N, 4.0), 10)
+    columns = np.concatenate([seen.A, seen.y[:, :, None]], axis=2)
+    criteria, parts, points = [], [], []
+    for length in lengths:
+        rho = math.exp(-1.0 / length)
+        along = _correlated(rho, seen.A)
+        for ratio in _RATIOS:
+            criterion, s2 = _criterion(whole, seen.M, columns, rho, float(ratio))
+            criteria.append(criterion)
+            points.append((ratio / (1.0 + ratio), length))
+            parts.append(s2 * (whole.DD + ratio * along) + whole.P)
+    weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
+    weights /= weights.sum()
+    share, length = weights @ np.array([(s, math.log(L)) for s, L in points])
+    covariance = np.einsum("g,gij->ij", weights, np.array(parts))
+    return SerialModel(covariance, float(share), math.exp(float(length)))
+
+
+def _correlated(rho: float, A: Array) -> Array:
+    """sum_ij rho^|i - j| A_i^T A_j, (k, k)."""
+    from scipy.linalg import solveh_banded
+
+    N, q, k = A.shape
+    diagonal, beside = _precision(rho, N)
+    filtered = solveh_banded(np.array([np.r_[0.0, beside], diagonal]), A.reshape(N, q * k))
+    return np.asarray(np.einsum("nqi,nqj->ij", A, filtered.reshape(N, q, k)))
+
+
+def _precision(rho: float, N: int) -> tuple[Array, Array]:
+    """Diagonal and what is beside it of the inverse of rho^|i - j|, (N,) and (N - 1,)."""
+    diagonal = np.full(N, 1.0 + rho * rho)
+    diagonal[[0, -1]] = 1.0
+    return diagonal / (1.0 - rho * rho), np.full(N - 1, -rho / (1.0 - rho * rho))
+
+
+def _criterion(
+    whole: Whole, M: Array, columns: Array, rho: float, ratio: float
+) -> tuple[float, float]:
+    """-2 log of the restricted likelihood at the best s^2, and that s^2."""
+    from scipy.linalg import cho_solve_banded, cholesky_banded
+
+    N, q, _ = columns.shape
+    diagonal, beside = _precision(rho, N)
+    band = np.zeros((q + 1, N * q))
+    band[q] = np.repeat(diagonal / ratio, q)
+    band[0, q:] = np.repeat(beside / ratio, q)
+    for above in range(q):  # entries (j - above, j) of the block of each pose
+        for j in range(above, q):
+            band[q - above, j::q] += M[:, j - above, j]
+    factor = cholesky_banded(band)
+    log_V = 2.0 * float(np.log(factor[q]).sum())
+    log_V += N * q * math.log(ratio) + q * (N - 1) * math.log1p(-rho * rho)
+    flat = columns.reshape(N * q, -1)
+    taken = flat.T @ cho_solve_banded((factor, False), flat)
+    left = _Left(
+        whole, whole.DD - taken[:-1, :-1], whole.DE - taken[:-1, -1], whole.EE - taken[-1, -1]
+    )
+    s2 = left.variance()
+    return log_V + left.criterion(s2), s2
+
+
+@dataclass(frozen=True)
+class _Left:
+    """Products of D and E weighted by s^2 V^-1."""
+
+    whole: Whole
+    DD: Array
+    DE: Array
+    EE: float
+
+    def variance(self) -> float:
+        """The s^2 of largest restricted likelihood: squares left over their degrees of freedom."""
+        s2 = 1.0
+        for _ in range(50):
+            H = self.DD / s2 + self.whole.P
+            z = np.linalg.solve(H, self.DE / s2 + self.whole.offset)
+            square = self.EE - 2.0 * (z @ self.DE) + z @ self.DD @ z
+            used = float(np.trace(np.linalg.solve(H, self.DD))) / s2
+            new = max(float(square), 1e-300) / max(self.whole.equations - used, 1.0)
+            if abs(new - s2) <= 1e-6 * s2:
+                break
+            s2 = new
+        return s2
+
+    def criterion(self, s2: float) -> float:
+        """-2 log of the restricted likelihood at s^2, but for log|V / s^2|."""
+        whole = self.whole
+        H = self.DD / s2 + whole.P
+        g = self.DE / s2 + whole.offset
+        square = self.EE / s2 + whole.square - float(g @ np.linalg.solve(H, g))
+        log_H = float(np.linalg.slogdet(H)[1])
+        return whole.equations * math.log(s2) + log_H + square
