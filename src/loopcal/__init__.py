@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.prior import Prior
     from loopcal.mechanisms.redundancy import fix_redundant
     from loopcal.mechanisms.serial import Joint, serial_arm
+    from loopcal.mechanisms.structure.structured import structured
     from loopcal.mechanisms.terms import Term
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation, simulate
@@ -99,6 +100,7 @@ _HOME = {
     "mechanisms.prior": ("Prior",),
     "mechanisms.redundancy": ("fix_redundant",),
     "mechanisms.serial": ("Joint", "serial_arm"),
+    "mechanisms.structure.structured": ("structured",),
     "mechanisms.terms": ("Term",),
     "simulation.poses": ("grid_poses", "random_poses"),
     "simulation.simulate": ("Simulation", "simulate"),
@@ -199,6 +201,7 @@ __all__ = [
     "rotate",
     "serial_arm",
     "simulate",
+    "structured",
     "tracker_covariance",
     "validate",
     "vector",

@@ -19,12 +19,14 @@ def substituted(
     *,
     known: Sequence[str] = (),
     parameters: Sequence[str] = (),
+    without: Sequence[str] = (),
 ) -> Tape:
     """The loops f(x', p') with x', p' made of x and p; the rest of the tape stays as it is.
 
     meaning(x, p): what stands in the place of quantities and of parameters, by name; those that
     it does not name stay themselves. x has the quantities and known constants, p the parameters;
-    known, parameters: further ones that these expressions need.
+    known, parameters: further ones that these expressions need; without: parameters that
+    expressions stand in place of everywhere, and which are gone.
     """
     graph = Graph()
     names = {
@@ -32,9 +34,10 @@ def substituted(
         "known": (*tape.known, *known),
         "parameter": (*tape.parameters, *parameters),
     }
+    kept = names | {"parameter": [n for n in names["parameter"] if n not in set(without)]}
     inputs = {
         kind: {name: Scalar(graph, graph.leaf(kind, i)) for i, name in enumerate(its)}
-        for kind, its in names.items()
+        for kind, its in kept.items()
     }
     of_x, of_p = meaning(inputs["quantity"] | inputs["known"], inputs["parameter"])
     stated = {"quantity": of_x, "known": {}, "parameter": of_p}
@@ -43,7 +46,7 @@ def substituted(
         if kind == "constant":
             return graph.constant(payload)
         name = names[kind][int(payload)]
-        value = stated[kind].get(name, inputs[kind][name])
+        value = stated[kind][name] if name in stated[kind] else inputs[kind][name]
         return value.node if isinstance(value, Scalar) else graph.constant(float(value))
 
     place: list[Node] = []
@@ -56,7 +59,7 @@ def substituted(
         graph,
         [place[output] for output in tape.outputs],
         quantities=tape.quantities,
-        known=names["known"],
-        parameters=names["parameter"],
+        known=kept["known"],
+        parameters=kept["parameter"],
         loops=tape.loops,
     )

@@ -15,6 +15,9 @@ from functools import wraps
 from typing import Any, ParamSpec
 
 from loopcal.errors import InputError, nearest
+from loopcal.expressions.tape import Tape
+from loopcal.expressions.trace import trace
+from loopcal.mechanisms.body import Body, Displaced, displacement_names
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.frame import Frame, Values, Vector
 from loopcal.mechanisms.gauge import Gauge, fixed, held
@@ -67,11 +70,12 @@ class Instrument:
     each of `loops`, as many as readings, such that each reading follows from the rest; frames are
     those of the bodies in the machine's base, one for each pose that a row holds (`ends`).
     placement: parameters that say where it stands, with `place` telling how they change when the
-    machine is moved; parameters: the others (reflector, anchor, length); known: constants that
-    vary by pose; orientation: which of them are a measured orientation; implied: readings that
-    are the same in every pose by construction, such as the gap between a ball and its socket;
-    form: what the readings are together, "point", "spherical", "polar", "pose", "length", "angle",
-    "gap" (of things that touch) or a word of its own; dimension: that of the machines it can look
+    machine is moved; parameters: the others (reflector, length, zero), of which those in mounted
+    say where something sits on the body; known: constants that vary by pose; orientation: which
+    of them are a measured orientation; implied: readings that are the same in every pose by
+    construction, such as the gap between a ball and its socket; form: what the readings are
+    together, "point", "spherical", "polar", "pose", "length", "angle", "gap" (of things that
+    touch) or a word of its own; dimension: that of the machines it can look
     at, 2 or 3; remedy: what to do where its loops cannot be evaluated; description: what a
     mechanism file says of it, empty where none can.
     """
@@ -83,6 +87,7 @@ class Instrument:
     form: str
     placement: Mapping[str, Parameter] = field(default_factory=dict)
     place: Placement | None = None
+    mounted: tuple[str, ...] = ()
     known: Mapping[str, str] = field(default_factory=dict)
     orientation: Orientation | None = None
     implied: Mapping[str, float] = field(default_factory=dict)
@@ -147,11 +152,13 @@ def assemble(
     parameters = fixed(parameters, without_effect)
     parameters |= _stated(parameters, nominal or {})
 
-    def loops(x: Any, p: Any) -> list[Any]:
+    def loops(x: Any, p: Any, displaced: Sequence[tuple[str, ...]] = ()) -> list[Any]:
         own = [*machine.quantities, *machine.known]
         rows = [{name: x[name + end] for name in own} for end in ENDS[:ends]]
         values = [value for row in rows for value in machine.equations(row, p)]
-        frames = [machine.frame(row, p) for row in rows]
+        frames: list[Frame] = [machine.frame(row, p) for row in rows]
+        for i, names in enumerate(displaced):
+            frames[i] = Displaced.by(frames[i], names, p)
         for instrument in instruments:
             values += instrument.equations(frames, x, p)
         return values
@@ -176,8 +183,43 @@ def assemble(
         orientations=tuple(i.orientation for i in instruments if i.orientation),
         chain=machine.chain,
         placement=instruments[0].place if len(instruments) == 1 else None,
+        located=_located(instruments),
+        body=_body(machine, instruments, made.tape, loops) if instruments else None,
         description=_description(machine, instruments, without_effect),
     )
+
+
+def _body(
+    machine: Machine, instruments: Sequence[Instrument], tape: Tape, loops: Callable[..., Any]
+) -> Body:
+    """The body that the instruments look at, for a tape of these loops."""
+    ends = ENDS[: max(i.ends for i in instruments)]
+    displaced = tuple(displacement_names(machine.dimension, end) for end in ends)
+    mounted = tuple(dict.fromkeys(i.mounted for i in instruments if i.mounted))
+    turning = [n for i in instruments for n in i.mounted if i.parameters[n].unit == "rad"]
+    points = {tuple(n for n in names if n not in turning) for names in mounted}
+    poses = [i for i in instruments if i.form == "pose"]
+    return Body(
+        trace(
+            lambda x, p: loops(x, p, displaced),
+            quantities=tape.quantities,
+            known=tape.known,
+            parameters=(*tape.parameters, *(n for names in displaced for n in names)),
+            loops=tape.loops,
+        ),
+        displaced,
+        mounted,
+        bool(turning or poses) or len(points) > 1,
+    )
+
+
+def _located(instruments: Sequence[Instrument]) -> dict[str, str]:
+    """What the instruments' parameters say: the place of something on the body, or beside it."""
+    return {
+        name: "mounting" if name in i.mounted else "placement"
+        for i in instruments
+        for name in (*i.placement, *i.parameters)
+    }
 
 
 def _description(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, nearest
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import Inputs, trace
+from loopcal.mechanisms.body import Body
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.parameters import Parameter, Parameters, declared, matching
@@ -38,6 +40,9 @@ class Placement(Protocol):
 
     def advice(self, values: Mapping[str, float]) -> tuple[str, ...]:
         """What is wrong with describing the machine by these values [SI], and the remedy."""
+
+
+_KINDS = {"m": "length", "rad": "angle"}
 
 
 @dataclass(frozen=True)
@@ -78,7 +83,10 @@ class Mechanism:
     constants are measured orientations; remarks: what a user should
     know of how it was made, such as why a parameter is fixed; chain: the steps of a serial arm,
     from its base to its body; effects: by name, the parameters of each effect beyond geometry;
-    terms: groups of parameters whose common prior sd is learnt.
+    terms: groups of parameters whose common prior sd is learnt; located: which parameters of its
+    instruments are a "mounting" on the body, and which a "placement" beside it; body: the loops
+    with a body that can be displaced, where instruments look at one; gravity: the direction in
+    which it pulls, in the base of the machine, None for down.
     """
 
     name: str
@@ -96,6 +104,9 @@ class Mechanism:
     chain: tuple[Step, ...] = ()
     effects: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     terms: tuple[Term, ...] = ()
+    located: Mapping[str, str] = field(default_factory=dict)
+    body: Body | None = None
+    gravity: tuple[float, float, float] | None = None
 
     @classmethod
     def from_function(
@@ -154,6 +165,21 @@ class Mechanism:
         return {v.name: v.unit for v in self.variables if v.role == "known"}
 
     @cached_property
+    def kinds(self) -> Mapping[str, str]:
+        """What each parameter says.
+
+        "placement": where machine and instruments stand, and an instrument's zeros; "mounting":
+        where something sits on the body; "effect": of an effect beyond geometry; of the rest
+        "length" or "angle" by their units, or "gain".
+        """
+        beyond = {name for names in self.effects.values() for name in names}
+        placing = self.placement.parameters if self.placement else ()
+        found = {p.name: _KINDS.get(p.unit, "gain") for p in self.parameters}
+        found |= {name: "effect" for name in found if name in beyond}
+        found |= {name: kind for name, kind in self.located.items() if name in found}
+        return found | dict.fromkeys((n for n in placing if n in found), "placement")
+
+    @cached_property
     def disturbances(self) -> tuple[str, ...]:
         """Quantities that stand for errors of the machine model: no sensor reads them."""
         return tuple(v.name for v in self.variables if v.role == "disturbance")
@@ -199,6 +225,27 @@ class Mechanism:
         parameters = self.parameters.with_prior(stated)
         return replace(self, parameters=parameters, terms=(*self.terms, *terms))
 
+    def with_gravity(self, direction: Sequence[float]) -> Mechanism:
+        """The same machine on a wall or ceiling: gravity pulls along this vector in its base.
+
+        The base of an arm whose own parameters place it is the frame of its first joint. Raises
+        InputError for a vector without direction.
+        """
+        x, y, z = map(float, direction)
+        if not any((x, y, z)) or not all(map(math.isfinite, (x, y, z))):
+            raise InputError(
+                f"gravity has the direction {[x, y, z]}",
+                code="invalid-value",
+                remedy="give the vector that points down, (0, 0, -1) where z points up",
+            )
+        described = self.description and {**self.description, "gravity": [x, y, z]}
+        return replace(self, gravity=(x, y, z), description=described)
+
+    def with_tape(self, change: Callable[[Tape], Tape]) -> Mechanism:
+        """The same machine with its loops changed, those of a displaced body alike."""
+        body = self.body and replace(self.body, tape=change(self.body.tape))
+        return replace(self, tape=change(self.tape), body=body)
+
     def predicting(self) -> Mechanism:
         """The mechanism with those loops alone that predict outputs from other readings.
 
@@ -210,7 +257,7 @@ class Mechanism:
         kept = [i for i, loop in enumerate(self.tape.loops) if loop not in implied]
         if len(kept) == len(self.tape.loops) or not self.outputs:
             return self
-        return replace(self, tape=self.tape.only(kept), families=())
+        return replace(self.with_tape(lambda tape: tape.only(kept)), families=())
 
     @property
     def turns(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ disturbance for each loop equation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from loopcal.errors import InputError
@@ -47,27 +48,34 @@ def with_model_error(mechanism: Mechanism) -> Mechanism:
             code="wrong-unit",
             remedy="read points in x, y, z with the instrument's covariance, or leave it out",
         )
-    tape = mechanism.tape
+    changed = mechanism.with_tape(lambda tape: _disturbed(tape, mechanism.outputs, names))
+    own = [mechanism.quantities[name] for name in mechanism.outputs] or ["1"] * len(names)
+    added = [Quantity(n, u, "disturbance") for n, u in zip(names, own, strict=True)]
+    return replace(changed, variables=(*mechanism.variables, *added))
+
+
+def _disturbed(tape: Tape, outputs: Sequence[str], names: Sequence[str]) -> Tape:
+    """The loops with these disturbances of the outputs, or of each loop without outputs."""
     graph = Graph()
     offset = len(tape.quantities)
-    outputs = {tape.quantities.index(name): i for i, name in enumerate(mechanism.outputs)}
+    read = {tape.quantities.index(name): i for i, name in enumerate(outputs)}
     place: list[Node] = []
     for name, payload in tape.operations:
         if name not in LEAVES:
             place.append(graph.apply(name, *(place[int(a)] for a in payload)))
             continue
         node = graph.leaf(name, payload[0])
-        if name == "quantity" and int(payload[0]) in outputs:
-            disturbance = graph.leaf("quantity", offset + outputs[int(payload[0])])
+        if name == "quantity" and int(payload[0]) in read:
+            disturbance = graph.leaf("quantity", offset + read[int(payload[0])])
             node = graph.apply("sub", node, disturbance)
         place.append(node)
     loops = [place[output] for output in tape.outputs]
-    if not mechanism.outputs:
+    if not outputs:
         loops = [
             graph.apply("add", loop, graph.leaf("quantity", offset + i))
             for i, loop in enumerate(loops)
         ]
-    disturbed = Tape.from_graph(
+    return Tape.from_graph(
         graph,
         loops,
         quantities=[*tape.quantities, *names],
@@ -75,6 +83,3 @@ def with_model_error(mechanism: Mechanism) -> Mechanism:
         parameters=tape.parameters,
         loops=tape.loops,
     )
-    own = [mechanism.quantities[name] for name in mechanism.outputs] or ["1"] * len(names)
-    added = [Quantity(n, u, "disturbance") for n, u in zip(names, own, strict=True)]
-    return replace(mechanism, tape=disturbed, variables=(*mechanism.variables, *added))

@@ -24,6 +24,7 @@ from loopcal.mechanisms.keys import REQUIRED, arguments, plain
 from loopcal.mechanisms.origins import LinkJoint, Mimic
 from loopcal.mechanisms.parallel.registry import PARALLEL
 from loopcal.mechanisms.serial import Joint
+from loopcal.mechanisms.structure.structured import structured
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "reference" / "mechanism-file.md"
 PARTS = {"load": Load, "joint": Joint, "link-joint": LinkJoint, "mimic": Mimic}
@@ -33,6 +34,7 @@ MAKERS: dict[str, Callable[..., Any]] = {
     **PARALLEL,
     **PARTS,
     "screw-joint": ScrewJoint,
+    "structured": structured,
 }
 
 

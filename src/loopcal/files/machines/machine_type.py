@@ -4,19 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
 from loopcal.errors import InputError
 from loopcal.files.machines.effects import Effects
+from loopcal.files.machines.entries import table
 from loopcal.files.machines.instruments import instruments
 from loopcal.files.machines.mechanism_parts import ParameterEntries, Units
-from loopcal.files.toml.model import Model
+from loopcal.files.toml.model import Finite, Model
 from loopcal.files.toml.place import Place
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.structure.structured import structured
+
+if TYPE_CHECKING:
+    Structure = Any
+else:
+    Structure = table(structured) | None
 
 
 class MechanismModel(Model):
@@ -27,7 +34,25 @@ class MechanismModel(Model):
     parameters: ParameterEntries = Field(default={})
 
 
-class ChainModel(MechanismModel):
+class MachineModel(MechanismModel):
+    """What machines of all types may say."""
+
+    structure: Structure = Field(
+        default=None, description="The model error that the machine has beyond geometry."
+    )
+
+
+class ArmModel(MachineModel):
+    """What arms of all types may say."""
+
+    gravity: Annotated[list[Finite], Field(min_length=3, max_length=3)] | None = Field(
+        default=None,
+        description="Direction in which gravity pulls, in the base of the machine. "
+        "Default: [0, 0, -1].",
+    )
+
+
+class ChainModel(ArmModel):
     """What chains of all types may say."""
 
     fix_redundant: bool = Field(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +75,7 @@ def mechanism_from_data(
     Raises InputError as `read_mechanism` does.
     """
     from loopcal.files.machines.effects import affected
-    from loopcal.files.machines.machine_type import ChainModel
+    from loopcal.files.machines.machine_type import ArmModel, ChainModel, MachineModel
     from loopcal.files.machines.registry import kinds, machine_type, table_of
     from loopcal.files.toml.model import validated
 
@@ -111,8 +112,47 @@ def mechanism_from_data(
     def stated(parameters: Parameters) -> Parameters:
         return changed(parameters, model.parameters, place.at("parameters"), units)
 
+    if isinstance(model, ArmModel) and model.gravity is not None:
+        made = _pulled(made, model.gravity, place)
     if isinstance(model, ChainModel):
         made = replace(made, remarks=tuple(model.remarks))
         if model.fix_redundant:
             made = identifiable(made, lambda p: stated(p) if told is None else told(stated(p)))
+    if isinstance(model, MachineModel) and model.structure is not None:
+        return _structured(made, model, units, place)
     return made.with_parameters(stated(made.parameters))
+
+
+def _pulled(mechanism: Mechanism, gravity: Sequence[float], place: Place) -> Mechanism:
+    try:
+        return mechanism.with_gravity(gravity)
+    except InputError as error:
+        raise error.at(str(place.at("gravity"))) from None
+
+
+def _structured(
+    mechanism: Mechanism, model: Any, units: Mapping[str, str], place: Place
+) -> Mechanism:
+    """The mechanism with its model error, around all that the file says of its parameters.
+
+    Priors by kind come after those of the file, and its values after the parameters that they are
+    of.
+    """
+    from loopcal.files.machines.entries import built
+    from loopcal.mechanisms.structure.structured import structured
+    from loopcal.mechanisms.terms import stated_terms
+
+    entries, here = model.parameters, place.at("parameters")
+    plain = mechanism.parameters
+    own = {key: e for key, e in entries.items() if any(fnmatchcase(n, key) for n in plain.names)}
+    made: Mechanism = built(
+        structured,
+        model.structure,
+        units,
+        place.at("structure"),
+        mechanism=mechanism.with_parameters(changed(plain, own, here, units)),
+    )
+    sure = {key: False for key, e in entries.items() if e.sd is not None or e.fixed}
+    parameters = changed(made.parameters, entries, here, units)
+    terms = stated_terms(made.terms, parameters, sure)
+    return replace(made, parameters=parameters, terms=terms)

@@ -10,6 +10,7 @@ from loopcal.files.toml.reader import SCHEMA
 from loopcal.mechanisms.keys import plain
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
+from loopcal.mechanisms.structure.structured import OWN_TERMS
 
 
 def mechanism_to_toml(mechanism: Mechanism) -> str:
@@ -34,11 +35,15 @@ def mechanism_to_toml(mechanism: Mechanism) -> str:
         *_structure(mechanism, described),
         *_tables("instrument", described.get("instrument", [])),
         *_tables("effect", described.get("effect", [])),
+        *_model_error(described),
         "",
         "# value: nominal; sd: how well it is known beforehand, absent where not at all;",
         "# fixed = true: not estimated.",
         "[parameters]",
-        *(_parameter(p, described.get("held", ())) for p in mechanism.parameters),
+        *(
+            _line(p.name, _parameter(p, described.get("held", ())) | _sd(mechanism, p))
+            for p in mechanism.parameters
+        ),
     ]
     return "\n".join(parts) + "\n"
 
@@ -48,7 +53,7 @@ _REMARKS = {
 }
 
 
-_APART = ("type", "joints", "instrument", "effect", "held")
+_APART = ("type", "joints", "instrument", "effect", "structure", "held")
 """What of a description is written at a place of its own."""
 
 
@@ -83,14 +88,29 @@ def _remarks(mechanism: Mechanism) -> list[str]:
     return ["remarks = [", *(f"    {_value(words)}," for words in mechanism.remarks), "]"]
 
 
-def _parameter(parameter: Parameter, held: Sequence[str]) -> str:
+def _model_error(described: Mapping[str, Any]) -> list[str]:
+    if "structure" not in described:
+        return []
+    return ["", "[structure]", *(_line(k, v) for k, v in described["structure"].items())]
+
+
+def _parameter(parameter: Parameter, held: Sequence[str]) -> dict[str, Any]:
     """held: parameters that are fixed unless the file says otherwise."""
     entry: dict[str, Any] = {"value": parameter.nominal, "unit": parameter.unit}
-    if not math.isinf(parameter.prior_sd):
-        entry["sd"] = parameter.prior_sd
     if parameter.fixed or parameter.name in held:
         entry["fixed"] = parameter.fixed
-    return _line(parameter.name, entry)
+    return entry
+
+
+def _sd(mechanism: Mechanism, parameter: Parameter) -> dict[str, float]:
+    """The prior sd, where it is not that which the reader gives the parameter."""
+    structure = "structure" in (mechanism.description or {})
+    if structure and any(
+        parameter.name in term.parameters for term in mechanism.terms if term.name in OWN_TERMS
+    ):
+        return {}
+    mounted = structure and mechanism.kinds[parameter.name] == "mounting"
+    return {"sd": parameter.prior_sd} if mounted or math.isfinite(parameter.prior_sd) else {}
 
 
 def _line(key: str, value: Any) -> str:

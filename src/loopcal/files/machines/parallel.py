@@ -10,7 +10,7 @@ from pydantic import Field
 
 from loopcal.files.machines.entries import given, table
 from loopcal.files.machines.instruments import Instruments
-from loopcal.files.machines.machine_type import MachineType, MechanismModel, looked_at
+from loopcal.files.machines.machine_type import MachineModel, MachineType, looked_at
 from loopcal.files.machines.mechanism_parts import Amount
 from loopcal.files.machines.parameter_entries import in_si
 from loopcal.files.toml.place import Place
@@ -19,7 +19,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parallel.registry import PARALLEL
 
 
-class ParallelModel(MechanismModel):
+class ParallelModel(MachineModel):
     """What all parallel machines have; their geometry is in their parameters."""
 
     home: dict[str, Amount] = Field(

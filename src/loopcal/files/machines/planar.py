@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Literal
 
 from loopcal.files.machines.instruments import Instruments
-from loopcal.files.machines.machine_type import MachineType, MechanismModel, looked_at
+from loopcal.files.machines.machine_type import MachineModel, MachineType, looked_at
 from loopcal.files.toml.place import Place
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.planar import NAME, planar_machine, planar_two_link
 
 
-class PlanarTwoLink(MechanismModel):
+class PlanarTwoLink(MachineModel):
     """The planar two-link arm: xA, yA, l2, l3, phi20, phi30; reads xP, yP, phi2, phi3.
 
     With instruments of its own it is the links alone, l2, l3, phi20, phi30, and reads phi2, phi3.

@@ -11,7 +11,7 @@ from pydantic import Discriminator, Field, Tag
 from loopcal.errors import InputError
 from loopcal.files.machines.entries import given, table
 from loopcal.files.machines.instruments import Instruments
-from loopcal.files.machines.machine_type import ChainModel, MachineType, MechanismModel, looked_at
+from loopcal.files.machines.machine_type import ArmModel, ChainModel, MachineType, looked_at
 from loopcal.files.machines.mechanism_parts import Amount, Value
 from loopcal.files.machines.parameter_entries import in_si
 from loopcal.files.toml.model import Model
@@ -199,5 +199,5 @@ def _refuse_repeated(joints: list[str], point: list[str], place: Place) -> None:
 
 TYPES = {
     "serial": MachineType(Serial, serial),
-    "motoman-ma1400": MachineType(table(motoman_ma1400, "Machine", MechanismModel), motoman),
+    "motoman-ma1400": MachineType(table(motoman_ma1400, "Machine", ArmModel), motoman),
 }

@@ -79,17 +79,18 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
                 known.setdefault(its.name, its)
     variables = (*mechanism.variables, *(v for n, v in known.items() if n not in mechanism.known))
     added = [p for its in own.values() for p in its.values()]
-    tape = substituted(
-        mechanism.tape,
-        lambda x, p: _meaning(mechanism, effects, _rows(variables), x, p),
-        known=[name for name in known if name not in mechanism.known],
-        parameters=[p.name for p in added],
+    changed = mechanism.with_tape(
+        lambda tape: substituted(
+            tape,
+            lambda x, p: _meaning(mechanism, effects, _rows(variables), x, p),
+            known=[name for name in known if name not in mechanism.known],
+            parameters=[p.name for p in added],
+        )
     )
     described = dict(mechanism.description or {"type": "function"})
     told = [*described.get("effect", []), *(description(effect) for effect in effects)]
     return replace(
-        mechanism,
-        tape=tape,
+        changed,
         variables=variables,
         parameters=Parameters((*mechanism.parameters, *added)),
         description=described | {"effect": told},

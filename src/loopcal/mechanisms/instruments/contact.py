@@ -92,6 +92,7 @@ def _around(
         equations,
         form,
         placement=fixed.declared,
+        mounted=looked_at.parameters,
         implied={own: 0.0},
         dimension=len(fixed.parameters),
         remedy=apart(fixed),
@@ -133,6 +134,7 @@ def plane(
         equations,
         "gap",
         placement=across.declared | {away: Parameter(away, 0.0, "m")},
+        mounted=looked_at.parameters,
         implied={own: 0.0},
         dimension=dimension,
     )
@@ -175,6 +177,7 @@ def socket(
         equations,
         "gap",
         placement=fixed.declared,
+        mounted=looked_at.parameters,
         implied=dict.fromkeys(own, 0.0),
         dimension=dimension,
     )

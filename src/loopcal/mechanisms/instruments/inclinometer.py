@@ -118,6 +118,7 @@ def inclinometer(
         equations,
         "angle",
         placement=down.declared if tilted else stands.declared,
+        mounted=tuple(n for s in mounted if on == "body" and (n := s.parameter)),
         place=None if station is None else stands,
         dimension=dimension,
         remedy=f"an axis of {name!r} is vertical, where the other has no direction: give the "

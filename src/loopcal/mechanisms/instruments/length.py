@@ -48,6 +48,7 @@ def distance(
         equations,
         "length",
         placement=fixed.declared,
+        mounted=looked_at.parameters,
         dimension=dimension,
         remedy=apart(fixed),
     )
@@ -97,6 +98,7 @@ def relative_distance(
         looked_at.declared,
         equations,
         "length",
+        mounted=looked_at.parameters,
         ends=2,
         dimension=dimension,
         remedy="give rows of two poses in which the target is at different places",

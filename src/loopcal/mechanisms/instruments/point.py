@@ -57,6 +57,7 @@ def point(
         looked_at.declared,
         equations,
         "point",
+        mounted=looked_at.parameters,
         placement=stands.declared,
         place=None if station is None else stands,
         dimension=dimension,

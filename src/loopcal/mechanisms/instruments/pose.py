@@ -129,6 +129,7 @@ def pose(
         equations,
         "pose",
         placement=position.placement,
+        mounted=(*position.mounted, *turn_names),
         place=position.place,
         known={} if measured is None else measured.units,
         orientation=measured,

@@ -90,6 +90,7 @@ def spherical(
         equations,
         "spherical" if dimension == 3 else "polar",
         placement=stands.declared,
+        mounted=looked_at.parameters,
         place=stands,
         dimension=dimension,
         remedy=f"the target is where the station {stands.name!r} stands, or straight above it: "

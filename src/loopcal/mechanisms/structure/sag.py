@@ -1,0 +1,213 @@
+"""Sag: how an arm may give way under its own weight, everywhere at once.
+
+Weight acts at a few points m of the arm. At the base and at each joint j but the last, whose
+origin is o_j, a link may give way about each of its axes e in proportion to the moment of gravity
+there, per weight. Each is one column of a linear model, with a compliance c [rad per metre of
+lever]:
+
+    w = c e (e . ((m - o_j) x g)),    d = w x (b - o_j),
+
+g the unit vector of gravity; w turns the body and d shifts its origin b. The base may give way
+about its own axes. The points: the elbow (origin of the middle joint), the wrist (that of the last
+joint but one) and the tool (the first point that is looked at), each for what stands before it.
+All is computed from the geometry as it is without giving way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.expressions.engine import engine_for
+from loopcal.expressions.trace import trace
+from loopcal.expressions.vectors import cross, dot, rotate, vector
+from loopcal.mechanisms.chain import Step
+from loopcal.mechanisms.direction import Direction
+from loopcal.mechanisms.frame import Values, Vector
+
+Array = NDArray[np.float64]
+BASE = "base"
+TILT = "gravity"
+"""Begins the names of the two parameters that tilt gravity against the base."""
+_POSES, _ALIKE = 24, 1e-9
+_NEXT = {"x": ("y", "z"), "y": ("z", "x"), "z": ("x", "y")}
+
+
+@dataclass(frozen=True)
+class Column:
+    """One way to give way: at `joint`, about `axis` of its link, under a weight at `load`.
+
+    own: whether the axis is that of a turning joint itself.
+    """
+
+    parameter: str
+    joint: str
+    axis: str
+    load: str
+    own: bool
+
+
+@dataclass(frozen=True)
+class _Link:
+    """A frame of the arm, seen from its base: origin (3,), its axes as the columns x, y, z."""
+
+    origin: Vector
+    axes: Mapping[str, Vector]
+
+
+@dataclass(frozen=True)
+class Sag:
+    """An arm that may give way under gravity.
+
+    chain: its steps; ahead: how many of them only place it, in whose last frame gravity is stated;
+    target: the coordinates of the tool in the body's frame; gravity: its nominal direction.
+    """
+
+    chain: tuple[Step, ...]
+    ahead: int
+    target: tuple[str, ...]
+    gravity: tuple[float, float, float]
+
+    @property
+    def down(self) -> Direction:
+        """The direction of gravity, and the two parameters that tilt it."""
+        return Direction.near(self.gravity, name=TILT, what="gravity")
+
+    @property
+    def joints(self) -> dict[str, int]:
+        """Positions of the steps that joints move; of a joint that moves several, NAME_2, ..."""
+        found: dict[str, int] = {}
+        for i, step in enumerate(self.chain):
+            if step.joint is not None:
+                number = 1 + sum(self.chain[k].joint == step.joint for k in found.values())
+                found[step.joint if number == 1 else f"{step.joint}_{number}"] = i
+        return found
+
+    @property
+    def loads(self) -> dict[str, int | None]:
+        """By name, after how many joints each weight comes; None for the tool."""
+        n = len(self.joints)
+        inner = {"elbow": (n + 1) // 2, "wrist": n - 1}
+        used = {at: name for name, at in inner.items() if at > 1}
+        return {**{name: at for at, name in used.items()}, "tool": None}
+
+    def candidates(self) -> Iterator[Column]:
+        """All columns, whether or not they are of any effect."""
+        names = [BASE, *self.joints][: max(1, len(self.joints))]
+        for number, joint in enumerate(names):
+            loads = [load for load, at in self.loads.items() if at is None or at > number]
+            motion = self.chain[self.joints[joint]].motion if number else ""
+            for axis in "xyz":
+                for load in loads:
+                    own = motion == f"r{axis}"
+                    yield Column(f"{joint}_sag_{axis}_{load}", joint, axis, load, own)
+
+    def columns(self, nominal: Mapping[str, float]) -> tuple[Column, ...]:
+        """The columns that do something, each once.
+
+        At random poses of the nominal arm, and with gravity as stated. Two that displace the body
+        alike would count twice.
+        """
+        candidates = list(self.candidates())
+        units = {step.joint: step.unit for step in self.chain if step.joint}
+        names = [column.parameter for column in candidates]
+        p = {**nominal, **dict.fromkeys((*self.down.tilts, *names), 0.0)}
+        tape = trace(
+            lambda x, p: [
+                *np.concatenate(self.displacement(candidates, cast("Any", x), cast("Any", p)))
+            ],
+            quantities=tuple(units),
+            parameters=tuple(p),
+        )
+        engine = engine_for(tape, tuple(names), _POSES, ())
+        engine.at(np.array(list(p.values())))
+        rng = np.random.default_rng(0)
+        spans = [(-2.5, 2.5) if unit == "rad" else (0.0, 0.7) for unit in units.values()]
+        x = np.array([rng.uniform(*span, _POSES) for span in spans])
+        each = engine.evaluate(x, np.empty((0, _POSES))).by_parameter
+        kept: list[int] = []
+        for i, own in enumerate(each):
+            size = float(np.linalg.norm(own))
+            if size > _ALIKE and not any(_alike(own, each[k], size) for k in kept):
+                kept.append(i)
+        return tuple(candidates[i] for i in kept)
+
+    def displacement(
+        self, columns: Sequence[Column], x: Values, p: Values
+    ) -> tuple[Vector, Vector]:
+        """Shift d and turn w of the body (3,) each, in the first frame of the chain."""
+        links, body = self._links(x, p)
+        tool = body.origin
+        for letter, name in zip("xyz", self.target, strict=False):
+            tool = tool + body.axes[letter] * p[name]
+        behind = [link.origin for link in links]
+        points = {load: tool if at is None else behind[at] for load, at in self.loads.items()}
+        names = [BASE, *self.joints]
+        g = self._pull(x, p)
+        shift, turn = vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)
+        for number, link in enumerate(links):
+            its = [column for column in columns if column.joint == names[number]]
+            if not its:
+                continue
+            moments = {load: cross(points[load] - link.origin, g) for load in {c.load for c in its}}
+            given = vector(0.0, 0.0, 0.0)
+            for axis in "xyz":
+                e = link.axes[axis]
+                angle: Any = 0.0
+                for column in its:
+                    if column.axis == axis:
+                        angle = angle + p[column.parameter] * dot(e, moments[column.load])
+                given = given + e * angle
+            turn = turn + given
+            shift = shift + cross(given, body.origin - link.origin)
+        return shift, turn
+
+    def _pull(self, x: Values, p: Values) -> Vector:
+        """Gravity in the first frame of the chain."""
+        pull = self.down.vector(p)
+        for step in reversed(self.chain[: self.ahead]):
+            if step.motion[0] == "r":
+                pull = rotate(step.motion[1], step.amount(x, p), pull)
+        return pull
+
+    def _links(self, x: Values, p: Values) -> tuple[list[_Link], _Link]:
+        """The frames of base and joints, behind each joint's motion, and that of the body."""
+        origin = vector(0.0, 0.0, 0.0)
+        axes = dict(zip("xyz", np.eye(3), strict=True))
+        moved = set(self.joints.values())
+        links: list[_Link] = []
+        for i, step in enumerate(self.chain):
+            if i == self.ahead:
+                links.append(_Link(origin, axes))
+            amount, letter = step.amount(x, p), step.motion[1]
+            if step.motion[0] == "t":
+                origin = origin + axes[letter] * amount
+            else:
+                a, b = _NEXT[letter]
+                c, s = np.cos(amount), np.sin(amount)
+                axes = axes | {a: axes[a] * c + axes[b] * s, b: axes[b] * c - axes[a] * s}
+            if i in moved:
+                links.append(_Link(origin, axes))
+        return self._standing(links), _Link(origin, axes)
+
+    def _standing(self, links: list[_Link]) -> list[_Link]:
+        """The links of an arm placed by its own steps, base and first joint level with the second.
+
+        Where its first axis begins depends on the frame of the instrument.
+        """
+        if not self.ahead or len(links) < 3:
+            return links
+        base, first, second = links[:3]
+        motion = self.chain[self.ahead].motion
+        e = first.axes[motion[1]]
+        foot = first.origin + e * dot(e, second.origin - first.origin)
+        return [_Link(foot, base.axes), _Link(foot, first.axes), *links[2:]]
+
+
+def _alike(own: Array, other: Array, size: float) -> bool:
+    apart = min(np.linalg.norm(own - other), np.linalg.norm(own + other))
+    return bool(apart <= _ALIKE * size)

@@ -1,0 +1,111 @@
+"""Smooth functions of the joints, as few features: what a dense Gaussian process would add.
+
+The product of periodic kernels exp((cos(q_d - q_d') - 1) / l_d^2) has the Fourier series
+sum_k w_k cos(k . (q - q')) over vectors k of whole numbers, with the weights
+
+    w_k = prod_d I_{k_d}(1 / l_d^2) exp(-1 / l_d^2),
+
+I_k the modified Bessel functions. The M vectors k != 0 of largest weight, one of k and -k, give the
+features a_k cos(k . q) and a_k sin(k . q). The a_k are scaled such that their squares sum to 1: if
+all coefficients have the sd s, so has the function, in every pose.
+
+Source: MacKay (1998) for the kernel; Rahimi and Recht (2007) for features of a kernel.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from loopcal.mechanisms.frame import Values
+
+FEATURES = 30
+NEAR, FAR = 1.0, 3.0
+"""Length scales [rad] of the first three turning joints, and of the others."""
+RANGE = 1.0
+"""Range [m] of a slide whose limits nobody states; half a turn stands for it."""
+
+
+@dataclass(frozen=True)
+class Harmonic:
+    """A vector k of whole numbers by joint, and the root of its share of the variance."""
+
+    orders: tuple[int, ...]
+    amplitude: float
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """Features of the joints: names, with a factor each that makes turns [rad] of readings."""
+
+    joints: tuple[str, ...]
+    factors: tuple[float, ...]
+    harmonics: tuple[Harmonic, ...]
+
+    @classmethod
+    def of(cls, joints: Sequence[tuple[str, str]], ranges: dict[str, float]) -> Smooth:
+        """Features of joints, given by name and SI unit; ranges [m] of slides, where known."""
+        turning = [name for name, unit in joints if unit == "rad"]
+        scales = [NEAR if name not in turning[3:] else FAR for name, _ in joints]
+        factors = [
+            1.0 if unit == "rad" else math.pi / ranges.get(name, RANGE) for name, unit in joints
+        ]
+        return cls(tuple(name for name, _ in joints), tuple(factors), harmonics(scales))
+
+    def features(self, x: Values) -> list[Any]:
+        """a_k cos(k . q) and a_k sin(k . q) for each k in turn."""
+        found: list[Any] = []
+        for harmonic in self.harmonics:
+            phase: Any = 0.0
+            for order, joint, factor in zip(
+                harmonic.orders, self.joints, self.factors, strict=True
+            ):
+                if order:
+                    phase = phase + (order * factor) * x[joint]
+            found += [harmonic.amplitude * np.cos(phase), harmonic.amplitude * np.sin(phase)]
+        return found
+
+
+def harmonics(scales: Sequence[float], count: int = FEATURES) -> tuple[Harmonic, ...]:
+    """The vectors k of largest weight for these length scales, the largest first."""
+    found = list(itertools.islice(_by_weight(scales), count))
+    total = sum(weight for _, weight in found)
+    return tuple(Harmonic(k, math.sqrt(weight / total)) for k, weight in found)
+
+
+def _by_weight(scales: Sequence[float]) -> Iterator[tuple[tuple[int, ...], float]]:
+    """Vectors k != 0 with their weights, one of k and -k, in falling order of weight."""
+    n = len(scales)
+    tables = [_weights(scale) for scale in scales]
+
+    def weight(k: Sequence[int]) -> float:
+        return math.prod(float(t[abs(o)]) for t, o in zip(tables, k, strict=True))
+
+    start = (0,) * n
+    waiting = [(-weight(start), start)]
+    met = {start}
+    while waiting:
+        least, k = heapq.heappop(waiting)
+        used = [d for d in range(n) if k[d]]
+        for signs in itertools.product((1, -1), repeat=max(0, len(used) - 1)):
+            signed = dict(zip(used, (1, *signs), strict=False))
+            if used:
+                yield tuple(o * signed.get(d, 1) for d, o in enumerate(k)), -least
+        for d in range(n):
+            following = (*k[:d], k[d] + 1, *k[d + 1 :])
+            if following not in met and following[d] < len(tables[d]):
+                met.add(following)
+                heapq.heappush(waiting, (-weight(following), following))
+
+
+def _weights(scale: float, highest: int = 40) -> Any:
+    """I_k(z) exp(-z) for k = 0, 1, ..., z = 1 / scale^2, by its integral over a turn."""
+    t = np.arange(256) * (2.0 * np.pi / 256)
+    z = 1.0 / scale**2
+    return np.cos(np.outer(np.arange(highest), t)) @ np.exp(z * (np.cos(t) - 1.0)) / 256

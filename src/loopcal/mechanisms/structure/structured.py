@@ -1,0 +1,320 @@
+"""The structured model error of a machine: what it may have beyond geometry, without being asked.
+
+Kinds of parameters have priors, and what every machine has to some degree is there as parameters
+whose sds are learnt (`Term`): near zero where the data do not ask for them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Annotated, Any
+
+from loopcal.expressions.substitution import substituted
+from loopcal.mechanisms.effects.effect import Effect, with_effects
+from loopcal.mechanisms.effects.harmonics import Harmonics
+from loopcal.mechanisms.effects.scale import Scale
+from loopcal.mechanisms.keys import Key, described
+from loopcal.mechanisms.machine import ENDS
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameter, Parameters, matching
+from loopcal.mechanisms.placement import ChainPlacement
+from loopcal.mechanisms.structure.sag import Column, Sag
+from loopcal.mechanisms.structure.smooth import Smooth
+from loopcal.mechanisms.terms import Term
+
+MANY_POSES = 300
+"""From this many poses on a smooth discrepancy can be told from noise."""
+MOUNTED = {"m": 5e-3, "rad": 50e-3}
+"""Prior sds of what is mounted on the body: 5 mm, and that over the 0.1 m of a typical bracket."""
+TILT = math.radians(5.0)
+"""Prior sd of each tilt of gravity against the machine's base."""
+EFFECT = "structure"
+"""Name of all that is added, among the effects of a mechanism."""
+OWN_TERMS = (
+    "lengths",
+    "angles",
+    "sag",
+    "sag_across",
+    "discrepancy",
+    "discrepancy_turns",
+    "harmonics",
+    "scales",
+)
+"""Names of the terms that a structured mechanism may have."""
+ORDERS = (1.0, 2.0)
+DOWN = (0.0, 0.0, -1.0)
+
+Sagging = Annotated[
+    bool | tuple[str, ...],
+    Key("Whether an arm may give way under its weight; or by which parameters it may."),
+]
+
+
+def structured(
+    mechanism: Mechanism,
+    *,
+    sag: Sagging = True,
+    harmonics: Annotated[bool, Key("Whether gears and encoders may be out of round.")] = True,
+    discrepancy: Annotated[
+        bool, Key("Whether what remains may be a smooth function of the joints.")
+    ] = False,
+) -> Mechanism:
+    """The mechanism with the model error of a real machine, as parameters with learnt sds.
+
+    Priors by kind, where none is stated (see `Mechanism.kinds`): placement flat; mounting known
+    to 5 mm and 50 mrad, flat where all its values are 0 and so nobody stated it; lengths and
+    angles share a learnt sd each (medians 1 mm and 1 mrad). Further parameters, nominally 0:
+
+    - sag, of serial arms: JOINT_sag_AXIS_LOAD [rad/m] about the joints' axes (median 0.5 mrad per
+      metre) and across them (0.2), and two tilts of gravity, known to 5 degrees (see `Sag`).
+      Gravity pulls along `Mechanism.gravity`;
+    - harmonics: JOINT_cos1 ... JOINT_sin2 [rad] of turning joints (median 0.1 mrad), and
+      JOINT_scale of slides (median 1e-4);
+    - discrepancy: smooth functions of the joints that shift the body (median 0.3 mm), and turn it
+      too (median 0.3 mrad) where that is seen. Worth it from some 300 poses on.
+
+    Loops of one's own are returned as they are, and so is a mechanism that is structured already.
+    Raises InputError for parameters of sag that the arm cannot have.
+    """
+    if "structure" in (mechanism.description or {}) or not _known(mechanism):
+        return mechanism
+    old = set(mechanism.parameters.names)
+    made = _with_priors(mechanism)
+    if mechanism.body is not None:
+        arm = _arm(mechanism) if sag else None
+        columns = _columns(mechanism, arm, sag)
+        sag = tuple(c.parameter for c in columns)
+        made = _displaced(made, arm, columns, _smooth(mechanism) if discrepancy else None)
+    if harmonics:
+        made = _with_drives(made)
+    given = {"sag": sag, "harmonics": harmonics, "discrepancy": discrepancy}
+    stated = {k: v for k, v in described(structured, given).items() if k != "type"}
+    own = mechanism.description
+    return replace(
+        made,
+        description=None if own is None else {**own, "structure": stated},
+        effects={**mechanism.effects}
+        | {EFFECT: tuple(n for n in made.parameters.names if n not in old)},
+    )
+
+
+def _known(mechanism: Mechanism) -> bool:
+    """Whether anything tells the kinds of its parameters."""
+    return bool(mechanism.families) or mechanism.placement is not None
+
+
+def _with_priors(mechanism: Mechanism) -> Mechanism:
+    """Default priors by kind; what is stated stays."""
+    unknown = {name for names in unstated_mountings(mechanism) for name in names}
+    flat = [p for p in mechanism.parameters if not p.fixed and math.isinf(p.prior_sd)]
+    mounted = {
+        p.name: MOUNTED[p.unit]
+        for p in flat
+        if mechanism.kinds[p.name] == "mounting" and p.name not in unknown
+    }
+    made = mechanism.with_parameters(mechanism.parameters.with_prior(mounted))
+    return made.with_terms(
+        *_term(
+            "lengths",
+            [p.name for p in flat if mechanism.kinds[p.name] == "length"],
+            1e-3,
+            "lengths of the machine differ from the drawing by {scale}",
+        ),
+        *_term(
+            "angles",
+            [p.name for p in flat if mechanism.kinds[p.name] == "angle"],
+            1e-3,
+            "angles of the machine differ from the drawing by {scale}",
+        ),
+    )
+
+
+def unstated_mountings(mechanism: Mechanism) -> tuple[tuple[str, ...], ...]:
+    """The parameters of each thing on the body whose place nobody stated: all free, flat and 0."""
+    if mechanism.body is None:
+        return ()
+    groups = [[mechanism.parameters[n] for n in names] for names in mechanism.body.mounted]
+    return tuple(
+        tuple(p.name for p in group)
+        for group in groups
+        if all(not p.fixed and math.isinf(p.prior_sd) and p.nominal == 0.0 for p in group)
+    )
+
+
+def _term(name: str, parameters: Sequence[str], sd: float, words: str) -> list[Term]:
+    """The term, if it has any parameter."""
+    return [Term(name, tuple(parameters), sd, words=words)] if parameters else []
+
+
+def _arm(mechanism: Mechanism) -> Sag | None:
+    """What may give way; None for a machine that is not an arm in space."""
+    body, chain = mechanism.body, mechanism.chain
+    if body is None or body.planar or not chain:
+        return None
+    ahead = 0
+    if isinstance(mechanism.placement, ChainPlacement):
+        ahead = next(i for i, step in enumerate(chain) if step.joint)
+    points = [names for names in body.mounted if mechanism.parameters[names[0]].unit == "m"]
+    return Sag(chain, ahead, points[0][:3] if points else (), mechanism.gravity or DOWN)
+
+
+def _columns(
+    mechanism: Mechanism, arm: Sag | None, wanted: bool | tuple[str, ...]
+) -> tuple[Column, ...]:
+    """The columns that are named, or all that do something.
+
+    Raises InputError for a name that is none of the arm's.
+    """
+    if arm is None:
+        return ()
+    if isinstance(wanted, bool):
+        return arm.columns(_turned(mechanism))
+    candidates = {c.parameter: c for c in arm.candidates()}
+    return tuple(candidates[n] for key in wanted for n in matching(key, candidates, "sag"))
+
+
+def _smooth(mechanism: Mechanism) -> Smooth | None:
+    """Features of the joints that are driven and read."""
+    driven = driven_joints(mechanism)
+    listed = (mechanism.description or {}).get("joints", [])
+    limits = {joint.name: getattr(joint, "limits", None) for joint in listed}
+    ranges = {name: span[1] - span[0] for name, span in limits.items() if span is not None}
+    joints = [(name, mechanism.quantities[name]) for name in driven]
+    return Smooth.of(joints, ranges) if joints else None
+
+
+def driven_joints(mechanism: Mechanism) -> list[str]:
+    """The joints that are moved and read: those of an arm, or those with a zero of their own."""
+    if mechanism.chain:
+        return list(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
+    names = set(mechanism.parameters.names)
+    read = [v.name for v in mechanism.variables if v.role == "reading" and v.first is None]
+    if not mechanism.families:
+        return [name for name in read if name not in mechanism.outputs]
+    return [name for name in read if f"{name}_offset" in names]
+
+
+def _displaced(
+    mechanism: Mechanism, arm: Sag | None, columns: Sequence[Column], smooth: Smooth | None
+) -> Mechanism:
+    """The mechanism with its body displaced by sag and by a smooth discrepancy."""
+    body = mechanism.body
+    if body is None or (arm is None and smooth is None):
+        return mechanism
+    added: list[Parameter] = []
+    terms: list[Term] = []
+    if arm is not None:
+        added += [Parameter(c.parameter, 0.0, "rad/m") for c in columns]
+        added += [Parameter(n, 0.0, "rad", TILT) for n in arm.down.tilts]
+        terms += [
+            *_term(
+                "sag",
+                [c.parameter for c in columns if c.own],
+                0.5e-3,
+                "joints give way about their axes under gravity by {scale}",
+            ),
+            *_term(
+                "sag_across",
+                [c.parameter for c in columns if not c.own],
+                0.2e-3,
+                "links and bearings give way across the joints' axes under gravity by {scale}",
+            ),
+        ]
+    shifts, turns = _coefficients(mechanism, smooth)
+    added += [Parameter(n, 0.0, "m") for row in shifts for n in row]
+    added += [Parameter(n, 0.0, "rad") for row in turns for n in row]
+    terms += [
+        *_term(
+            "discrepancy",
+            [n for row in shifts for n in row],
+            0.3e-3,
+            "what remains shifts the body by {scale}, smoothly in the joints",
+        ),
+        *_term(
+            "discrepancy_turns",
+            [n for row in turns for n in row],
+            0.3e-3,
+            "what remains turns the body by {scale}, smoothly in the joints",
+        ),
+    ]
+    axes = body.axes
+
+    def meaning(
+        x: Mapping[str, Any], p: Mapping[str, Any]
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What stands in place of the displacements, for each pose of a row."""
+        places: dict[str, Any] = {}
+        for end, names in zip(ENDS, body.displacements, strict=False):
+            row = {v.name: x[v.name + end] for v in mechanism.variables if v.name + end in x}
+            total = dict.fromkeys(axes, 0.0)
+            if arm is not None:
+                sagged = arm.displacement(columns, row, p)
+                total |= dict(zip(axes, (*sagged[0], *sagged[1]), strict=True))
+            if smooth is not None:
+                features = smooth.features(row)
+                for axis, its in zip(axes, (*shifts, *turns), strict=False):
+                    for name, feature in zip(its, features, strict=True):
+                        total[axis] = total[axis] + p[name] * feature
+            places |= dict(zip(names, total.values(), strict=True))
+        return {}, places
+
+    displaced = tuple(n for names in body.displacements for n in names)
+    tape = substituted(body.tape, meaning, parameters=[p.name for p in added], without=displaced)
+    made = replace(
+        mechanism,
+        tape=tape,
+        parameters=Parameters((*mechanism.parameters, *added)),
+        body=None,
+    )
+    return made.with_terms(*terms)
+
+
+def _turned(mechanism: Mechanism) -> dict[str, float]:
+    """The nominal values, but turned a little where they place an arm: it may stand anywhere."""
+    kinds = mechanism.kinds
+    return {
+        p.name: p.nominal + (0.1 if p.unit == "rad" and kinds[p.name] == "placement" else 0.0)
+        for p in mechanism.parameters
+    }
+
+
+def _coefficients(
+    mechanism: Mechanism, smooth: Smooth | None
+) -> tuple[list[list[str]], list[list[str]]]:
+    """Names of the features' coefficients for each shift of the body, and for each turn."""
+    body = mechanism.body
+    if body is None or smooth is None:
+        return [], []
+    parts = [f"{part}{i}" for i in range(1, len(smooth.harmonics) + 1) for part in ("cos", "sin")]
+    rows = {axis: [f"discrepancy_{axis}_{part}" for part in parts] for axis in body.axes}
+    shifts = [its for axis, its in rows.items() if len(axis) == 1]
+    turns = [its for axis, its in rows.items() if len(axis) == 2 and body.turns]
+    return shifts, turns
+
+
+def _with_drives(mechanism: Mechanism) -> Mechanism:
+    """The mechanism with harmonics of its turning joints, and scales of its slides."""
+    driven = driven_joints(mechanism)
+    made = _with_drive(
+        mechanism,
+        [Harmonics((q,), ORDERS, q) for q in driven if mechanism.quantities[q] == "rad"],
+        Term("harmonics", ("",), 1e-4, words="gears and encoders are out of round by {scale}"),
+    )
+    return _with_drive(
+        made,
+        [Scale((q,), q) for q in driven if mechanism.quantities[q] == "m"],
+        Term("scales", ("",), 1e-4, words="scales of slides are wrong by {scale}"),
+    )
+
+
+def _with_drive(mechanism: Mechanism, effects: Sequence[Effect], term: Term) -> Mechanism:
+    """The mechanism with these effects, but for those that it has already, under one term."""
+    taken = set(mechanism.parameters.names)
+    new = [e for e in effects if taken.isdisjoint(e.parameters(mechanism))]
+    if not new:
+        return mechanism
+    names = tuple(n for e in new for n in e.parameters(mechanism))
+    made = replace(with_effects(replace(mechanism, effects={}), new), effects=mechanism.effects)
+    return made.with_terms(replace(term, parameters=names))
