@@ -65,7 +65,7 @@ def calibrate(
     refuse_noise(fit, stated)
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
-    mechanism = modelled(fit, fit.with_prior(mechanism))
+    mechanism = modelled(fit, fit.with_prior(mechanism), len(data))
     told = noise_told(fit, mechanism, data, stated)
     refuse_learning(fit, mechanism, told)
     if told is not None:

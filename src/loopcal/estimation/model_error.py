@@ -15,6 +15,7 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.measurements.noise import MODEL, Noise
+from loopcal.mechanisms.structure.structured import EFFECT, MANY_POSES, structured
 
 if TYPE_CHECKING:
     from loopcal.estimation.fit import Fit
@@ -48,9 +49,15 @@ def weighed(fit: Fit, data: Dataset) -> Dataset:
     return replace(data, sds={}) if fit.method.exact else data
 
 
-def modelled(fit: Fit, mechanism: Mechanism) -> Mechanism:
-    """The mechanism with the terms for its model error that a fit asks for."""
-    return mechanism
+def modelled(fit: Fit, mechanism: Mechanism, poses: int) -> Mechanism:
+    """The mechanism with the terms for its model error that a fit asks for.
+
+    poses: so many determine whether what remains may be a smooth function of the joints. A
+    mechanism that has its terms keeps them, such as that of a calibration whose folds are fitted.
+    """
+    if fit.model_error == "none" or EFFECT in mechanism.effects:
+        return mechanism
+    return structured(mechanism, discrepancy=poses >= MANY_POSES)
 
 
 def _isotropic(mechanism: Mechanism) -> bool:

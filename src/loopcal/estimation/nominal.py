@@ -10,23 +10,18 @@ from __future__ import annotations
 import math
 
 from loopcal.mechanisms.mechanism import Mechanism
-
-MOUNTED = {"m": 5e-3, "rad": 50e-3}
-"""Prior sds of what is mounted on the body where none is stated."""
+from loopcal.mechanisms.structure.structured import MOUNTED, unstated_mountings
 
 
 def nominal_machine(mechanism: Mechanism) -> Mechanism:
     """The mechanism with all fixed but placements and mountings; these get default priors."""
-    kinds = dict.fromkeys(mechanism.parameters.names, "length")
-    kinds |= dict.fromkeys(getattr(mechanism.placement, "tool", ()), "mounting")
-    kinds |= dict.fromkeys(
-        mechanism.placement.parameters if mechanism.placement else (), "placement"
-    )
+    kinds = mechanism.kinds
+    unknown = {name for names in unstated_mountings(mechanism) for name in names}
     fixed = [p.name for p in mechanism.parameters if kinds[p.name] not in ("placement", "mounting")]
     priors = {
         p.name: MOUNTED[p.unit]
         for p in mechanism.parameters
-        if kinds[p.name] == "mounting" and math.isinf(p.prior_sd) and p.unit in MOUNTED
+        if kinds[p.name] == "mounting" and math.isinf(p.prior_sd) and p.name not in unknown
     }
     parameters = mechanism.parameters.with_prior(priors).with_fixed(fixed)
     return mechanism.with_parameters(parameters)

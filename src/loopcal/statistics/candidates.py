@@ -38,7 +38,7 @@ def entrants(case: Case) -> Iterator[Entrant]:
     for method in methods if lossless else ():
         with_error = fit.changed(method=method, model_error="structured")
         own = with_error.with_prior(case.mechanism)
-        if len(modelled(with_error, own).terms) > len(own.terms):
+        if len(modelled(with_error, own, len(case.data)).terms) > len(own.terms):
             yield Entrant(f"{method.name} with model error", replace(case, fit=with_error), True)
     for method in methods:
         plain = fit.changed(method=method, model_error="none")
