@@ -162,7 +162,7 @@ class Result:
         tested = self.all_poses is None and self.fit.robust_loss is None
         if not tested or not self.status.converged:
             return None
-        method = self.fit.method
+        method = self.fit.solver
         with one_blas_thread():
             return dependence(
                 self.problem, self.solution, exact=method.exact, at_readings=method.at_readings
