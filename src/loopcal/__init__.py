@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from loopcal.document.result_document import ResultDocument
     from loopcal.errors import InputError, LoopcalError
     from loopcal.estimation.accuracy import Accuracy, InstrumentAccuracy
-    from loopcal.estimation.calibrate import calibrate
     from loopcal.estimation.fit import Fit
     from loopcal.estimation.residuals import Closure
     from loopcal.estimation.result import Result
@@ -47,6 +46,7 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.terms import Term
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation, simulate
+    from loopcal.statistics.calibrate import calibrate
     from loopcal.statistics.check import Check, check
     from loopcal.statistics.compared import Compared
     from loopcal.statistics.comparison import compare
@@ -56,12 +56,8 @@ if TYPE_CHECKING:
     from loopcal.statistics.outliers import Outliers, find_outliers
     from loopcal.statistics.prediction import Prediction, predict
     from loopcal.statistics.repeats import Repeats, repeated_readings
-    from loopcal.statistics.validation import (
-        MethodComparison,
-        Validation,
-        compare_methods,
-        validate,
-    )
+    from loopcal.statistics.validate import MethodComparison, compare_methods, validate
+    from loopcal.statistics.validation import Validation
     from loopcal.workflow.calibration import write_result
 
 _HOME = {
@@ -72,7 +68,6 @@ _HOME = {
     "errors": ("InputError", "LoopcalError"),
     "estimation.accuracy": ("Accuracy", "InstrumentAccuracy"),
     "estimation.residuals": ("Closure",),
-    "estimation.calibrate": ("calibrate",),
     "estimation.fit": ("Fit",),
     "estimation.result": ("Result",),
     "estimation.solve.status": ("Status",),
@@ -104,11 +99,13 @@ _HOME = {
     "mechanisms.terms": ("Term",),
     "simulation.poses": ("grid_poses", "random_poses"),
     "simulation.simulate": ("Simulation", "simulate"),
+    "statistics.calibrate": ("calibrate",),
     "statistics.check": ("Check", "check"),
     "statistics.compared": ("Compared",),
     "statistics.comparison": ("compare",),
     "statistics.intervals": ("Interval", "intervals"),
-    "statistics.validation": ("MethodComparison", "Validation", "compare_methods", "validate"),
+    "statistics.validate": ("MethodComparison", "compare_methods", "validate"),
+    "statistics.validation": ("Validation",),
     "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
     "statistics.outliers": ("Outliers", "find_outliers"),
     "statistics.findings": ("Findings", "findings"),

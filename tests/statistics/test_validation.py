@@ -15,7 +15,7 @@ from loopcal.errors import Code, InputError
 from loopcal.statistics import validation
 from loopcal.statistics.blocks import blocks
 from loopcal.statistics.folds import folds, grouped, held_out, repeated
-from loopcal.statistics.validation import compare_methods, validate
+from loopcal.statistics.validate import compare_methods, validate
 from tests.reference.simulated import arm_at, planar_arm
 from tests.refusals import refused
 

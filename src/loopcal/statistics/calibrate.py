@@ -66,5 +66,4 @@ def calibrate(
         return calibrate_by_method(mechanism, data, noise=told, fit=asked, progress=progress)
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
-    found = choose(Case(mechanism, data, told, asked), scheme, executor)
-    return found.result.adding(found.added_to)
+    return choose(Case(mechanism, data, told, asked), scheme, executor).calibrated

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from loopcal.estimation.methods import implicit_loop
 from loopcal.estimation.model_error import instrument_noise, modelled
 from loopcal.estimation.nominal import nominal_machine
 from loopcal.statistics.validation import Case
@@ -36,6 +37,8 @@ def entrants(case: Case) -> Iterator[Entrant]:
     fit, lossless = case.fit, case.fit.robust_loss is None
     methods = fit.among(case.data, case.noise)
     for method in methods if lossless else ():
+        if method.at_readings:
+            continue  # the noise of the model error says nothing about the parameters anyway
         with_error = fit.changed(method=method, model_error="structured")
         own = with_error.with_prior(case.mechanism)
         if len(modelled(with_error, own, len(case.data)).terms) > len(own.terms):
@@ -51,6 +54,7 @@ def nominal_case(case: Case) -> Case:
     """The nominal machine, placed and mounted by readings of instruments weighted alike."""
     mechanism = nominal_machine(case.fit.with_prior(case.mechanism))
     noise = instrument_noise(mechanism, case.data)
-    method = next(m for m in case.fit.method.choice if m.likelihood and not m.exact)
-    fit = case.fit.changed(method=method, loss="gaussian", prior=None, model_error="none")
+    fit = case.fit.changed(
+        method=implicit_loop.METHOD, loss="gaussian", prior=None, model_error="none"
+    )
     return Case(mechanism, replace(case.data, sds={}), noise, fit)

@@ -42,6 +42,7 @@ from loopcal.statistics.validation import (
     left_out,
     planned,
     pooled,
+    validated,
 )
 
 Array = NDArray[np.float64]
@@ -83,6 +84,11 @@ class Choice:
     validation: Validation | None
     nominal: Result | None
 
+    @property
+    def calibrated(self) -> Result:
+        """The result of the chosen candidate, which tells of the choice."""
+        return self.result.adding(self.added_to)
+
     def added_to(self, document: ResultDocument) -> ResultDocument:
         """The document of the chosen candidate's result, with this."""
         accuracy = document.accuracy
@@ -105,18 +111,24 @@ def choose(
 ) -> Choice:
     """The candidate that predicts poses not used, as the head of this module says.
 
-    scheme: what is left out, by default 10 folds and 5 regions, fewer where poses are few. Where
-    nothing can be left out, the first candidate that converges is taken, unvalidated.
+    scheme: what is left out, by default 10 folds and 5 regions, fewer where poses are few; where it
+    names other readings, these are predicted by what was chosen by default. Where nothing can be
+    left out, the first candidate that converges is taken, unvalidated.
 
     Raises InputError where no candidate can be fitted.
     """
     judged = [_fitted(one) for one in entrants(case)]
     if not any(one.whole for one in judged):
         raise next(one.error for one in judged if one.error)
-    plan = _plan(case, scheme)
+    other = scheme if scheme and scheme.other is not None else None
+    plan = _plan(case, None if other else scheme)
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
-    return _choice(case, judged, plan)
+    found = _choice(case, judged, plan)
+    if other is None:
+        return found
+    taken = next(one.entrant.case for one in judged if one.name == found.chosen.method)
+    return replace(found, validation=validated(taken, found.result, other))
 
 
 def _fitted(one: Entrant) -> Judged:
@@ -131,12 +143,15 @@ def _fitted(one: Entrant) -> Judged:
 
 def _plan(case: Case, scheme: Scheme | None) -> Plan | None:
     """What is left out; None where there are too few different poses for any part."""
+    sds = stated_sds(case.noise, case.mechanism, case.data)
+    groups = None if scheme is None else scheme.groups
+    different = len(np.unique(grouped(case.mechanism, case.data, groups, sds)))
+    if different < 2:
+        return None
     if scheme is None:
-        sds = stated_sds(case.noise, case.mechanism, case.data)
-        different = len(np.unique(grouped(case.mechanism, case.data, None, sds)))
-        if different < 2:
-            return None
-        scheme = Scheme(min(FOLDS, different), BLOCKS if different >= FEWEST else 0)
+        scheme = Scheme(min(FOLDS, different))
+    if scheme.blocks is None:
+        scheme = replace(scheme, blocks=BLOCKS if different >= FEWEST else 0)
     return planned(case, scheme)
 
 

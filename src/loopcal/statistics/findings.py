@@ -5,32 +5,46 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from loopcal.document.accuracy import Distances
 from loopcal.document.findings import Observability, OtherOptimum
 from loopcal.document.result_document import ResultDocument
+from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.statistics.candidates import nominal_case
 from loopcal.statistics.identifiability import WhatDataSay, calibration_index, what_data_say
+from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.observability import data_spectrum, observability
 from loopcal.statistics.optima import other_optima
 from loopcal.statistics.outliers import Outliers, find_outliers
 from loopcal.statistics.predictor import Predictor, predictor, usual_words
+from loopcal.statistics.validation import Case
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
     """identifiability: data beside prior; observability: of the poses; predictor: or None;
-    outliers: what does not fit; optima: others that fit about as well."""
+    outliers: what does not fit; optima: others that fit about as well; nominal: accuracy of the
+    nominal machine, placed and mounted; noise_floor: what the noise of the readings alone causes.
+    """
 
     identifiability: WhatDataSay
     observability: Observability
     predictor: Predictor | None
     outliers: Outliers
     optima: tuple[OtherOptimum, ...]
+    nominal: Distances | None = None
+    noise_floor: float | None = None
 
     def added_to(self, document: ResultDocument) -> ResultDocument:
         """The document of the result with these figures."""
+        accuracy = document.accuracy
+        if accuracy is not None:
+            nominal = accuracy.nominal or self.nominal
+            accuracy = replace(accuracy, nominal=nominal, noise_floor=self.noise_floor)
         return replace(
             document,
+            accuracy=accuracy,
             identifiability=self.identifiability.added_to(document.identifiability),
             observability=self.observability,
             prediction=None if self.predictor is None else self.predictor.entry,
@@ -54,7 +68,7 @@ class Findings:
 
 def findings(result: Result) -> Findings:
     """Everything that follows from the result's parameter system."""
-    solution = result.solution
+    solution, chosen = result.solution, result.chosen is not None
     with one_blas_thread():
         return Findings(
             what_data_say(
@@ -68,6 +82,8 @@ def findings(result: Result) -> Findings:
             predictor(result),
             find_outliers(result),
             () if result.all_poses is not None else other_optima(result),
+            None if result.all_poses is not None or chosen else nominal_distances(result),
+            None if result.all_poses is not None else noise_floor(result),
         )
 
 
@@ -76,3 +92,15 @@ def _unit_sd(result: Result) -> float | None:
     freedom = result.solution.equations - data_spectrum(result.information).rank
     variance = result.fit.solver.unit_variance(result.information.chi_squared, freedom)
     return None if variance is None else math.sqrt(variance)
+
+
+def nominal_distances(result: Result) -> Distances | None:
+    """Accuracy of the nominal machine, placed and mounted, on the poses of a result."""
+    if not result.mechanism.outputs:
+        return None
+    try:
+        case = Case(result.mechanism, result.dataset, None, replace(result.fit, prior=None))
+        found = nominal_case(case).calibrated().accuracy_after
+    except (InputError, NoTrustworthyResult):
+        return None  # nothing can be placed, or not by these readings
+    return None if found is None else found.distances

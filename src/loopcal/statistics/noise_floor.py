@@ -65,7 +65,7 @@ def _squares(
     """(N,) expected squared distance of what one instrument sees; inf where it reads nothing."""
     rows = [quantities.index(q) for q in its]
     moved = spread[:, [outputs.index(q) for q in its]]
-    own = sd[rows].T[:, :, None] * np.eye(len(its))
+    own = np.where(np.eye(len(its), dtype=bool), sd[rows].T[:, :, None], 0.0)
     both = np.concatenate([moved, own], axis=2)
     if seen.form in POLAR:
         both = _turned(x[rows]) @ both

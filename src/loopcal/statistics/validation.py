@@ -13,14 +13,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Unpack, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.accuracy import Coverage, FailedPart, ValidationEntry
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.tables import validation_table
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import Accuracy, accuracy, by_pose, deviations
 from loopcal.estimation.calibrate import calibrate
@@ -30,7 +29,7 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.measurements.dataset import Dataset
-from loopcal.measurements.noise import Noise, NoiseLike
+from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.blocks import blocks_of
 from loopcal.statistics.folds import (
@@ -120,40 +119,6 @@ class ValidationOptions(FitOptions, SchemeOptions, total=False):
     """The fields of `Fit` and of `Scheme` as keyword arguments."""
 
 
-def validate(
-    mechanism: Mechanism,
-    data: Dataset | Any,
-    *,
-    noise: NoiseLike | None = None,
-    fit: Fit | None = None,
-    full: Result | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-    **options: Unpack[ValidationOptions],
-) -> Validation:
-    """How well this calibration predicts poses that it has not seen.
-
-    noise, fit: as in `calibrate`, with its keyword arguments; full: the calibration of all poses,
-    if it is at hand; executor: who does the refits, this process one by one if it is None, which
-    changes no value; progress: called with how many refits are done.
-
-    folds: in how many parts the poses are cut, each left out once (default 10); blocks: in how many
-    regions of the joint space, left out one by one besides (default none); hold_out: instead leave
-    out this share once; other: instead calibrate on all and predict these readings
-    (other_noise: their noise where it is not the same); seed: of the choice; groups: one per pose,
-    never split, by default poses with the same driven readings.
-
-    A part whose fit fails is reported (`Validation.failed`), and the others count. Raises
-    InputError as `calibrate` does and for a choice that cannot be made, and NoTrustworthyResult
-    where every refit fails.
-    """
-    if not isinstance(data, Dataset):
-        data = Dataset.from_arrays(data)
-    asked = Asked.of(fit, options)
-    case = Case(mechanism, data, Noise.of(noise), asked.fit)
-    return validated(case, full or case.calibrated(), asked.scheme, executor, progress)
-
-
 def validated(
     case: Case,
     whole: Result,
@@ -161,7 +126,11 @@ def validated(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Validation:
-    """`validate` for a case whose calibration of all poses is at hand."""
+    """The validation of a case whose calibration of all poses is at hand.
+
+    executor: who does the refits, this process one by one if it is None; progress: called with how
+    many refits are done. Raises as `loopcal.statistics.validate.validate`.
+    """
     if scheme.other is not None:
         other = scheme.other
         known = case.noise if scheme.other_noise is None else Noise.of(scheme.other_noise)
@@ -376,39 +345,3 @@ def _pooled(
         failed,
         inside[predicted] if judged else None,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class MethodComparison:
-    """Several ways to calibrate, each validated on the very same poses, by name."""
-
-    validations: Mapping[str, Validation]
-
-    def __str__(self) -> str:
-        units = [v.accuracy.unit for v in self.validations.values() if v.accuracy is not None]
-        entries = {name: found.entry for name, found in self.validations.items()}
-        return "\n".join(validation_table(entries, units[0] if units else ""))
-
-
-def compare_methods(
-    mechanism: Mechanism,
-    data: Dataset | Any,
-    methods: Mapping[str, Mapping[str, Any]],
-    **validation: Any,
-) -> MethodComparison:
-    """Several methods, noises or priors validated on the same folds.
-
-    methods: a name for each, with its keyword arguments of `validate`, such as
-    {"robust": {"noise": noise, "loss": "huber"}, "plain": {"noise": noise}}; validation: folds,
-    hold_out, other, seed, groups, executor, the same for all.
-
-    Raises InputError as `validate` does, and without any method.
-    """
-    if not methods:
-        raise InputError(
-            "no method is given to compare", code="missing-key", remedy="name one or more"
-        )
-    if not isinstance(data, Dataset):
-        data = Dataset.from_arrays(data)
-    found = {name: validate(mechanism, data, **how, **validation) for name, how in methods.items()}
-    return MethodComparison(MappingProxyType(found))
