@@ -331,6 +331,8 @@ private:
 }  // namespace
 
 NB_MODULE(_compiled, m) {
+    // Raised, here and in loopcal/expressions/choice.py, with every change of a signature or of what it means.
+    m.attr("INTERFACE") = 1;
     m.doc() = "The compiled engine: tapes over blocks of poses, see loopcal.expressions.compiled.";
     m.def("codes", &codes, "Names of the operations; an operation's number is its place.");
     m.def("widths", &widths, "Names of the vector widths that this processor has, narrow to wide.");

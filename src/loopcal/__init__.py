@@ -58,6 +58,8 @@ if TYPE_CHECKING:
     from loopcal.statistics.repeats import Repeats, repeated_readings
     from loopcal.statistics.validate import MethodComparison, compare_methods, validate
     from loopcal.statistics.validation import Validation
+    from loopcal.statistics.verification import verify
+    from loopcal.statistics.verified import Verification
     from loopcal.workflow.calibration import write_result
 
 _HOME = {
@@ -106,6 +108,8 @@ _HOME = {
     "statistics.intervals": ("Interval", "intervals"),
     "statistics.validate": ("MethodComparison", "compare_methods", "validate"),
     "statistics.validation": ("Validation",),
+    "statistics.verification": ("verify",),
+    "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
     "statistics.outliers": ("Outliers", "find_outliers"),
     "statistics.findings": ("Findings", "findings"),
@@ -162,6 +166,7 @@ __all__ = [
     "Tracker",
     "Undetermined",
     "Validation",
+    "Verification",
     "WrittenResult",
     "__version__",
     "assemble",
@@ -202,6 +207,7 @@ __all__ = [
     "tracker_covariance",
     "validate",
     "vector",
+    "verify",
     "with_effects",
     "write_result",
 ]

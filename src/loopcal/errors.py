@@ -51,6 +51,7 @@ Code = Literal[
     "no-trustworthy-result",
     "not-converged",
     "not-identifiable",
+    "not-verified",
     "open-loops",
     "outside-domain",
     "too-few-poses",

@@ -108,3 +108,27 @@ def test_a_result_beside_another_ones_mechanism_is_refused(folder: Path, tmp_pat
     done = run("compare", tmp_path, folder / "b-result")
     assert done.returncode == 3
     assert "differ in the parameters 'xA'" in done.stderr
+
+
+def test_a_result_is_verified_against_a_file_and_against_another_result(folder: Path) -> None:
+    a, b = str(folder / "a-result"), str(folder / "b-result")
+    day = str(folder / "a.csv")
+    done = run("verify", b, day, "--tolerance", "5")
+    assert done.returncode == 0, done.stderr
+    assert "The machine is as calibrated" in done.stdout
+    told = json.loads(run("verify", b, day, "--json").stdout)
+    assert told["poses"] == 40
+    assert told["accuracy"]["nominal"]["rms"] > 0
+    assert {"value", "degrees_of_freedom", "p_value"} <= set(told["chi_squared"])
+    assert {q["name"] for q in told["placed"]} >= {"xA", "yA"}
+    other = json.loads(run("verify", b, a, "--json").stdout)
+    assert other["chi_squared"]["value"] == pytest.approx(told["chi_squared"]["value"], rel=1e-6)
+
+
+def test_a_tolerance_that_fails_is_no_trustworthy_result(folder: Path) -> None:
+    done = run("verify", str(folder / "a-result"), str(folder / "b.csv"), "--tolerance", "0.01")
+    assert done.returncode == 4
+    assert "tolerance" in done.stderr
+    assert run("verify", str(folder / "a-result"), "nowhere.csv").returncode == 3
+    wrong = run("verify", str(folder / "a-result"), str(folder / "b.csv"), "--anew", "reflector")
+    assert wrong.returncode == 3

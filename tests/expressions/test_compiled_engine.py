@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -192,6 +197,38 @@ def test_the_environment_chooses_the_engine(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setenv("LOOPCAL_ENGINE", "compiled")
     with refused("missing-dependency"):
         choice.chosen_engine()
+
+
+def test_an_engine_of_other_sources_is_replaced_by_numpy_with_a_warning(tmp_path: Path) -> None:
+    """Whatever the library is: here one that states no interface, as those before the number."""
+    code = (
+        "import sys, types; name = 'loopcal.expressions._compiled'; "
+        "sys.modules[name] = types.ModuleType(name); "
+        "from loopcal.cli import main; sys.exit(main(sys.argv[1:]))"
+    )
+    project = Path(__file__).parents[2] / "examples" / "planar" / "project.toml"
+    command = [sys.executable, "-c", code, "calibrate", str(project), "--no-report"]
+    env = {k: v for k, v in os.environ.items() if k != "LOOPCAL_ENGINE"}
+    for chosen, exit_code in (({}, 0), ({"LOOPCAL_ENGINE": "compiled"}, 2)):
+        done = subprocess.run(
+            [*command, "--out", str(tmp_path / "out")],
+            capture_output=True,
+            text=True,
+            env=env | chosen,
+            check=False,
+        )
+        assert done.returncode == exit_code, done.stderr
+        assert done.stderr.count("built from another version of loopcal's sources") == 1
+        assert "make install" in done.stderr
+        assert "Traceback" not in done.stderr
+
+
+@built
+def test_the_number_of_the_interface_is_raised_with_its_signatures() -> None:
+    """If this fails, raise INTERFACE in choice.py and module.cpp, then add its digest here."""
+    stub = Path(choice.__file__).with_name("_compiled.pyi").read_bytes()
+    assert {choice.INTERFACE: hashlib.sha256(stub).hexdigest()[:12]} == {1: "11e8221d014f"}
+    assert _compiled.INTERFACE == choice.INTERFACE
 
 
 @built

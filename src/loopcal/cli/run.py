@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Sequence
 
 from loopcal.cli.commands import app
@@ -24,6 +25,12 @@ INTERRUPTED = 130
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `loopcal ARGUMENTS` (by default those of this process) and return its exit code."""
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_, **__: log(f"warning: {message}")
+        return _run(arguments)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     try:
         code = app(arguments, prog_name="loopcal", standalone_mode=False) or 0
     except LoopcalError as error:

@@ -20,6 +20,11 @@ class Answer:
     next: str | None
     """What to do next; null: nothing."""
 
+    @property
+    def mark(self) -> str:
+        """yes, no or open."""
+        return "open" if self.passed is None else "yes" if self.passed else "no"
+
 
 @dataclass(frozen=True)
 class Verdict:

@@ -24,6 +24,10 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 
+LEARNT = 1e-5
+"""With terms a fit converges to so many sds, unless the user says otherwise: their own sds are
+learnt from it, and are never known to so many digits."""
+
 
 def calibrate(
     mechanism: Mechanism,
@@ -32,34 +36,13 @@ def calibrate(
     noise: NoiseLike | None = None,
     fit: Fit | None = None,
     progress: Progress | None = None,
+    near: bool = False,
     **options: Unpack[FitOptions],
 ) -> Result:
-    """Calibrate a mechanism from readings.
+    """Calibrate a mechanism by one stated method.
 
-    data: a Dataset, or a dict of (N,) arrays or any DataFrame of readings in SI units; noise: a
-    Noise, or a dict of sds [SI] by quantity, which every method needs that is not exact; fit: the
-    settings, or as keyword arguments prior, method, loss, start, max_iterations and tolerance,
-    which override it; progress: called at every iteration. Angles are rad, lengths m throughout.
-
-    method "implicit-loop" (default) finds the parameters of maximum likelihood while every loop
-    closes: minimise sum_i c_i^T Sigma^-1 c_i + (p - nominal)^T Sigma_p^-1 (p - nominal) over
-    parameters p and corrections c_i subject to f(reading_i + c_i, p) = 0 (Wampler, Hollerbach and
-    Arai 1995; thesis 3.7 to 3.30). "least-squares" takes the readings as exact and minimises the
-    sum of squared loop values (thesis 3.1 to 3.6), without noise or prior. "reweighted" weights
-    the loop values at the readings by their propagated noise J_x Sigma J_x^T, and lets that noise
-    say nothing about the parameters: the robust choice where poses are alike and sds guessed.
-    "implicit-loop-undamped" is the iteration of the thesis, for study.
-
-    loss "huber" or "student-t" lets poses that do not fit count less
-    (`loopcal.estimation.solve.loss`); the covariance is then valid without normal errors, and
-    there is no chi-squared. It needs "implicit-loop" or "reweighted" and stated sds.
-
-    start "nominal"; "align" moves the nominal machine rigidly to where the instrument sees it;
-    "auto" (default) aligns a machine whose placement parameters are free with flat priors; or
-    parameter values [SI] by name.
-
-    Raises InputError for input that cannot be used. A fit that does not converge is returned, with
-    the reason in its status.
+    As `loopcal.statistics.calibrate.calibrate`, which also chooses the method. near: the fit begins
+    where one of nearly the same readings ended, so a misfit is no reason to try other starts.
     """
     fit, stated = Fit.of(fit, options), Noise.of(noise)
     refuse_noise(fit, stated)
@@ -72,10 +55,10 @@ def calibrate(
         data = weighed(fit, data)
         mechanism, data = with_model(mechanism, data, told)
 
-    def fitted(problem: Problem) -> Solution:
+    def fitted(problem: Problem, tolerance: float | None) -> Solution:
         limits: dict[str, Any] = {
             "max_iterations": fit.max_iterations,
-            "tolerance": fit.tolerance,
+            "tolerance": tolerance,
             "progress": progress,
         }
         if (loss := fit.robust_loss) is not None:
@@ -83,14 +66,18 @@ def calibrate(
         return fit.solver.solve(problem, **limits)
 
     learns = told is not None and bool(told.estimate or mechanism.terms)
-    # values that are stated to begin from are taken at their word, as by the folds of a validation
-    judged = isinstance(fit.start, str) and not (fit.solver.exact or fit.robust_loss or learns)
+    judged = not (near or fit.solver.exact or fit.robust_loss or learns)
 
-    def solved(problem: Problem) -> Solution:
+    own = (fit.tolerance or LEARNT) if told is not None and mechanism.terms else fit.tolerance
+
+    def solved(problem: Problem, *, tolerance: float | None = None) -> Solution:
+        def once(problem: Problem) -> Solution:
+            return fitted(problem, own if tolerance is None else tolerance)
+
         # an undamped method is for study: it shows how its own iteration ends
         if fit.solver.damped:
-            return fitted(problem)
-        return solve_or_fall_back(problem, fitted, fit.max_iterations, judged=judged)
+            return once(problem)
+        return solve_or_fall_back(problem, once, fit.max_iterations, judged=judged)
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)

@@ -35,13 +35,13 @@ def noise_told(fit: Fit, mechanism: Mechanism, data: Dataset, noise: Noise | Non
         return None
     if fit.model_error == "none":
         return noise
+    begin = None if noise is None else noise.begin
     if fit.method.exact:
-        return instrument_noise(mechanism, data)
-    assert noise is not None
-    if MODEL in noise.entries or MODEL in noise.estimate or not _isotropic(mechanism):
-        return noise
-    begun = Noise({**noise.entries, MODEL: BEGIN}, estimate={**noise.estimate, MODEL: "group"})
-    return begun if noise.begin is None else begun.begun_at(noise.begin)
+        noise = instrument_noise(mechanism, data)
+    elif noise is not None and _isotropic(mechanism) and MODEL not in noise.entries:
+        estimate = {**noise.estimate, MODEL: "group"}
+        noise = Noise({**noise.entries, MODEL: BEGIN}, estimate=estimate)
+    return noise if begin is None or noise is None else noise.begun_at(begin)
 
 
 def weighed(fit: Fit, data: Dataset) -> Dataset:
@@ -50,10 +50,9 @@ def weighed(fit: Fit, data: Dataset) -> Dataset:
 
 
 def modelled(fit: Fit, mechanism: Mechanism, poses: int) -> Mechanism:
-    """The mechanism with the terms for its model error that a fit asks for.
+    """The mechanism with the terms for its model error that a fit of so many poses asks for.
 
-    poses: so many determine whether what remains may be a smooth function of the joints. A
-    mechanism that has its terms keeps them, such as that of a calibration whose folds are fitted.
+    A mechanism that is structured already stays as it is.
     """
     if fit.model_error == "none" or EFFECT in mechanism.effects:
         return mechanism

@@ -10,18 +10,25 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import warnings
 from collections.abc import Generator
 from contextlib import contextmanager
 from functools import lru_cache
 
 from loopcal.errors import UsageError, nearest
 
+INTERFACE = 1
+"""Which calls the compiled engine understands; engine/module.cpp states the same number.
+
+Raise both with every change of a signature or of what it means."""
 try:
     from loopcal.expressions import _compiled
 except ImportError:  # installed without a compiler
-    AVAILABLE = False
+    AVAILABLE = OUTDATED = False
 else:
-    AVAILABLE = True
+    OUTDATED = getattr(_compiled, "INTERFACE", None) != INTERFACE
+    AVAILABLE = not OUTDATED
+REBUILD = "run `make install` in loopcal's folder, or reinstall loopcal"
 ENGINES = ("numpy", "compiled")
 MOST = 1024
 """Threads of an engine: more than any machine has cores that share a block with gain."""
@@ -30,16 +37,25 @@ _held = threading.local()
 
 
 def chosen_engine() -> str:
-    """ "numpy" or "compiled".
+    """ "numpy" or "compiled". Warns once if the compiled engine is outdated and NumPy replaces it.
 
     Raises UsageError where LOOPCAL_ENGINE is neither, or asks for what was not built.
     """
     name = os.environ.get("LOOPCAL_ENGINE")
     if not name:
+        if OUTDATED:
+            _warn_outdated()
         return "compiled" if AVAILABLE else "numpy"
     if name not in ENGINES:
         raise UsageError(
             f"LOOPCAL_ENGINE is {name!r}", code="unknown-name", remedy=nearest(name, ENGINES)
+        )
+    if name == "compiled" and OUTDATED:
+        raise UsageError(
+            "LOOPCAL_ENGINE is 'compiled', but the compiled engine was built from another version "
+            "of loopcal's sources",
+            code="missing-dependency",
+            remedy=f"{REBUILD}, or unset the variable",
         )
     if name == "compiled" and not AVAILABLE:
         raise UsageError(
@@ -49,6 +65,16 @@ def chosen_engine() -> str:
             "variable",
         )
     return name
+
+
+@lru_cache(maxsize=1)
+def _warn_outdated() -> None:
+    warnings.warn(
+        "the compiled engine was built from another version of loopcal's sources; NumPy runs "
+        f"instead, which is slower\n  What to do: {REBUILD}",
+        RuntimeWarning,
+        stacklevel=3,
+    )
 
 
 def in_words() -> str:

@@ -242,7 +242,8 @@ def _families(machine: Machine, instruments: Sequence[Instrument], ends: int) ->
             "second pose", loops, tuple(q + ENDS[1] for q in machine.quantities), "closure"
         )
     for i in instruments:
-        yield Family(i.name, i.loops, tuple(i.readings), i.form, i.place, i.remedy)
+        own = tuple(i.placement), tuple(i.parameters)
+        yield Family(i.name, i.loops, tuple(i.readings), i.form, i.place, i.remedy, *own)
 
 
 def _home(machine: Machine, ends: int) -> dict[str, float]:

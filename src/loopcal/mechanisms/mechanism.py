@@ -56,7 +56,8 @@ class Family:
     "angle", "pose" (a point and three small turns), "gap" (between things that touch), "closure"
     (a machine's own loops in a second pose); placement: how the parameters that place the
     instrument change when the machine is moved; remedy: what to do where its loops cannot be
-    evaluated.
+    evaluated; standing: the parameters that say where the instrument stands; mounted: those of
+    what it looks at on the body, and of the instrument itself.
     """
 
     name: str
@@ -65,6 +66,8 @@ class Family:
     form: str = "point"
     placement: Placement | None = None
     remedy: str = ""
+    standing: tuple[str, ...] = ()
+    mounted: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 from typing import Any
 
 from loopcal.errors import InputError, nearest
@@ -67,14 +68,17 @@ class Parameters:
         return len(self.items)
 
     def __getitem__(self, name: str) -> Parameter:
-        for parameter in self.items:
-            if parameter.name == name:
-                return parameter
+        if name in self._by_name:
+            return self._by_name[name]
         raise InputError(
             f"there is no parameter {name!r}", code="unknown-name", remedy=nearest(name, self.names)
         )
 
-    @property
+    @cached_property
+    def _by_name(self) -> Mapping[str, Parameter]:
+        return {p.name: p for p in self.items}
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """All names, in order."""
         return tuple(p.name for p in self.items)

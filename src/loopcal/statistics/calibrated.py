@@ -8,12 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.fit import NoiseEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.estimation.result import Result
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ResidualVariance:
+    """Of a loop equation [SI squared], from residuals with so many degrees of freedom."""
+
+    value: float
+    freedom: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +32,8 @@ class Calibrated:
     mechanism: with the calibrated values; covariance: (n_all, n_all) [SI], zero for fixed
     parameters; undetermined: (n_all, d) steps [SI] that neither data nor prior limit; nominal,
     prior_sd: (n_all,) what was known before; poses: its readings; data: what tells the readings
-    apart from others; p_value: of its own chi-squared.
+    apart from others; p_value: of its own chi-squared; noise: the sds of its sensors; residual: of
+    a method that takes the readings as exact.
     """
 
     name: str
@@ -35,6 +45,8 @@ class Calibrated:
     poses: Dataset | None
     data: str | None
     p_value: float | None
+    noise: tuple[NoiseEntry, ...] = ()
+    residual: ResidualVariance | None = None
 
     @classmethod
     def of(cls, result: Result, name: str) -> Calibrated:
@@ -53,6 +65,8 @@ class Calibrated:
             result.dataset,
             result.dataset.source.sha256 or str(id(result.dataset)),
             None if result.chi_squared is None else result.chi_squared.p_value,
+            result.noise,
+            _residual(result.solution.chi_squared, result.freedom) if exact else None,
         )
 
     @classmethod
@@ -86,7 +100,33 @@ class Calibrated:
             poses,
             document.data.sha256,
             None if chi is None else chi.p_value,
+            document.noise,
+            _residual(_squares(document), _freedom(document)) if exact else None,
         )
+
+
+def _residual(squares: float, freedom: int) -> ResidualVariance | None:
+    return ResidualVariance(squares / freedom, freedom) if freedom > 0 and squares > 0.0 else None
+
+
+def _values(document: ResultDocument) -> int:
+    """How many loop values there are: equations, and what the loops find beside the parameters."""
+    index, known = document.identifiability.calibration_index, document.mechanism
+    if index is None or known is None:
+        return 0
+    unmeasured = len(known.quantities) - len(document.data.quantities)
+    return index.value + (unmeasured * document.data.used if index.value else 0)
+
+
+def _squares(document: ResultDocument) -> float:
+    """Sum of the squares of the loop values."""
+    rms = document.closure.after.rms
+    return 0.0 if rms is None else rms**2 * _values(document)
+
+
+def _freedom(document: ResultDocument) -> int:
+    index = document.identifiability.calibration_index
+    return 0 if index is None else index.value - document.identifiability.rank
 
 
 def _spread(covariance: Array, free: NDArray[np.intp], size: int) -> Array:

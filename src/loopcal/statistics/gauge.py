@@ -53,7 +53,7 @@ def gauge(mechanism: Mechanism, values: Array, centre: Array) -> Array:
     for turn, shift in _motions(len(centre)):
         ends = []
         for side in (1.0, -1.0):
-            R = _rotation(side * _STEP * turn)
+            R = rotation_by(side * _STEP * turn)
             ends.append(moved(mechanism, values, R, centre - R @ centre + side * _STEP * shift))
         columns.append(difference(mechanism, ends[1], ends[0]) / (2.0 * _STEP))
     return np.array(columns).T
@@ -78,7 +78,7 @@ def _motions(d: int) -> list[tuple[Array, Array]]:
     ]
 
 
-def _rotation(turn: Array) -> Array:
+def rotation_by(turn: Array) -> Array:
     """The rotation by a vector (3,), or by an angle (1,) in a plane (Rodrigues)."""
     angle = float(np.linalg.norm(turn))
     if len(turn) == 1:

@@ -77,15 +77,24 @@ def held_problem(fit: Result, data: Dataset, noise: Noise | None) -> Held:
     if noise is not None and noise.estimate:
         stated = np.median(problem.uncertainty.sd, axis=1)
         problem = scaled(problem, [(i,) for i in range(len(stated))], _ratios(fit, stated))
+    return Held(problem, found_unmeasured(problem, problem.start, exact=exact))
+
+
+def found_unmeasured(problem: Problem, parameters: Array, *, exact: bool) -> Array:
+    """Corrections (k, N) [SI] of what no sensor reads, to where the loops close; else zero.
+
+    parameters: (n_all,); exact: take the readings as exact.
+    """
     corrections = np.zeros_like(problem.readings)
-    if any(pattern.unmeasured for pattern in problem.patterns):
-        sweeper = Sweeper(problem, exact=exact)
-        begun = start_corrections(sweeper, problem.start)
-        closed = sweeper.close(problem.start, begun, NEGLIGIBLE, 1.0).corrections
-        for pattern in problem.patterns:
-            for row in pattern.unmeasured:
-                corrections[row, pattern.poses] = closed[row, pattern.poses]
-    return Held(problem, corrections)
+    if not any(pattern.unmeasured for pattern in problem.patterns):
+        return corrections
+    sweeper = Sweeper(problem, exact=exact)
+    begun = start_corrections(sweeper, parameters)
+    closed = sweeper.close(parameters, begun, NEGLIGIBLE, 1.0).corrections
+    for pattern in problem.patterns:
+        for row in pattern.unmeasured:
+            corrections[row, pattern.poses] = closed[row, pattern.poses]
+    return corrections
 
 
 def _ratios(fit: Result, stated: Array) -> Array:

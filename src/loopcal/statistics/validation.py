@@ -44,6 +44,8 @@ from loopcal.statistics.folds import (
 from loopcal.statistics.predictive import LEVEL, Predictive, held_problem, predictive, taken
 
 Array = NDArray[np.float64]
+NEARLY = 1e-3
+"""Where sds of terms are learnt, refits converge to so many sds: far less than these are known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,11 +248,14 @@ class Case:
     data: Dataset
     noise: Noise | None
     fit: Fit
+    near: bool = False
+    """Whether it begins where a fit of nearly the same readings ended."""
 
     def calibrated(self, index: Index | None = None) -> Result:
         """The calibration of these poses, by default of all."""
         data = self.data if index is None else self.data.take(index)
-        return calibrate(self.mechanism, data, noise=taken(self.noise, index), fit=self.fit)
+        noise = taken(self.noise, index)
+        return calibrate(self.mechanism, data, noise=noise, fit=self.fit, near=self.near)
 
 
 @dataclass(frozen=True)
@@ -264,11 +269,13 @@ class _Begun:
     def at(cls, case: Case, whole: Result) -> _Begun:
         """Parameters and learnt sds of the calibration of all poses."""
         noise, learnt = case.noise, whole.estimate
-        if noise is not None and learnt is not None and learnt.settled:
-            noise = noise.begun_at(learnt.factors)
+        if learnt is not None and learnt.settled:
+            noise = (noise or Noise({})).begun_at(learnt.factors)
         # the mechanism of the calibration has the prior already
         fit = replace(case.fit, start=dict(whole.value), prior=None)
-        return cls(case, Case(whole.mechanism, case.data, noise, fit))
+        if whole.mechanism.terms:
+            fit = replace(fit, tolerance=fit.tolerance or NEARLY)
+        return cls(case, Case(whole.mechanism, case.data, noise, fit, near=True))
 
     def calibrated(self, index: Index) -> Result:
         """The calibration of these poses, begun where that of all poses ended."""

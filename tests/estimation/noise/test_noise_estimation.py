@@ -261,7 +261,7 @@ def test_the_search_ends_with_fits_that_do_not_converge() -> None:
     problem = build_problem(arm, data, noise)
     fits = []
 
-    def hopeless(present: Problem) -> Solution:
+    def hopeless(present: Problem, *, tolerance: float | None = None) -> Solution:
         fits.append(present)
         return solve(present, max_iterations=0)
 

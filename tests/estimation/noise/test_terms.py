@@ -99,7 +99,7 @@ def test_the_search_ends_where_the_gradient_is_zero_however_far_it_begins() -> N
     reduced = system(*equations(), triangular=True)
     ends = []
     for scales in ([0.5, 2.0], [1e-4, 1e3], [1e3, 1e-4]):
-        start = begun(TERMS, np.array(scales), None, common=True)
+        start = begun(np.array(scales), common=True)
         found = learn_scales(reduced, start)
         assert found.gradient == pytest.approx(np.zeros(3), abs=1e-4)
         ends.append(found.x)

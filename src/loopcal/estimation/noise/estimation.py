@@ -7,9 +7,10 @@ new sds (`loopcal.estimation.noise.variance_components`); both are repeated unti
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from loopcal.estimation.noise.variance_components import (
 from loopcal.estimation.noise.variances import (
     Variances,
     all_learnt,
+    begun_with,
     by_common_factor,
     in_turn,
     scales_of,
@@ -37,6 +39,15 @@ from loopcal.estimation.solve.solution import Solution
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
 Array = NDArray[np.float64]
+
+
+class Fitting(Protocol):
+    """A fit of a problem."""
+
+    def __call__(self, problem: Problem, /, *, tolerance: float | None = ...) -> Solution:
+        """tolerance: the step [sds] that counts as converged, None is the method's own."""
+
+
 _MOST, _SETTLED, _BETTER = 60, 1e-5, 1e-6
 """Rounds; what logarithms of ratios still change by, and the criterion, where a search has ended:
 near enough that searches which come to the same end do not seem better than each other."""
@@ -44,6 +55,9 @@ _FAR = 100.0
 """A variance so many times the stated one, or less than it by as much, is checked again."""
 _ROUGHLY, _SLOWLY = 0.1, 100.0
 """Variance ratios that change less than this are roughly right; early ones fall no faster."""
+_NEAR, _ROUGH = 1e-3, 1e-2
+"""With terms, logarithms of variances still change by so much in the last round, far less than
+their uncertainty; the first fit ends so many sds near the optimum."""
 _FAILURES = 1
 """So many fits in succession may end without converging."""
 _HOPELESS = 1e5
@@ -121,18 +135,8 @@ class NoiseEstimate:
     @cached_property
     def terms(self) -> tuple[EstimatedTerm, ...]:
         """What the calibration says of each term."""
-        return judged_terms(self.variances, self._without)
-
-    def _without(self, term: int) -> Variances:
-        """The variances learnt again with a term counting as absent."""
-        ratios, learnt = self.variances.ratios, self.variances.terms
-        if self.variances.sensors is None and learnt is not None:
-            # the sums are whitened with the ratio of the fit, before the last factor
-            ratio = float(ratios[0]) / learnt.at.factor if len(ratios) else None
-            return by_common_factor(self.problem, self.solution, ratio, held=term)
-        common = all_learnt(self.problem, [c.quantities for c in self.stated])
-        lowest = np.zeros(len(ratios))
-        return in_turn(self.problem, self.model, ratios, lowest, common=common, held=term)
+        learnt = self.variances.terms
+        return () if learnt is None else judged_terms(learnt)
 
     @property
     def factors(self) -> Mapping[str, float]:
@@ -167,14 +171,15 @@ class NoiseEstimate:
 def estimate_noise(
     problem: Problem,
     components: Sequence[Component],
-    fit: Callable[[Problem], Solution],
+    fit: Fitting,
     *,
     at_readings: bool = False,
     begin: Mapping[str, float] | None = None,
 ) -> NoiseEstimate:
     """Fit and sds together: those of sensors, and those of the terms of the mechanism.
 
-    fit: the method; at_readings: whether it weighs the readings where they are (reweighted);
+    fit: the method, to its own tolerance or to one given in sds, which is all that early rounds
+    with terms need; at_readings: whether it weighs the readings where they are (reweighted);
     begin: `NoiseEstimate.factors` of nearly the same readings, from which the sds settle in a few
     rounds; by default the search begins at the sds that the problem states. The sds of terms begin
     at the prior sds of their parameters.
@@ -196,7 +201,7 @@ def estimate_noise(
                 break
     status = replace(best.solution.status, iterations=best.iterations)
     return NoiseEstimate(
-        best.present,
+        with_scales(best.present),
         replace(best.solution, status=status),
         tuple(components),
         problem,
@@ -232,7 +237,7 @@ class _Round:
 class _Search:
     stated: Problem
     positions: Sequence[Sequence[int]]
-    fit: Callable[[Problem], Solution]
+    fit: Fitting
     at_readings: bool
 
     @cached_property
@@ -268,10 +273,11 @@ class _Search:
         the loops were left mean nothing, and a second fit from there is the last attempt.
         """
         start, before, vanish, iterations, failed = self.stated.start, math.inf, near, 0, 0
-        scales = scales_of(self.stated)
+        scales, rough = scales_of(self.stated), _ROUGH if self.stated.mechanism.terms else None
         for number in range(_MOST):
-            present = scaled(with_scales(self.stated, scales), self.positions, ratios)
-            solution = self.fit(replace(present, start=start))
+            present = scaled(begun_with(self.stated, scales), self.positions, ratios)
+            begun = replace(present, start=start)
+            solution = self.fit(begun) if rough is None else self.fit(begun, tolerance=rough)
             start, iterations = solution.parameters, iterations + solution.status.iterations
             failed = 0 if solution.status.converged else failed + 1
             present = replace(present, start=start)
@@ -281,13 +287,17 @@ class _Search:
             if found.terms is not None:
                 change = max(change, _change(np.square(scales), np.square(found.terms.scales)))
             ended = change <= _SETTLED or abs(before - found.criterion) <= _BETTER
-            if ended and vanish and not failed:
+            if found.terms is not None:
+                ended = change <= _NEAR
+            if ended and vanish and not failed and rough is None:
                 return _Round(present, solution, found, found.converged, iterations)
             if failed > _FAILURES or _hopeless(solution):
                 break
             # No component may vanish before the others are roughly right.
             vanish = vanish or ended or change <= _ROUGHLY or number >= _MOST // 2
             ratios, before = found.ratios, found.criterion
+            if found.terms is not None:
+                rough = None if ended else min(rough or _ROUGH, 0.1 * change)
             scales = scales if found.terms is None else found.terms.scales
         return _Round(present, solution, found, False, iterations)
 

@@ -23,7 +23,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.noise.term_scales import Sums
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.kernel import eliminate, loadings
 from loopcal.estimation.solve.sweep import Sweeper
@@ -122,7 +121,7 @@ def linear_model(
 
 
 @dataclass(frozen=True)
-class _Joined:
+class Joined:
     """The whitened columns of all blocks at some ratios, and [J e] with the prior as a triangle.
 
     rows: (b, r, n + 1) each, W = L^-1 G: (b, r, K) each; R: (n + 1, n + 1); volume: sum log|V|.
@@ -135,15 +134,18 @@ class _Joined:
 
 
 def fit(model: LinearModel, ratios: Array) -> MixedFit | None:
-    """The restricted likelihood at these variance ratios; None where some V is singular.
+    """The restricted likelihood at these variance ratios; None where some V is singular."""
+    joined = whitened(model, ratios)
+    return None if joined is None else mixed_fit(model, joined)
+
+
+def mixed_fit(model: LinearModel, joined: Joined) -> MixedFit:
+    """The restricted likelihood where the columns are whitened.
 
     -2 log L = sum log|V| + log|H| + residual, H = sum J^T V^-1 J + prior (Patterson and
     Thompson 1971). With P the projector V^-1 - V^-1 J H^-1 J^T V^-1 and r = e - J dp,
     score_j = (|G_j^T V^-1 r|^2 - tr G_j^T P G_j) / 2, information_jk = |G_j^T P G_k|^2 / 2.
     """
-    joined = _joined(model, ratios)
-    if joined is None:
-        return None
     n, R = len(model.precision), joined.R
     # R, not R^T R = H: squaring the condition would leave the criterion some seven digits
     scale = 1.0 / np.maximum(np.linalg.norm(R[:, :n], axis=0), 1e-150)
@@ -157,16 +159,15 @@ def fit(model: LinearModel, ratios: Array) -> MixedFit | None:
     return MixedFit(joined.volume + log_H + residual**2, score, information)
 
 
-def sums_at(model: LinearModel, ratios: Array) -> Sums | None:
-    """[J e]^T V^-1 [J e] as a triangle, without the prior; None where some V is singular."""
-    flat = replace(model, precision=np.zeros(len(model.precision)))
-    joined = _joined(flat, ratios)
-    if joined is None:
-        return None
-    return Sums(joined.R, True, sum(block.e.size for block in model.blocks))
+def with_prior(model: LinearModel, joined: Joined) -> Joined:
+    """Columns that were whitened without a prior, with that of the model."""
+    prior = np.sqrt(model.precision)
+    rows = np.column_stack([np.diag(prior), prior * model.offset])
+    return replace(joined, R=np.asarray(np.linalg.qr(np.concatenate([rows, joined.R]), mode="r")))
 
 
-def _joined(model: LinearModel, ratios: Array) -> _Joined | None:
+def whitened(model: LinearModel, ratios: Array) -> Joined | None:
+    """The columns of all poses whitened; None where some V is singular."""
     n = len(model.precision)
     prior = np.sqrt(model.precision)
     R = np.column_stack([np.diag(prior), prior * model.offset])
@@ -182,10 +183,10 @@ def _joined(model: LinearModel, ratios: Array) -> _Joined | None:
         rows.append(np.ascontiguousarray(whitened[:, :, : n + 1]))
         W.append(whitened[:, :, n + 1 :])
         R = np.asarray(np.linalg.qr(np.concatenate([R, rows[-1].reshape(-1, n + 1)]), mode="r"))
-    return _Joined(rows, W, R, log_V)
+    return Joined(rows, W, R, log_V)
 
 
-def _slopes(model: LinearModel, joined: _Joined, root: Array, dp: Array) -> tuple[Array, Array]:
+def _slopes(model: LinearModel, joined: Joined, root: Array, dp: Array) -> tuple[Array, Array]:
     """Score and information from W (b, r, K), C = W^T W and Y = W^T D root, all by pose."""
     n, rank, count = len(dp), root.shape[1], model.components
     score, pairs = np.zeros(count), np.zeros((count, count))

@@ -33,8 +33,6 @@ _FARTHEST = 2.0
 """No logarithm of a variance changes by more in one step."""
 _FLAT = 1e-3
 """Curvature below which a direction counts as flat."""
-_ABSENT = 1e-6
-"""A term with this share of its expected sd has no effect."""
 _KEPT = 1e-7
 """Directions of flat parameters with a singular value this far below the largest do not count."""
 
@@ -213,16 +211,11 @@ def learn_scales(system: TermSystem, start: Start) -> TermFit:
     return current
 
 
-def begun(terms: Sequence[Term], scales: Array, held: int | None, *, common: bool) -> Start:
-    """Where the search for the scales begins.
-
-    held: a term that counts as absent; common: whether the factor of all noise is free.
-    """
-    x, free = np.concatenate([[0.0], 2.0 * np.log(scales)]), np.ones(len(scales) + 1, dtype=bool)
+def begun(scales: Array, *, common: bool) -> Start:
+    """Where the search for the scales begins; common: whether the factor of all noise is free."""
+    free = np.ones(len(scales) + 1, dtype=bool)
     free[0] = common
-    if held is not None:
-        x[1 + held], free[1 + held] = 2.0 * np.log(_ABSENT * terms[held].sd), False
-    return Start(x, free)
+    return Start(np.concatenate([[0.0], 2.0 * np.log(scales)]), free)
 
 
 def _newton_step(at: TermFit, free: NDArray[np.bool_]) -> Array:

@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from loopcal.document.terms import TermEntry
-from loopcal.estimation.noise.term_scales import TermFit
+from loopcal.estimation.noise.term_scales import Start, TermFit, learn_scales
 from loopcal.presentation.shown import with_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
-    from loopcal.estimation.noise.variances import Variances
+    from loopcal.estimation.noise.variances import TermVariances
     from loopcal.mechanisms.mechanism import Mechanism
     from loopcal.mechanisms.terms import Term
 
 _QUANTILE = 1.959963984540054
 """Of the normal distribution, for 95 %."""
+_ABSENT = 1e-6
+"""A term with this share of its expected sd has no effect."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,8 @@ class EstimatedTerm:
 
     scale: the learnt sd [SI]; lower, upper: its 95 % interval, from the curvature of the criterion
     by its logarithm; columns: estimated parameters; effective: degrees of freedom that the data
-    use of them; gain: by how much the term lowers -2 log of the restricted likelihood.
+    use of them; gain: by how much the term lowers -2 log of the restricted likelihood, where all
+    noise may grow by a factor in its place.
     """
 
     term: Term
@@ -43,32 +44,34 @@ class EstimatedTerm:
     gain: float
 
 
-def judged_terms(
-    found: Variances, without: Callable[[int], Variances]
-) -> tuple[EstimatedTerm, ...]:
-    """What the last linearisation says of each term with estimated parameters.
-
-    without: the variances learnt again with a term counting as absent.
-    """
-    learnt = found.terms
-    if learnt is None:
-        return ()
-    at, sds = learnt.at, _sds(learnt.at, learnt.free)
+def judged_terms(found: TermVariances) -> tuple[EstimatedTerm, ...]:
+    """What the last linearisation says of each term with estimated parameters."""
+    system, at, sds = found.system, found.at, _sds(found.at, found.free)
     judged = []
-    for i, term in enumerate(learnt.system.terms):
-        columns = int((learnt.system.owner == i).sum())
-        if not columns:
-            continue
-        scale, spread = float(at.scales[i]), math.exp(0.5 * _QUANTILE * sds[1 + i])
-        other = without(i)
-        assert other.terms is not None
-        gain = other.criterion - float(other.terms.at.penalties[i])
-        gain -= found.criterion - float(at.penalties[i])
-        freedom = max(float(at.freedom[i]), 0.0)
-        judged.append(
-            EstimatedTerm(term, scale, scale / spread, scale * spread, columns, freedom, gain)
-        )
+    for i, term in enumerate(system.terms):
+        columns = int((system.owner == i).sum())
+        if columns:
+            scale, spread = float(at.scales[i]), math.exp(0.5 * _QUANTILE * sds[1 + i])
+            freedom, gain = max(float(at.freedom[i]), 0.0), _gain(found, i)
+            judged.append(
+                EstimatedTerm(term, scale, scale / spread, scale * spread, columns, freedom, gain)
+            )
     return tuple(judged)
+
+
+def _gain(found: TermVariances, term: int) -> float:
+    """By how much the criterion is lower with a term than without it.
+
+    Beside it all noise may grow by a factor, and the other terms may change: without a term the
+    rest makes up for it where it can.
+    """
+    free = np.ones(len(found.at.x), dtype=bool)
+    present = learn_scales(found.system, Start(found.at.x, free))
+    x, others = present.x.copy(), free.copy()
+    x[1 + term], others[1 + term] = 2.0 * math.log(_ABSENT * found.system.terms[term].sd), False
+    without = learn_scales(found.system, Start(x, others))
+    gain = without.criterion - present.criterion
+    return gain - float(without.penalties[term] - present.penalties[term])
 
 
 def term_entries(

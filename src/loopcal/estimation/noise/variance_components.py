@@ -137,7 +137,7 @@ def estimate_ratios(
             remedy="calibrate with stated sds first and check that the fit converges",
         )
     for _ in range(_MOST):
-        step = _scoring_step(current, ratios, lowest, free)
+        step = scoring_step(current, ratios, lowest, free)
         promised = float(step @ (2.0 * current.score - current.information @ step))
         if promised <= _SETTLED + _ROUNDING * abs(current.criterion):
             break
@@ -153,9 +153,7 @@ def estimate_ratios(
     return Estimate(ratios, current, True) if last is None else Estimate(ended, last, True)
 
 
-def _scoring_step(
-    current: MixedFit, ratios: Array, lowest: Array, free: NDArray[np.bool_]
-) -> Array:
+def scoring_step(current: MixedFit, ratios: Array, lowest: Array, free: NDArray[np.bool_]) -> Array:
     """Fisher's step d, the greatest of score d - d I d / 2 where no ratio falls below the lowest.
 
     With I = A^T A and u = ratios + d - lowest it is the least |A u - b| over u >= 0.

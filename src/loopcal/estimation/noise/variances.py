@@ -1,8 +1,8 @@
 """All variances that are learnt at one linearisation: those of sensors, and those of terms.
 
 Where one factor is common to all noise, the sums over all poses of the fit itself say everything,
-whatever the number of poses. Else the sensors' ratios (`variance_components`, by pose) and the
-scales of the terms (`term_scales`, by sums) are learnt in turn.
+whatever the number of poses. Else the scales of the terms (`term_scales`, by sums) and one step of
+the sensors' ratios (`variance_components`, by pose) take turns; the next fit goes on from there.
 """
 
 from __future__ import annotations
@@ -14,7 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.noise.linear_model import LinearModel, sums_at
+from loopcal.errors import NoTrustworthyResult
+from loopcal.estimation.noise.linear_model import (
+    LinearModel,
+    mixed_fit,
+    whitened,
+    with_prior,
+)
 from loopcal.estimation.noise.term_scales import (
     Sums,
     TermFit,
@@ -23,14 +29,17 @@ from loopcal.estimation.noise.term_scales import (
     learn_scales,
     term_system,
 )
-from loopcal.estimation.noise.variance_components import Estimate, estimate_ratios
+from loopcal.estimation.noise.variance_components import (
+    Estimate,
+    estimate_ratios,
+    scoring_step,
+)
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.solution import End
 
 Array = NDArray[np.float64]
-_TURNS, _SETTLED = 10, 1e-3
-"""So often sensors and terms take turns at one linearisation, until logarithms of variances change
-by less: the next linearisation goes on."""
+_FARTHEST = 100.0
+"""No variance grows more in one step."""
 
 
 @dataclass(frozen=True)
@@ -90,20 +99,22 @@ def scales_of(problem: Problem) -> Array:
     )
 
 
-def with_scales(problem: Problem, scales: Array) -> Problem:
-    """The problem with these sds of its terms, in its mechanism too."""
+def begun_with(problem: Problem, scales: Array) -> Problem:
+    """The problem with these sds of its terms."""
+    own = owners(problem)
     if not len(scales):
         return problem
-    own, machine = owners(problem), problem.mechanism
-    stated = {
-        name: float(scale)
-        for term, scale in zip(machine.terms, scales, strict=True)
-        for name in term.parameters
-        if not machine.parameters[name].fixed
-    }
-    prior_sd = np.where(own >= 0, scales[own], problem.prior_sd)
-    mechanism = machine.with_parameters(machine.parameters.with_prior(stated))
-    return replace(problem, mechanism=mechanism, prior_sd=prior_sd)
+    return replace(problem, prior_sd=np.where(own >= 0, scales[own], problem.prior_sd))
+
+
+def with_scales(problem: Problem) -> Problem:
+    """The problem with the sds of its terms in its mechanism too."""
+    if not problem.mechanism.terms:
+        return problem
+    machine = problem.mechanism
+    stated = dict(zip(problem.names, problem.prior_sd.tolist(), strict=True))
+    made = machine.with_parameters(machine.parameters.with_prior(stated))
+    return replace(problem, mechanism=made)
 
 
 def system_of(problem: Problem, sums: Sums, parameters: Array) -> TermSystem:
@@ -117,16 +128,13 @@ def sums_of(end: End[Any]) -> Sums:
     return Sums(end.data.total, end.data.triangular, end.equations)
 
 
-def by_common_factor(
-    problem: Problem, end: End[Any], ratio: float | None, held: int | None = None
-) -> Variances:
+def by_common_factor(problem: Problem, end: End[Any], ratio: float | None) -> Variances:
     """The scales of the terms, and the factor common to all noise unless it is as stated.
 
-    problem: at the sds of the fit; ratio: of these to the stated variances, None: not learnt;
-    held: a term that counts as absent.
+    problem: at the sds of the fit; ratio: of these to the stated variances, None: not learnt.
     """
     system, common = system_of(problem, sums_of(end), end.parameters), ratio is not None
-    start = begun(problem.mechanism.terms, scales_of(problem), held, common=common)
+    start = begun(scales_of(problem), common=common)
     at = learn_scales(system, start)
     learnt = TermVariances(system, at, start.free)
     if ratio is None:
@@ -136,41 +144,36 @@ def by_common_factor(
 
 
 def in_turn(
-    problem: Problem,
-    linear: LinearModel,
-    ratios: Array,
-    lowest: Array,
-    *,
-    common: bool,
-    held: int | None = None,
+    problem: Problem, linear: LinearModel, ratios: Array, lowest: Array, *, common: bool
 ) -> Variances:
-    """Sensors and terms in turn, until neither moves.
+    """The scales of the terms at the sensors' present ratios, then one step of the ratios.
 
-    problem: at the scales of the fit; linear: where the fit ended; ratios: (c,) to begin from,
-    lowest: (c,) what none falls below; common: whether all noise is learnt; held: a term that
-    counts as absent.
+    problem: at the scales of the fit; linear: where the fit ended; ratios: (c,) present ones,
+    lowest: (c,) what none falls below; common: whether all noise is learnt. Without terms the
+    ratios are the best ones at once. Raises NoTrustworthyResult where the loops have no noise.
     """
-    found = estimate_ratios(linear, ratios, lowest=lowest)
     if not problem.mechanism.terms:
+        found = estimate_ratios(linear, ratios, lowest=lowest)
         return Variances(found.ratios, found.criterion, found.converged, None, found)
+    flat = whitened(replace(linear, precision=np.zeros(len(linear.precision))), ratios)
+    if flat is None:
+        raise NoTrustworthyResult(
+            "the sds cannot be estimated: the loops have no usable noise model where the fit ended",
+            remedy="calibrate with stated sds first and check that the fit converges",
+        )
     own, terms = owners(problem), problem.mechanism.terms
-    start = begun(terms, scales_of(problem), held, common=common)
-    for _ in range(_TURNS):
-        sums = sums_at(linear, found.ratios)
-        assert sums is not None
-        prior_sd = np.where(own >= 0, np.exp(0.5 * start.x[1:])[own], problem.prior_sd)
-        system = term_system(sums, prior_sd, linear.offset, own, terms)
-        at = learn_scales(system, start)
-        moved = float(np.abs(at.x - start.x).max())
-        prior_sd = np.where(own >= 0, at.scales[own], problem.prior_sd)
-        linear = replace(linear, precision=1.0 / np.square(prior_sd))
-        found = estimate_ratios(linear, found.ratios * at.factor, lowest=lowest)
-        start = replace(start, x=np.append(0.0, at.x[1:]))
-        if moved <= _SETTLED:
-            break
+    sums = Sums(flat.R, True, sum(block.e.size for block in linear.blocks))
+    system = term_system(sums, problem.prior_sd, linear.offset, own, terms)
+    start = begun(scales_of(problem), common=common)
+    at = learn_scales(system, start)
     learnt = TermVariances(system, at, start.free)
-    criterion = found.criterion + learnt.own_criterion
-    return Variances(found.ratios, criterion, found.converged, learnt, found)
+    prior_sd = np.where(own >= 0, at.scales[own], problem.prior_sd)
+    linear = replace(linear, precision=1.0 / np.square(prior_sd))
+    present = mixed_fit(linear, with_prior(linear, flat))
+    step = scoring_step(present, ratios, lowest, np.ones(len(ratios), dtype=bool))
+    stepped = np.clip(ratios + step, lowest, _FARTHEST * ratios + (ratios == 0.0))
+    criterion = present.criterion + learnt.own_criterion
+    return Variances(stepped, criterion, True, learnt, Estimate(ratios, present, True))
 
 
 def all_learnt(problem: Problem, components: Sequence[Sequence[int]]) -> bool:

@@ -47,7 +47,8 @@ def iterate_undamped(
     while reason == "max_iterations" and iteration < max_iterations:
         iteration += 1
         offset = problem.nominal - parameters[problem.free]
-        data, steps, proposals = _linearised(sweeper, parameters, corrections)
+        with np.errstate(over="ignore", invalid="ignore"):  # a diverging iterate may overflow
+            data, steps, proposals = _linearised(sweeper, parameters, corrections)
         if not np.all(np.isfinite(data.total)):
             if iteration == 1:
                 raise outside_domain(problem, parameters)

@@ -39,7 +39,7 @@ class Value(Model):
     unit: UnitName | None = None
 
 
-Amount = Annotated[Value, plain_number_as("value", Value)]
+Amount = Annotated[Value, plain_number_as("value")]
 Motion = Literal["tx", "ty", "tz", "rx", "ry", "rz"]
 Motions = Annotated[
     dict[Motion, Amount],
@@ -63,7 +63,7 @@ class ParameterEntry(Model):
 
 
 ParameterEntries = Annotated[
-    dict[str, Annotated[ParameterEntry, plain_number_as("value", ParameterEntry)]],
+    dict[str, Annotated[ParameterEntry, plain_number_as("value")]],
     Field(
         description="Parameters by name or glob; later lines win.",
         examples=[{"alpha_*": {"fixed": True}, "d_1": {"sd": 1.0, "unit": "mm"}}],

@@ -1,6 +1,6 @@
-"""URDF files: the chain of joints between two links of a robot.
+"""Read URDF files: the chain of joints between two links of a robot.
 
-Only the joints of the chain have to make sense; names have to be distinct everywhere.
+Only the joints of this chain are validated. Names must be unique in the whole file.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ _EXPAND = "expand it first (xacro robot.urdf.xacro > robot.urdf) and name the re
 
 
 def read_urdf(path: str | Path, base: str, tip: str) -> tuple[LinkJoint, ...]:
-    """The joints from the link `base` to the link `tip` of a URDF file.
+    """Read the joints from the link `base` to the link `tip` of a URDF file.
 
-    Raises InputError, naming file and line, for what is no URDF, links that are not there or not
-    one below the other, and joints that cannot be calibrated.
+    Raises InputError with file and line if the file is not a URDF, if a link does not exist, if the
+    tip is not below the base, or if a joint cannot be calibrated.
     """
     robot = _Robot.of(read_xml(path, "robot", _NO_URDF), shown(path))
     chain = robot.chain(base, tip)
@@ -36,17 +36,17 @@ def read_urdf(path: str | Path, base: str, tip: str) -> tuple[LinkJoint, ...]:
 def urdf_machine(
     path: str | Path, base: str, tip: str, *, axes: bool = False, name: str | None = None
 ) -> Machine:
-    """The machine of the joints between two links of a robot's URDF file; the body is the tip.
+    """Build the machine of the joints between two links of a URDF file; the body is the tip.
 
-    T_parent_child = Tx(x) Ty(y) Tz(z) R_rpy Rz(rz) Ry(ry) Rx(rx) J(q) of each joint: parameters
-    JOINT_x, _y, _z [m], nominally the origin's xyz, and small turns JOINT_rz, _ry, _rx [rad] behind
-    its rpy; quantities the readings of the joints, by their names [rad or m]. base, tip: links,
-    one below the other; axes: whether the joints' axes have two tilts JOINT_axis_r. each, too;
-    name: by default that of the file. Not all of these parameters can be told apart: see
-    `loopcal.fix_redundant`.
+    Each joint contributes T_parent_child = Tx(x) Ty(y) Tz(z) R_rpy Rz(rz) Ry(ry) Rx(rx) J(q). Its
+    parameters are JOINT_x, _y, _z [m], nominally the origin's xyz, and the small turns JOINT_rz,
+    _ry, _rx [rad] after its rpy. Quantities are the readings of the joints, by their names [rad or
+    m]. base, tip: links, the tip below the base; axes: add two tilts JOINT_axis_r. for the axis of
+    each joint; name: by default that of the file. Not all of these parameters are identifiable:
+    see `loopcal.fix_redundant`.
 
-    Raises InputError, naming file and line, for what is no URDF, links that are not there or not
-    one below the other, and joints that cannot be calibrated.
+    Raises InputError with file and line if the file is not a URDF, if a link does not exist, if the
+    tip is not below the base, or if a joint cannot be calibrated.
     """
     joints = read_urdf(path, base, tip)
     return joint_chain(joints, axes=axes, name=name or Path(path).stem)
@@ -54,7 +54,7 @@ def urdf_machine(
 
 @dataclass(frozen=True)
 class _Robot:
-    """Links and joints (XML elements) by name; above: link -> the joints whose child it is."""
+    """Links and joints (XML elements) by name; above: the joints above each link."""
 
     file: str
     links: Mapping[str, Any]
@@ -76,7 +76,7 @@ class _Robot:
         return cls(file, links, joints, above)
 
     def _refuse_circle(self, base: str) -> None:
-        """Raise InputError where the links above the base lead back to it: a URDF is a tree."""
+        """Raise InputError if the links above the base form a cycle: a URDF is a tree."""
         met, waiting = set(), [base]
         while waiting:
             for element in self.above.get(waiting.pop(), ()):
@@ -93,7 +93,7 @@ class _Robot:
                     waiting.append(link)
 
     def chain(self, base: str, tip: str) -> list[Any]:
-        """The joints from one link to another below it."""
+        """The joints from a link to another one below it."""
         for link in (base, tip):
             if link not in self.links:
                 raise InputError(
@@ -143,7 +143,7 @@ class _Robot:
         return found[::-1]
 
     def joint(self, element: Any) -> LinkJoint:
-        """One joint as it stands."""
+        """Read one joint."""
         name, kind = element.get("name"), self._kind(element)
         xyz = rpy = (0.0, 0.0, 0.0)
         for origin in children(element, "origin")[:1]:
@@ -193,7 +193,7 @@ class _Robot:
         return str(found[0])
 
     def _mimic(self, element: Any, met: tuple[str, ...]) -> Mimic | None:
-        """What moves it, through all joints that mimic one another."""
+        """The independent joint that a joint mimics, directly or through other mimic joints."""
         stated = children(element, "mimic")
         if not stated:
             return None

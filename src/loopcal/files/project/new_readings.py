@@ -22,12 +22,14 @@ from loopcal.mechanisms.mechanism import Mechanism
 _FORMAT = ("sheet", "header", "delimiter", "decimal", "encoding", "variable")
 
 
-def read_new_readings(path: str | Path, inputs: Mapping[str, Any], mechanism: Mechanism) -> Dataset:
+def read_new_readings(
+    path: str | Path, inputs: Mapping[str, Any], mechanism: Mechanism, *, whole: bool = False
+) -> Dataset:
     """Readings of what predicts the outputs, SI, under the columns and units of a project.
 
     inputs: the project as result.json holds it; without one, columns are named as quantities, in
-    SI. The pose ids and sds of readings are read where the file has their columns. Raises
-    InputError as `read_dataset` does.
+    SI; whole: read the outputs too. The pose ids and sds of readings are read where the file has
+    their columns. Raises InputError as `read_dataset` does.
     """
     spec = _spec(inputs, mechanism)
     how: dict[str, Any] = {key: spec.options.get(key) for key in _FORMAT}
@@ -39,7 +41,7 @@ def read_new_readings(path: str | Path, inputs: Mapping[str, Any], mechanism: Me
     there = column_labels(source(), **how)
     stated = {q for part in (spec, *spec.joins) for q in part.columns}
     parts = [named_columns(p, there, mechanism, stated) for p in (spec, *spec.joins)]
-    needless = {*mechanism.outputs, *mechanism.predicting().unused}
+    needless = set() if whole else {*mechanism.outputs, *mechanism.predicting().unused}
     columns = {
         quantity: _without_absent_sd(column, there)
         for part in parts

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
@@ -19,6 +19,7 @@ from loopcal.files.toml.model import (
     Finite,
     Model,
     NameOrNumber,
+    OrPlain,
     Sd,
     UnitName,
     complaint,
@@ -88,9 +89,7 @@ def _column(value: Any) -> Any:
     return {"column": value} if isinstance(value, str | int) else value
 
 
-_ColumnOrName = Annotated[
-    ColumnEntry, BeforeValidator(_column, json_schema_input_type=str | int | ColumnEntry)
-]
+_ColumnOrName = Annotated[ColumnEntry, OrPlain(_column, ("string", "integer"))]
 
 
 class FileEntry(Model):
@@ -180,9 +179,7 @@ def _tracker(value: Any) -> Any:
     return {"name": value} if isinstance(value, str) else value
 
 
-_TrackerOrName = Annotated[
-    TrackerEntry, BeforeValidator(_tracker, json_schema_input_type=str | TrackerEntry)
-]
+_TrackerOrName = Annotated[TrackerEntry, OrPlain(_tracker, ("string",))]
 
 
 class EncoderEntry(Model):
@@ -239,7 +236,7 @@ class NoiseEntry(Model):
 
 
 NoiseEntries = Annotated[
-    dict[str, Annotated[NoiseEntry, plain_number_as("sd", NoiseEntry)]],
+    dict[str, Annotated[NoiseEntry, plain_number_as("sd")]],
     Field(
         description="By quantity, glob, the joined names of all outputs, or several of these "
         "with commas; later lines win.",
@@ -255,7 +252,7 @@ class SdEntry(Model):
     unit: UnitName | None = None
 
 
-Sds = dict[str, Annotated[SdEntry, plain_number_as("sd", SdEntry)]]
+Sds = dict[str, Annotated[SdEntry, plain_number_as("sd")]]
 
 
 class PriorEntry(SdEntry):
@@ -268,7 +265,7 @@ class PriorEntry(SdEntry):
     )
 
 
-Priors = dict[str, Annotated[PriorEntry, plain_number_as("sd", PriorEntry)]]
+Priors = dict[str, Annotated[PriorEntry, plain_number_as("sd")]]
 
 
 class ModelEntry(Model):
@@ -312,7 +309,7 @@ class SimulationEntry(Model):
         description="Of every quantity that is driven, and of known constants.",
         examples=[{"theta_1": {"from": -90, "to": 90, "unit": "deg"}}],
     )
-    truth: dict[str, Annotated[Value, plain_number_as("value", Value)]] = Field(
+    truth: dict[str, Annotated[Value, plain_number_as("value")]] = Field(
         default={}, description="True values of parameters, by name or glob; else the nominal ones."
     )
     perturb: Sds = Field(

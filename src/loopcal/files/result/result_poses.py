@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from loopcal.errors import InputError
 from loopcal.files.tables.columns import Column
 from loopcal.files.tables.readers import read_dataset
 from loopcal.measurements.dataset import Dataset
@@ -21,3 +22,23 @@ def read_result_poses(folder: Path, mechanism: Mechanism) -> Dataset | None:
     stated = {**mechanism.quantities, **mechanism.known}
     columns = {name: Column(f"{name} [{unit}]") for name, unit in stated.items()}
     return read_dataset(path, columns, pose="pose")
+
+
+def poses_of_result(path: str | Path, mechanism: Mechanism) -> Dataset | None:
+    """The poses of a folder that `loopcal calibrate` wrote, or of the result.json in it.
+
+    None for any other file. Raises InputError where residuals.csv is absent or cannot be read.
+    """
+    path = Path(path)
+    if path.name != "result.json" and not path.is_dir():
+        return None
+    folder = path if path.is_dir() else path.parent
+    poses = read_result_poses(folder, mechanism)
+    if poses is None:
+        raise InputError(
+            "the result has no residuals.csv, which holds its readings",
+            code="missing-file",
+            place=str(folder),
+            remedy="give the file of readings",
+        )
+    return poses

@@ -1,12 +1,12 @@
-"""What files may say, as pydantic models, and pydantic's complaints in the words of this program.
+"""The base of the pydantic models of files, and pydantic's errors as errors of loopcal.
 
-A model forbids unknown keys and takes values as TOML typed them. `validated` turns the first
-complaint into an InputError at its place in the file.
+A model refuses unknown keys and does not convert types. `validated` turns the first error into an
+InputError with its place in the file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
@@ -45,7 +45,7 @@ class Model(BaseModel):
 
 
 def complaint(words: str, remedy: str, code: Code = "invalid-value") -> PydanticCustomError:
-    """An error for validators to raise, with its remedy and code."""
+    """The error that a validator raises, with its remedy and code."""
     said = {"words": words, "remedy": remedy, "code": code}
     return PydanticCustomError("complaint", "{words}", said)
 
@@ -72,7 +72,7 @@ def _sd(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class OneOf:
-    """Annotates a text that is one of these names."""
+    """Annotates a string that must be one of these names."""
 
     names: tuple[str, ...]
 
@@ -86,8 +86,29 @@ Sd = Annotated[float, Field(ge=0), BeforeValidator(_sd)]
 NameOrNumber = Annotated[str | int, BeforeValidator(_name_or_number)]
 
 
-def plain_number_as(key: str, model: type[BaseModel]) -> BeforeValidator:
-    """A validator that takes a bare number for a table of that model with this one key."""
+@dataclass(frozen=True)
+class OrPlain:
+    """Annotates a table that a file may also write as a plain value.
+
+    as_table: converts a plain value to its table and returns a table unchanged; plain: the JSON
+    types of plain values; positive: whether numbers must be 0 or more. (pydantic's own
+    `json_schema_input_type` names the table's model twice, which fails in pydantic 2.10 and 2.11.)
+    """
+
+    as_table: Callable[[Any], Any]
+    plain: tuple[str, ...]
+    positive: bool = False
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self.as_table, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        least = {"minimum": 0} if self.positive else {}
+        return {"anyOf": [*({**least, "type": kind} for kind in self.plain), handler(schema)]}
+
+
+def plain_number_as(key: str) -> OrPlain:
+    """Annotates a table that may be written as a bare number, the value of this one key."""
 
     def table(value: Any) -> Any:
         number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -96,13 +117,13 @@ def plain_number_as(key: str, model: type[BaseModel]) -> BeforeValidator:
             raise complaint(f"{_short(value)} is given", remedy)
         return {key: value} if number else value
 
-    return BeforeValidator(table, json_schema_input_type=(Sd if key == "sd" else float) | model)
+    return OrPlain(table, ("number",), positive=key == "sd")
 
 
 def validated(model: type[Kind], data: Any, place: Place) -> Kind:
-    """The data as that model.
+    """Validate data as an instance of a model.
 
-    Raises InputError at the place of the first complaint, naming the others.
+    Raises InputError at the place of the first error; its message names the places of others.
     """
     try:
         return model.model_validate(data)
@@ -123,11 +144,11 @@ _CODES: dict[str, Code] = {
     "missing": "missing-key",
     "literal_error": "unknown-name",
 }
-"""Of pydantic's kinds of complaints; all others are about a value."""
+"""Codes of pydantic's types of errors; all others are `invalid-value`."""
 
 
 def input_error(details: Sequence[ErrorDetails], data: Any, place: Place) -> InputError:
-    """pydantic's complaints about data, the first in full, at their place in the file."""
+    """Convert pydantic's errors: the first in full, the places of up to three others."""
     paths = [_path(detail, data) for detail in details]
     message, remedy = _words(details[0], paths[0])
     others = [toml_path((*place.keys, *p)) for p in dict.fromkeys(paths) if p != paths[0]]
@@ -139,7 +160,7 @@ def input_error(details: Sequence[ErrorDetails], data: Any, place: Place) -> Inp
 
 
 def _path(detail: ErrorDetails, data: Any) -> tuple[str | int, ...]:
-    """The keys of a complaint, without what pydantic adds for the members of a union."""
+    """The keys that lead to an error, without those that pydantic adds for members of a union."""
     path: list[str | int] = []
     for key in detail["loc"]:
         inside = isinstance(data, Mapping) and key in data
@@ -153,7 +174,7 @@ def _path(detail: ErrorDetails, data: Any) -> tuple[str | int, ...]:
 
 
 def _words(detail: ErrorDetails, path: Sequence[str | int]) -> tuple[str, str]:
-    """What is wrong, and what to do."""
+    """The message and the remedy."""
     context, given = detail.get("ctx", {}), detail.get("input")
     match detail["type"]:
         case "unknown_key" | "complaint":

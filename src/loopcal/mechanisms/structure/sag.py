@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from loopcal.expressions.engine import engine_for
 from loopcal.expressions.trace import trace
-from loopcal.expressions.vectors import cross, dot, rotate, vector
+from loopcal.expressions.vectors import cross, dot, norm, rotate, vector
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.direction import Direction
 from loopcal.mechanisms.frame import Values, Vector
@@ -109,13 +109,13 @@ class Sag:
     def columns(self, nominal: Mapping[str, float]) -> tuple[Column, ...]:
         """The columns that do something, each once.
 
-        At random poses of the nominal arm, and with gravity as stated. Two that displace the body
-        alike would count twice.
+        At random poses of the nominal arm, with gravity tilted a little: what turns about it does
+        nothing otherwise. Two that displace the body alike would count twice.
         """
         candidates = list(self.candidates())
         units = {step.joint: step.unit for step in self.chain if step.joint}
         names = [column.parameter for column in candidates]
-        p = {**nominal, **dict.fromkeys((*self.down.tilts, *names), 0.0)}
+        p = {**nominal, **dict.fromkeys(names, 0.0), **dict.fromkeys(self.down.tilts, 0.1)}
         tape = trace(
             lambda x, p: [
                 *np.concatenate(self.displacement(candidates, cast("Any", x), cast("Any", p)))
@@ -195,9 +195,10 @@ class Sag:
         return self._standing(links), _Link(origin, axes)
 
     def _standing(self, links: list[_Link]) -> list[_Link]:
-        """The links of an arm placed by its own steps, base and first joint level with the second.
+        """The links, where the arm's own steps place it: there is no base in such a chain.
 
-        Where its first axis begins depends on the frame of the instrument.
+        Its first axis begins somewhere in the instrument's frame. The first joint is taken where
+        that axis passes the second joint, the base as far below as the second link is long.
         """
         if not self.ahead or len(links) < 3:
             return links
@@ -205,7 +206,8 @@ class Sag:
         motion = self.chain[self.ahead].motion
         e = first.axes[motion[1]]
         foot = first.origin + e * dot(e, second.origin - first.origin)
-        return [_Link(foot, base.axes), _Link(foot, first.axes), *links[2:]]
+        below = foot - e * norm(links[3].origin - second.origin) if len(links) > 3 else foot
+        return [_Link(below, base.axes), _Link(foot, first.axes), *links[2:]]
 
 
 def _alike(own: Array, other: Array, size: float) -> bool:

@@ -1,0 +1,262 @@
+"""Is it still the machine that was calibrated, and how accurate is it there?
+
+On another day the instrument stands elsewhere. Its placement is found anew (`replacing`), and so
+is what was mounted anew; the machine's parameters are held. The innovation (`innovation`) then
+says whether the new poses differ from the calibration by more than the covariances of both
+explain. The accuracy of the held machine stands beside that of the machine as drawn, placed with
+the same freedom, and beside the one that the stated covariance leads one to expect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.accuracy import Distances
+from loopcal.errors import InputError
+from loopcal.estimation.accuracy import accuracy, by_pose, deviations, main_unit
+from loopcal.estimation.noise.learning import with_model
+from loopcal.estimation.prediction import output_differences
+from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.result import Result
+from loopcal.estimation.sensitivity import output_sensitivity
+from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import MODEL, Noise, NoiseLike
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.gain import Gain
+from loopcal.statistics.innovation import (
+    Linearised,
+    components_of,
+    learnt_freedom,
+)
+from loopcal.statistics.replacing import Freedom, Replaced, replaced
+from loopcal.statistics.tolerance import Quantile
+from loopcal.statistics.verified import Placed, Verification, WorstPose
+
+Array = NDArray[np.float64]
+_DRAWS = 200
+"""Of the errors that the stated covariance leads one to expect."""
+_WORST = 5
+
+
+def verify(
+    calibration: Result | Calibrated,
+    data: Dataset | Result | Any,
+    *,
+    noise: NoiseLike | None = None,
+    remounted: bool | Sequence[str] = False,
+    tolerance: float | None = None,
+) -> Verification:
+    """Check a calibrated machine against readings of another day.
+
+    data: readings [SI] as `calibrate` takes them, or the result of another calibration, whose
+    readings are taken; noise: sds of these readings, else the calibration's. Every instrument is
+    placed anew. remounted: True where all that instruments look at was mounted anew, or the names
+    of instruments, targets or parameters (globs); these are estimated too. tolerance: distance
+    [SI] that 95 % of poses shall keep.
+
+    Raises InputError where readings or sds are missing, and for a name that is not there.
+    """
+    known = Calibrated.of(calibration, "") if isinstance(calibration, Result) else calibration
+    data = data.dataset if isinstance(data, Result) else data
+    data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
+    if tolerance is not None and not tolerance > 0.0:
+        raise InputError(
+            f"the tolerance is {tolerance:g}",
+            code="invalid-value",
+            remedy="give a distance above zero",
+        )
+    with one_blas_thread():
+        freedom = Freedom.of(known.mechanism, remounted)
+        problem = day_problem(known, data, Noise.of(noise))
+        return _verified(known, problem, freedom, tolerance)
+
+
+def day_problem(known: Calibrated, data: Dataset, noise: Noise | None) -> Problem:
+    """The poses of another day at the calibrated parameters, all of which count as estimated.
+
+    noise: of these readings, else that of the calibration.
+    """
+    mechanism = known.mechanism
+    weighed = None if known.residual is not None else (noise or noise_of(known, data))
+    if weighed is not None:
+        mechanism, data = with_model(mechanism, data, weighed)
+    # Nothing is estimated by it: with informative priors any number of poses will do.
+    free = mechanism.parameters.with_fixed(["*"], fixed=False).with_prior({"*": 1.0})
+    return build_problem(mechanism.with_parameters(free), data, weighed)
+
+
+def noise_of(known: Calibrated, data: Dataset) -> Noise:
+    """The sds that a calibration used, for other readings; what had none was not measured."""
+    entries: dict[str | tuple[str, ...], Any] = {}
+    for entry in known.noise:
+        if entry.role == "disturbance":
+            entries[MODEL] = entry.sd
+            continue
+        entries |= dict.fromkeys(entry.quantities, entry.sd)
+    disturbances = known.mechanism.disturbances
+    unmeasured = [q for q in known.mechanism.quantities if q not in (*entries, *disturbances)]
+    return Noise(entries | dict.fromkeys(unmeasured, np.inf))
+
+
+def _verified(
+    known: Calibrated, problem: Problem, freedom: Freedom, tolerance: float | None
+) -> Verification:
+    mechanism = problem.mechanism
+    variance = None if known.residual is None else known.residual.value
+    components = components_of(known, mechanism.tape.quantities)
+    here = replaced(problem, freedom, variance=variance, components=components)
+    linear = Linearised.of(here, known)
+    drawn = dict(zip(mechanism.parameters.names, known.nominal.tolist(), strict=True))
+    as_drawn = replace(problem, start=np.array([*drawn.values()]))
+    as_drawn = replace(as_drawn, mechanism=mechanism.with_nominal(drawn))
+    nominal = replaced(as_drawn, freedom, variance=variance)
+    measured = problem.readings[[mechanism.tape.quantities.index(q) for q in mechanism.compared]]
+    differences = _differences(here)
+    drawn_differences = _differences(nominal)
+    apart = deviations(mechanism, measured, differences)
+    distances = by_pose(apart)
+    others = by_pose(deviations(mechanism, measured, drawn_differences))
+    gain = None if distances is None or others is None else Gain.of(distances, others)
+    squares = _by_pose(here, linear)
+    return Verification(
+        poses=problem.poses,
+        unit=main_unit(apart) or "m",
+        calibrated=_distances(mechanism, measured, differences),
+        nominal=_distances(mechanism, measured, drawn_differences),
+        expected=_expected(here, linear, variance, measured),
+        gain=gain,
+        innovation=linear.innovation(learnt_freedom(known, here)),
+        placed=_placed(here, linear, freedom),
+        worst=_worst(problem, distances, squares),
+        quantile=None if distances is None else Quantile.of(distances),
+        tolerance=tolerance,
+    )
+
+
+def _differences(here: Replaced) -> Array:
+    return output_differences(here.problem, here.parameters, here.corrections)
+
+
+def _distances(mechanism: Mechanism, measured: Array, differences: Array) -> Distances | None:
+    found = accuracy(deviations(mechanism, measured, differences))
+    return None if found is None else found.distances
+
+
+def _by_pose(here: Replaced, linear: Linearised) -> Array:
+    """(N,) chi-squared of each pose by itself, what was placed anew taken as known."""
+    left = linear.e - linear.F @ (linear.solve @ linear.e)
+    out, begin = np.full(len(here.problem.poses), np.nan), 0
+    for rows in here.rows:
+        b, r = rows.e.shape
+        A = linear.A[begin : begin + b * r].reshape(b, r, -1)
+        e = left[begin : begin + b * r].reshape(b, r, 1)
+        S = np.eye(r) + A @ A.transpose(0, 2, 1)
+        out[rows.poses] = (e * np.linalg.solve(S, e)).sum(axis=(1, 2))
+        begin += b * r
+    return out
+
+
+def _worst(problem: Problem, distances: Array | None, squares: Array) -> tuple[WorstPose, ...]:
+    size = squares if distances is None else distances
+    order = np.argsort(-np.where(np.isfinite(size), size, -np.inf))[:_WORST]
+    return tuple(
+        WorstPose(
+            problem.poses[i],
+            None if distances is None or not np.isfinite(distances[i]) else float(distances[i]),
+            float(squares[i]),
+        )
+        for i in order.tolist()
+        if np.isfinite(size[i]) and np.isfinite(squares[i])
+    )
+
+
+def _placed(here: Replaced, linear: Linearised, freedom: Freedom) -> tuple[Placed, ...]:
+    """What was found anew, with sds that include what is not known of the machine."""
+    mechanism, g = here.problem.mechanism, here.directions.shape[1]
+    names = list(freedom.names)
+    if freedom.whole and mechanism.placement is not None:
+        names = [*mechanism.placement.parameters, *names]
+    own = here.directions @ linear.solve[:g]
+    follows = own @ linear.A - linear.root
+    variance = np.square(own).sum(axis=1) + np.square(follows).sum(axis=1)
+    seen = np.abs(here.directions @ (linear.solve @ linear.F)[:g, :g])
+    order, found = mechanism.parameters.names, []
+    for name in dict.fromkeys(names):
+        i = order.index(name)
+        shown = abs(seen[i] - np.abs(here.directions[i])).max(initial=0.0) < 1e-6
+        found.append(
+            Placed(
+                name,
+                float(here.parameters[i]),
+                float(np.sqrt(variance[i])) if shown else None,
+                mechanism.parameters[name].unit,
+            )
+        )
+    return tuple(found)
+
+
+def _expected(
+    here: Replaced, linear: Linearised, variance: float | None, measured: Array
+) -> Distances | None:
+    """The distances that the stated covariance leads one to expect, as means over random draws.
+
+    What is placed anew follows the error of the held machine as far as it can, and takes up some
+    of the noise.
+    """
+    problem, mechanism = here.problem, here.problem.mechanism
+    if not mechanism.outputs:
+        return None
+    names = mechanism.tape.quantities
+    outputs = [names.index(q) for q in mechanism.outputs]
+    differences = _differences(here)[: len(outputs)]
+    x = problem.readings + here.corrections
+    x[outputs] += np.nan_to_num(differences)
+    unread = np.flatnonzero(np.isinf(problem.uncertainty.sd).all(axis=1)).tolist()
+    parameters = here.parameters, mechanism.parameters.names
+    S = output_sensitivity(mechanism, *parameters, x, problem.known, unread)
+    g = here.directions.shape[1]
+    follows = here.directions @ (linear.solve @ linear.A)[:g]
+    machine = S.by_parameter @ (follows - linear.root)
+    own = _own_noise(problem, S.by_reading, outputs, variance)
+    left = (len(linear.e) - linear.rank) / max(len(linear.e), 1)
+    own = own * np.sqrt(max(left, 0.0))
+    draw = np.random.default_rng(0)
+    found = []
+    for _ in range(_DRAWS):
+        h, v = draw.standard_normal(machine.shape[2]), draw.standard_normal(own.shape[::2])
+        errors = machine @ h + np.einsum("nok,nk->no", own, v)
+        drawn = np.full(measured.shape, np.nan)
+        drawn[: len(outputs)] = np.where(np.isfinite(differences), errors.T, np.nan)
+        drawn[len(outputs) :] = 0.0
+        one = _distances(mechanism, measured, drawn)
+        if one is not None:
+            found.append((one.mean, one.rms, one.p95, one.max))
+    if not found:
+        return None
+    mean, _, p95, largest = np.mean(found, axis=0).tolist()
+    rms = float(np.sqrt(np.square(np.array(found)[:, 1]).mean()))
+    return Distances(mean, rms, p95, largest, int(np.isfinite(differences).all(axis=0).sum()))
+
+
+def _own_noise(
+    problem: Problem, by_reading: Array, outputs: Sequence[int], variance: float | None
+) -> Array:
+    """(N, o, k) a square root of the covariance that the readings of these poses cause."""
+    T = np.nan_to_num(by_reading)
+    T[:, range(len(outputs)), list(outputs)] = -1.0
+    if variance is not None:
+        sd = np.zeros(T.shape[2])
+        sd[list(outputs)] = np.sqrt(variance)
+        return np.asarray(T * sd)
+    sd = np.where(np.isinf(problem.uncertainty.sd), 0.0, problem.uncertainty.sd)
+    G: Array = T * np.broadcast_to(sd, problem.readings.shape).T[:, None, :]
+    for block in problem.uncertainty.blocks:
+        G[:, :, block.indices] = T[:, :, block.indices] @ block.factor
+    return G

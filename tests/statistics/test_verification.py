@@ -1,0 +1,177 @@
+"""Another day: false alarms, power, placement, accuracy; `analyses/verify.py` at full size."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from analyses.instruments import setup
+from analyses.verify import LEVEL, Rates, another_day, run
+from loopcal.statistics.innovation import Innovation
+from loopcal.statistics.replacing import Freedom
+from loopcal.statistics.tolerance import Quantile, judged
+from tests.reference.machines import dh_arm
+from tests.reference.simulated import Simulated, ma1400, planar_arm
+from tests.refusals import refused
+from tests.statistics.test_comparison import elsewhere, sds_of
+
+DRAWS = 6
+NAMES = (
+    "six-axis distance",
+    "six-axis draw-wire",
+    "six-axis relative distance",
+    "six-axis ball-bar",
+    "two-link spherical",
+    "two-link draw-wire",
+    "two-link relative distance",
+)
+
+
+@cache
+def rates(name: str) -> Rates:
+    return run(name, range(DRAWS))
+
+
+def test_an_unchanged_machine_is_called_changed_as_often_as_stated() -> None:
+    """Four standard errors of the level over all setups."""
+    p = np.concatenate([rates(name).unchanged for name in NAMES])
+    assert abs((p < LEVEL).mean() - LEVEL) < 4 * np.sqrt(LEVEL * (1 - LEVEL) / len(p))
+    assert abs(np.mean(p) - 0.5) < 4 * np.sqrt(1 / 12 / len(p))
+
+
+def test_a_joint_zero_that_moved_by_a_milliradian_is_seen() -> None:
+    p = np.concatenate([rates(name).moved for name in NAMES])
+    assert (p < LEVEL).mean() > 0.95
+
+
+def test_the_covariance_expects_the_accuracy_that_is_found() -> None:
+    ratios = np.concatenate([rates(name).ratio for name in NAMES])
+    assert np.sqrt(np.square(ratios).mean()) == pytest.approx(1.0, abs=0.08)
+
+
+def test_intervals_of_what_is_placed_hold_the_truth() -> None:
+    held = [rates(name).held for name in NAMES if rates(name).held.size]
+    assert np.mean(np.concatenate(held)) > 0.88
+
+
+def calibrated(arm: Simulated, seed: int, poses: int, estimate: bool) -> lc.Result:
+    outputs = tuple(arm.truth.outputs)
+    noise = lc.Noise(sds_of(arm), estimate={outputs: "group"} if estimate else {})
+    data = arm.read(sds_of(arm), seed).take(np.arange(poses))
+    return lc.calibrate(arm.truth, data, noise=noise, start="nominal")
+
+
+def test_learnt_sds_of_few_poses_do_not_raise_the_false_alarms() -> None:
+    arm = planar_arm(12)
+    p = []
+    for seed in range(30):
+        day = elsewhere(arm, 1000 + seed, 30).read(sds_of(arm), 5000 + seed)
+        found = lc.verify(calibrated(arm, seed, 12, estimate=True), day)
+        assert found.innovation.learnt_freedom is not None
+        p.append(found.innovation.p_value)
+    assert np.mean(np.array(p) < LEVEL) < LEVEL + 4 * np.sqrt(LEVEL * (1 - LEVEL) / len(p))
+
+
+def test_least_squares_is_judged_by_f_with_the_freedom_of_its_residuals() -> None:
+    arm = planar_arm(20)
+    sds = {q: 1e-4 if q in arm.truth.outputs else 0.0 for q in arm.truth.quantities}
+    p = []
+    for seed in range(25):
+        result = lc.calibrate(arm.truth, arm.read(sds, seed), method="least-squares")
+        day = elsewhere(arm, 1000 + seed, 20).read(sds, 5000 + seed)
+        found = lc.verify(result, day)
+        assert found.innovation.learnt_freedom == 34
+        p.append(found.innovation.p_value)
+    assert np.mean(np.array(p) < LEVEL) < LEVEL + 4 * np.sqrt(LEVEL * (1 - LEVEL) / len(p))
+
+
+def test_a_machine_whose_placement_is_its_own_parameters_is_moved_as_a_whole() -> None:
+    arm = ma1400(40)
+    other = elsewhere(arm, 3, 20)
+    found = lc.verify(calibrated(arm, 1, 40, estimate=False), other.read(sds_of(arm), 2))
+    assert found.verdict["consistent"].passed
+    for placed in found.placed:
+        assert placed.sd is not None
+        assert abs(placed.value - other.values[placed.name]) < 4.5 * placed.sd
+
+
+def test_what_was_mounted_anew_is_found_only_where_it_is_stated() -> None:
+    given = setup("six-axis spherical")
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1)
+    nominal = given.truth.with_parameters(given.truth.parameters.with_fixed(given.held))
+    result = lc.calibrate(nominal, made.dataset, noise=given.noise)
+    moved = another_day(given, 1).with_nominal({"tool_x": 0.06})
+    day = lc.simulate(moved, given.driven, noise=given.noise, seed=2).dataset
+    stays = lc.verify(result, day)
+    assert stays.verdict["consistent"].code == "changed"
+    assert stays.failed
+    for how in (True, ["tool"], ["T"], ["tool_*"], "tool_x"):
+        found = lc.verify(result, day, remounted=how)
+        assert found.verdict["consistent"].passed
+        value = next(q for q in found.placed if q.name == "tool_x")
+        assert value.sd is not None
+        assert abs(value.value - 0.06) < 4.5 * value.sd
+    with refused("unknown-name", "tool_x"):
+        lc.verify(result, day, remounted=["tol_x"])
+
+
+def test_nothing_is_placed_where_nothing_stands_apart() -> None:
+    given = setup("six-axis relative distance")
+    assert Freedom.of(given.truth) == Freedom(())
+    p = rates("six-axis relative distance")
+    assert p.held.size == 0
+
+
+def test_it_stands_beside_the_nominal_machine_placed_with_the_same_freedom() -> None:
+    arm = planar_arm(60)
+    off = arm.off(2e-3, 2e-3, seed=3)
+    noise = lc.Noise(sds_of(arm))
+    result = lc.calibrate(off, arm.read(sds_of(arm), 1), noise=noise, start="nominal")
+    found = lc.verify(result, elsewhere(arm, 5, 40).read(sds_of(arm), 2), tolerance=1e-3)
+    assert found.calibrated is not None
+    assert found.nominal is not None
+    assert found.nominal.rms > 3 * found.calibrated.rms
+    assert found.verdict["better"].code == "better-than-nominal"
+    assert found.verdict["tolerance"].code == "within-tolerance"
+    document = found.document()
+    assert document["verdict"]["headline"] == found.headline
+    assert {"mean", "rms", "p95", "max"} <= set(document["accuracy"]["nominal"])
+    assert lc.verify(result, elsewhere(arm, 5, 40).read(sds_of(arm), 2), tolerance=5e-5).failed
+
+
+def test_the_readings_of_another_result_serve_as_well() -> None:
+    arm = planar_arm(40)
+    day = elsewhere(arm, 5, 30).read(sds_of(arm), 2)
+    first = calibrated(arm, 1, 40, estimate=False)
+    again = lc.calibrate(arm.truth, day, noise=lc.Noise(sds_of(arm)), start="nominal")
+    assert lc.verify(first, again).document() == lc.verify(first, day).document()
+
+
+def test_a_guard_band_holds_the_quantile_as_often_as_it_says() -> None:
+    rng, held = np.random.default_rng(0), []
+    true = np.sqrt(7.814727903251178)  # 95 % of a chi-squared with three degrees of freedom
+    for _ in range(400):
+        found = Quantile.of(np.linalg.norm(rng.standard_normal((3, 20)), axis=0))
+        assert found is not None
+        held.append(found.low <= true <= found.high)
+    assert np.mean(held) == pytest.approx(0.95, abs=0.035)
+
+
+@pytest.mark.parametrize(("tolerance", "passed"), [(0.5e-3, False), (1.7e-3, None), (9e-3, True)])
+def test_within_the_guard_band_the_decision_is_open(tolerance: float, passed: bool | None) -> None:
+    distances = 1e-3 * np.linalg.norm(np.random.default_rng(1).standard_normal((2, 15)), axis=0)
+    found = judged(Quantile.of(distances), tolerance, "m", "of this file")
+    assert found.passed is passed or (passed is None and found.code == "near-tolerance")
+
+
+def test_f_goes_over_into_chi_squared() -> None:
+    exact = Innovation.of(60.0, 47, None).p_value
+    assert Innovation.of(60.0, 47, 1e7).p_value == pytest.approx(exact, rel=1e-4)
+    assert Innovation.of(0.0, 0, None).p_value is None
+
+
+def test_an_instrument_seen_in_the_base_itself_leaves_the_arm_where_it_is() -> None:
+    assert Freedom.of(dh_arm()).names[:1] == ("base_x",)
