@@ -38,6 +38,14 @@ def test_check_expects_what_the_fit_then_gives(folder: Path, run: Run) -> None:
     assert ranges["phi2"] == pytest.approx((-math.pi / 2, math.pi / 2), abs=0.01)
 
 
+def test_check_states_the_kind_of_each_parameter(folder: Path, run: Run) -> None:
+    document = json.loads(run("check", "project.toml", "--json").out)
+    assert {p["name"]: p["kind"] for p in document["parameters"]} == {
+        "xA": "placement", "yA": "placement", "phi20": "placement",
+        "l2": "length", "l3": "length", "phi30": "angle",
+    }  # fmt: skip
+
+
 def test_check_of_poses_that_are_all_alike(folder: Path, run: Run) -> None:
     rows = (folder / "readings.csv").read_text().splitlines()
     (folder / "readings.csv").write_text("\n".join([rows[0], *[rows[5]] * 8]) + "\n")

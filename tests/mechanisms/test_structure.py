@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -363,6 +364,23 @@ def test_a_discrepancy_has_the_sd_of_its_coefficients_in_every_pose() -> None:
         still = loops(made, x)
         columns = np.array([loops(made, x, **{n: 1.0}) - still for n in names])
         assert columns.T @ columns == pytest.approx(np.eye(3), abs=1e-12)
+
+
+def test_structured_mechanisms_travel_to_workers() -> None:
+    made = structured(machines()["pose"], discrepancy=True)
+    assert pickle.loads(pickle.dumps(made)) == made
+    plain = pickle.loads(pickle.dumps(machines()["pose"]))
+    assert structured(plain, discrepancy=True) == made
+
+
+def test_gravity_needs_a_direction() -> None:
+    with refused("invalid-value", "gravity"):
+        motoman_ma1400().with_gravity((0.0, 0.0, 0.0))
+
+
+def test_sag_that_an_arm_cannot_have_is_refused() -> None:
+    with refused("unknown-name", "theta_6_sag_x_tool"):
+        structured(motoman_ma1400(), sag=("theta_6_sag_x_tool",))
 
 
 def test_effects_stated_by_the_user_are_not_added_again() -> None:

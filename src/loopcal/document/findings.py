@@ -171,6 +171,8 @@ class PredictionEntry:
     """Parameter steps [SI] that neither data nor prior limit."""
     by: tuple[UsualSd, ...] = ()
     """Per instrument; empty: written by an earlier version, which took all outputs together."""
+    unmeasured: tuple[str, ...] = ()
+    """Quantities that no sensor read: a column of one holds start values only."""
 
 
 @dataclass(frozen=True)

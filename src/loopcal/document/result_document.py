@@ -22,6 +22,7 @@ from loopcal.document.findings import (
 from loopcal.document.fit import (
     ClosureEntry,
     CovarianceEntry,
+    NoiseCovarianceEntry,
     NoiseEntry,
     ParameterEntry,
     StatusEntry,
@@ -135,6 +136,8 @@ class ResultDocument:
     covariance: CovarianceEntry
     noise: tuple[NoiseEntry, ...]
     """Empty for least squares, which knows none."""
+    noise_covariances: tuple[NoiseCovarianceEntry, ...] = ()
+    """Of the quantities whose covariance was stated."""
     terms: tuple[TermEntry, ...] = ()
     """What was learnt of the model error; empty: nothing was to be learnt."""
     model_discrepancy: Size | None = None
@@ -192,7 +195,8 @@ class ResultDocument:
         lines = [f"{name}: {self.method_label or self.method}{loss}", ""]
         lines += _state(self)
         lines += ["", *_accuracy(self)]
-        rejected = self.chi_squared is not None and (self.chi_squared.p_value or 0.0) < 0.01
+        p_value = 1.0 if self.chi_squared is None else self.chi_squared.p_value
+        rejected = p_value is not None and p_value < 0.01
         if rejected or any(entry.source == "estimated" for entry in self.noise):
             lines += ["", *sensor_table(self.noise)]
         lines += ["", *parameter_table(self.parameters)]
@@ -222,10 +226,11 @@ def _state(document: ResultDocument) -> list[str]:
     if not status.converged:
         lines.append(f"  {status.message}")
     chi = document.chi_squared
-    if chi is not None and chi.variance_factor is not None and chi.p_value is not None:
+    if chi is not None and chi.variance_factor is not None:
+        told = "no p: all sds were learnt" if chi.p_value is None else f"p = {chi.p_value:.2g}"
         lines.append(
             f"chi-squared {significant(chi.value, 5)} at {chi.degrees_of_freedom} degrees of "
-            f"freedom (per degree {significant(chi.variance_factor, 3)}, p = {chi.p_value:.2g})"
+            f"freedom (per degree {significant(chi.variance_factor, 3)}, {told})"
         )
     information = document.identifiability
     condition = information.condition_number

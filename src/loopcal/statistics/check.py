@@ -32,6 +32,7 @@ from loopcal.mechanisms.prior import PriorLike
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import SHOWN
 from loopcal.presentation.text_table import columns
+from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.identifiability import (
     SCHROER,
     WhatDataSay,
@@ -39,7 +40,12 @@ from loopcal.statistics.identifiability import (
     what_data_say,
 )
 from loopcal.statistics.observability import observability
-from loopcal.statistics.predictor import largest_by_unit, predictor_at, usual_words
+from loopcal.statistics.predictor import (
+    ReadingNoise,
+    largest_by_unit,
+    predictor_at,
+    usual_words,
+)
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]
@@ -102,6 +108,7 @@ class Check:
                     "name": p.name,
                     "unit": p.unit,
                     "nominal": p.nominal,
+                    "kind": self.mechanism.kinds[p.name],
                     "prior_sd": p.prior_sd if math.isfinite(p.prior_sd) else None,
                     "fixed": p.fixed,
                     "expected_sd": _finite(self.expected_sd[p.name]),
@@ -170,9 +177,8 @@ def check(
         usual: tuple[UsualSd, ...] = ()
         if mechanism.outputs and told is not None:
             x = problem.readings + corrections
-            usual = predictor_at(
-                problem, problem.mechanism, system.covariance(), system, x, {}
-            ).usual
+            known = LearntCovariance.known(system.covariance())
+            usual = predictor_at(problem, problem.mechanism, known, system, x, ReadingNoise()).usual
     index = calibration_index(problem, problem.count, problem.equations)
     said = what_data_say(problem, information, sds, index, unit_sd=None if told is None else 1.0)
     verdict = _verdict(problem, said, loose)
@@ -265,7 +271,8 @@ def _range_table(check: Check) -> list[str]:
 
 
 def _parameter_table(check: Check) -> list[str]:
-    rows = [["parameter", "nominal", "prior sd", "expected sd", "unit"]]
+    rows = [["parameter", "nominal", "prior sd", "expected sd", "unit", "kind"]]
+    kinds = check.mechanism.kinds
     for p in check.mechanism.parameters:
         unit = SHOWN.get(p.unit, p.unit)
         prior = significant(float(from_si(p.prior_sd, unit)), 3)
@@ -275,7 +282,8 @@ def _parameter_table(check: Check) -> list[str]:
             expected = significant(float(from_si(sd, unit)), 3)
         nominal = f"{round(float(from_si(p.nominal, unit)), 9):.8g}"
         known = "flat" if math.isinf(p.prior_sd) else prior
-        rows.append([p.name, nominal, *(("", "fixed") if p.fixed else (known, expected)), unit])
+        sds = ("", "fixed") if p.fixed else (known, expected)
+        rows.append([p.name, nominal, *sds, unit, kinds[p.name]])
     return columns(rows)
 
 
