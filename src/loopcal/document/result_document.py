@@ -223,6 +223,8 @@ def _state(document: ResultDocument) -> list[str]:
         f"{data.used} poses" if data.poses == data.used else f"{data.used} of {data.poses} poses"
     )
     lines = [f"{head} in {steps} on {poses}"]
+    if document.chosen is not None:
+        lines.append(f"chosen: {document.chosen.words}")
     if not status.converged:
         lines.append(f"  {status.message}")
     chi = document.chi_squared
