@@ -12,9 +12,9 @@ import loopcal as lc
 from analyses.gross_errors import Counts, run, sds
 from analyses.instruments import setup
 from loopcal.errors import InputError
+from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.statistics import causes
-from loopcal.statistics.column_faults import column_faults
 from loopcal.units import from_si
 from tests.reference.simulated import ma1400, planar_arm
 
@@ -234,6 +234,7 @@ def test_what_happened_to_a_column_is_named(change, words) -> None:
     assert len(found.columns) == 1
     assert words in str(found)
     assert found.columns[0].before is not None
+    assert found.columns[0].after is not None
     assert found.columns[0].after < 0.1 * found.columns[0].before
 
 
@@ -285,7 +286,8 @@ def test_a_mirror_image_names_every_column_that_may_be_to_blame() -> None:
 
     fault = outliers(mirrored, method="least-squares", max_iterations=20).columns[0]
     assert set(fault.quantities) == {"x", "y", "z"}
-    assert "the columns of x and y are exchanged" in fault.words
+    assert fault.code == "left-handed"
+    assert "the columns of y and z are exchanged" in fault.words
 
 
 def test_pose_13_of_the_measured_workspace_is_named(shared_data, monkeypatch) -> None:

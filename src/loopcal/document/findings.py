@@ -229,11 +229,10 @@ class OutlierTests:
 
 @dataclass(frozen=True)
 class ColumnFault:
-    """A fault of whole columns, verified by fits with it and without.
+    """A fault of whole columns, of the order of rows, or of the whole file.
 
-    Misfit: the rms distance of the half of the poses where the nominal machine, placed as well as
-    can be, is nearest to the readings [SI]; of a machine that cannot be placed, the rms of the loop
-    values after a fit.
+    Misfit: the rms distance [SI] of the nine tenths of the poses where the nominal machine is
+    nearest to the readings, with instruments and targets placed as well as can be.
     """
 
     quantities: tuple[str, ...]
@@ -241,12 +240,17 @@ class ColumnFault:
     """What it is; alternatives that the readings cannot distinguish are joined by "or"."""
     before: Size | None
     """Misfit [SI] as read; null: no loop closes."""
-    after: Size
-    """The same with the fault corrected."""
+    after: Size | None
+    """The same with the fault corrected; null: the readings do not say how."""
     placed: bool = True
     """Whether the machine can be placed."""
+    code: str = "column"
+    """left-handed, reversed, unit, exchanged, orientation, pose-inverted, rows-shifted,
+    rows-shuffled, constant or wrong-machine; column: written by an earlier version."""
 
     def __str__(self) -> str:
+        if self.after is None:
+            return self.words
         meets = "the nominal machine meets the readings" if self.placed else "the loops fit"
         unit = " m" if self.placed else ""
         before = "inf" if self.before is None else f"{self.before:.3g}"

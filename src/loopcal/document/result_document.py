@@ -171,8 +171,8 @@ class ResultDocument:
     outlier_tests: OutlierTests | None = None
     """How outliers were found; null: no reading was tested."""
     column_faults: tuple[ColumnFault, ...] | None = None
-    """Columns that are exchanged, in another unit or counted the other way round; where there are
-    any, single poses are not tested."""
+    """Columns exchanged, reversed or in another unit, rows displaced, another machine; where there
+    are any, single poses are not tested."""
     other_optima: tuple[OtherOptimum, ...] | None = None
     """Optima that fit about as well; null: not sought."""
     data: DataEntry
@@ -222,7 +222,8 @@ def _state(document: ResultDocument) -> list[str]:
     poses = (
         f"{data.used} poses" if data.poses == data.used else f"{data.used} of {data.poses} poses"
     )
-    lines = [f"{head} in {steps} on {poses}"]
+    lines = [f"FILE AT FAULT  {fault}" for fault in document.column_faults or ()]
+    lines.append(f"{head} in {steps} on {poses}")
     if document.chosen is not None:
         lines.append(f"chosen: {document.chosen.words}")
     if not status.converged:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from loopcal.document.choice import Chosen
 from loopcal.document.dependence import Dependence
-from loopcal.document.findings import Identifiability
+from loopcal.document.findings import ColumnFault, Identifiability
 from loopcal.document.fit import ClosureEntry, NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.plain import known
@@ -72,7 +72,8 @@ class Result:
 
     fit: the settings; dataset: the readings; problem: with the sds used, solution: where the fit
     ended; stated: the problem with the sds as stated, estimate: what was learnt of them, None
-    where nothing was; all_poses: of a stream; notes: warnings beside those of the fit itself.
+    where nothing was; all_poses: of a stream; notes: warnings beside those of the fit itself;
+    faults: of the file as a whole, found before the fit.
     What follows from these is computed when it is first asked for.
     """
 
@@ -90,6 +91,7 @@ class Result:
     """Whether covariance and sds were multiplied by the variance factor, on request."""
     errors: Mapping[str, float] | None = None
     """True minus estimated value of the parameters whose truth is known."""
+    faults: tuple[ColumnFault, ...] = ()
 
     @property
     def method(self) -> str:
@@ -168,8 +170,11 @@ class Result:
 
     @cached_property
     def _learnt(self) -> LearntParameters | None:
-        """Kenward and Roger's covariance, where sds were learnt by a fit that converged."""
-        if self.estimate is None or not self.status.converged:
+        """Kenward and Roger's covariance, where sds were learnt by a fit that converged.
+
+        A stream has too many poses for it to matter.
+        """
+        if self.estimate is None or self.all_poses is not None or not self.status.converged:
             return None
         from loopcal.estimation.noise.kenward_roger import learnt_parameters
 
@@ -472,6 +477,7 @@ class Result:
             observability=None,
             prediction=None,
             outliers=None,
+            column_faults=self.faults or None,
             data=data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities]),
             warnings=self.warnings,
             inputs={},

@@ -31,10 +31,9 @@ def verdict(document: ResultDocument) -> Verdict:
     if faults:
         return Verdict(
             "bad",
-            "Columns at fault: do not use this result",
-            f"{used:,} poses were read as given, but {faults}. Once corrected, the machine fits "
-            f"the readings far better. Next: correct the file, or the columns in the project, and "
-            "calibrate again.",
+            "File at fault: do not use this result",
+            f"{used:,} poses were read as given, but {faults}. Next: correct the file, or the "
+            "columns in the project, and calibrate again.",
         )
     if not status.converged:
         return Verdict(

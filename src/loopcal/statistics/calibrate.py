@@ -58,6 +58,10 @@ def calibrate(
     "auto" (default) aligns a machine whose placement parameters are free with flat priors; or
     parameter values [SI] by name.
 
+    A file that is at fault as a whole (columns in another unit, reversed or exchanged, rows shifted
+    or shuffled, readings of another machine) is recognised before the fit where it begins at the
+    nominal machine. The fit is then cut short, no sd is estimated, and `Result.faults` names them.
+
     Raises InputError for input that cannot be used. A fit that does not converge is returned, with
     the reason in its status.
     """

@@ -117,7 +117,14 @@ def choose(
 
     Raises InputError where no candidate can be fitted.
     """
-    judged = [_fitted(one) for one in entrants(case)]
+    judged = []
+    for entrant in entrants(case):
+        judged.append(_fitted(entrant))
+        whole = judged[-1].whole
+        if whole is not None and whole.faults:  # no candidate is of use
+            words = f"{entrant.name}; nothing was compared: the file is at fault"
+            none = Chosen(entrant.name, (), words, ())
+            return Choice(case.fit.method.name, whole, none, None, None)
     if not any(one.whole for one in judged):
         raise next(one.error for one in judged if one.error)
     other = scheme if scheme and scheme.other is not None else None

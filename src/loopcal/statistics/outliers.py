@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from loopcal.document.findings import ColumnFault, Outlier, OutlierTests
 from loopcal.document.plain import known
 from loopcal.errors import InputError
+from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
@@ -70,9 +71,9 @@ class Outliers:
 
     def lines(self, most: int = 10) -> list[str]:
         """In words: the rule of the tests, what it found, at most so many poses."""
-        lines = [f"columns: {fault}" for fault in self.columns]
         if self.columns:
-            return [*lines, "outliers: not tested until the columns are corrected"]
+            lines = [f"file: {fault}" for fault in self.columns]
+            return [*lines, "outliers: not tested until the file is corrected"]
         rule = f"{self.tested} poses tested, family-wise level {100 * self.level:g} %"
         if self.by_residuals:
             rule += f", residuals as scale (factor {significant(self.scale, 3)})"
@@ -112,12 +113,11 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
         )
     with one_blas_thread():
         search = Search(result, level, scale)
-        if search.hopeless():
-            from loopcal.statistics.column_faults import column_faults
-
+        columns = result.faults
+        if not columns and search.hopeless():
             columns = column_faults(result.problem)
-            if columns:
-                return Outliers((), level, 0, 1.0, False, columns)
+        if columns:
+            return Outliers((), level, 0, 1.0, False, columns)
         fit, gone, tests = search.run()
         found = _named(search, fit, gone, tests)
     root = float(np.sqrt(fit.factor))

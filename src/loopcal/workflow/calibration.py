@@ -374,7 +374,7 @@ def _objection(result: Result, told: Findings, require_identifiable: bool) -> st
     """Why the result must not be used, where that is so."""
     if told.outliers.columns:
         faults = "; ".join(str(fault) for fault in told.outliers.columns)
-        return f"the file has columns at fault: {faults}. Correct them in the file or in [data]"
+        return f"the file is at fault: {faults}. Correct it, or what [data] says of it"
     if not result.status.converged:
         return f"the fit did not converge ({result.status.reason}): {result.status.message}"
     loose = result.identifiability.not_identifiable

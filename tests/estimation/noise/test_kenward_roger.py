@@ -123,3 +123,16 @@ def test_intervals_regions_and_comparisons_hold_at_few_poses(case: object, poses
     # as if the learnt sds were known: the fault that this mends
     assert np.mean([d.normal for d in found]) < student.mean()
     assert np.mean([d.p_known < 0.05 for d in found]) > alarms
+
+
+def test_a_worse_instrument_is_not_called_a_fault_of_the_model() -> None:
+    """An isotropic error of the model and a tracker five times worse look alike: both are named."""
+    at = lc.random_poses(BOX, 60, seed=3)
+    really = lc.Noise({"?P": 5e-4, "phi?": 1e-4})
+    readings = lc.simulate(ARM, at, noise=really, seed=4).dataset
+    stated = lc.Noise({"?P": 1e-4, "phi?": 1e-4, "model": 1e-4}, estimate={"model": "group"})
+    result = lc.calibrate(ARM, readings, noise=stated, start="nominal")
+    said = [warning for warning in result.warnings if "limits the accuracy" in warning]
+    assert len(said) == 1
+    assert "instrument" in said[0]
+    assert "Repeat readings" in said[0]

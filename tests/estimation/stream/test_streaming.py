@@ -386,11 +386,13 @@ def close(streamed: Result, whole: Result) -> None:
         sd = whole.sd[name]
         assert sd is not None
         assert streamed.value[name] == pytest.approx(whole.value[name], abs=0.02 * sd)
-        assert streamed.sd[name] == pytest.approx(sd, rel=2e-3)
-    for one, other in zip(streamed.terms, whole.terms, strict=True):
-        assert one.scale == pytest.approx(other.scale, rel=2e-3)
-        assert one.gain == pytest.approx(other.gain, abs=0.1)
-        assert one.effective == pytest.approx(other.effective, abs=0.02)
+    # at the learnt sds: what learning them adds is left out of a stream
+    one, other = (np.diag(r.spectrum.covariance()) for r in (streamed, whole))
+    assert one == pytest.approx(other, rel=4e-3)
+    for term, same in zip(streamed.terms, whole.terms, strict=True):
+        assert term.scale == pytest.approx(same.scale, rel=2e-3)
+        assert term.gain == pytest.approx(same.gain, abs=0.1)
+        assert term.effective == pytest.approx(same.effective, abs=0.02)
     for n, m in zip(streamed.noise, whole.noise, strict=True):
         assert (n.quantities, n.source) == (m.quantities, m.source)
         assert n.sd == pytest.approx(m.sd, rel=2e-3)

@@ -168,9 +168,11 @@ def words(
     for entry in noise:
         if entry.role == "disturbance" and sum(shares[q] for q in entry.quantities) > 0.5:
             said.append(
-                "The machine model limits the accuracy, not a sensor: sensor noise does not "
-                f"explain an error of {with_unit(entry.sd, entry.unit, 2, fine=True)} in each "
-                "coordinate. Check for missing effects (compliance, gear or encoder "
+                "An error of "
+                f"{with_unit(entry.sd, entry.unit, 2, fine=True)} in each coordinate limits the "
+                "accuracy. Either the machine model lacks an effect or the instrument is worse "
+                "than stated: these readings cannot distinguish them. Repeat readings of one pose. "
+                "If these scatter less, check for missing effects (compliance, gear or encoder "
                 "eccentricity, drift, bad poses)."
             )
     for one, other in estimate.alike:
