@@ -14,6 +14,7 @@ from analyses.instruments import setup
 from loopcal.errors import InputError
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import build_problem
+from loopcal.report.verdict import verdict
 from loopcal.statistics import causes
 from loopcal.units import from_si
 from tests.reference.simulated import ma1400, planar_arm
@@ -324,3 +325,24 @@ def test_the_document_says_how_the_poses_were_tested() -> None:
 def test_a_rule_that_is_none_is_refused(wrong) -> None:
     with pytest.raises(InputError):
         lc.find_outliers(lc.calibrate(START, written(), noise=NOISE), **wrong)
+
+
+def test_no_outlier_is_not_said_as_if_all_were_well_where_chi_squared_rejects() -> None:
+    arm = planar_arm(60)
+    sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-4, "phi3": 1e-4}
+    few = {q: sd / 3 for q, sd in sds.items()}
+    found = lc.find_outliers(lc.calibrate(arm.truth, arm.read(sds, 2), noise=lc.Noise(few)))
+    assert found.rejected is not None
+    assert len(found) > 0 or "chi-squared rejects" in str(found)
+    assert "outliers: none" not in str(found)
+
+
+def test_sds_far_too_large_are_doubted_in_the_report_as_in_the_summary() -> None:
+    arm = planar_arm(60)
+    sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-4, "phi3": 1e-4}
+    wide = {q: 1e3 * sd if q in ("xP", "yP") else sd for q, sd in sds.items()}
+    result = lc.calibrate(arm.truth, arm.read(sds, 2), noise=lc.Noise(wide))
+    told = verdict(result.document)
+    assert told.grade == "care"
+    assert "scatter less" in told.paragraph
+    assert any("scatter less" in warning for warning in result.warnings)

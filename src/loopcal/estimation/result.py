@@ -451,7 +451,7 @@ class Result:
             title=None,
             mechanism=MechanismEntry.of(self.mechanism),
             method=self.method,
-            method_label=self.fit.method.label,
+            method_label=self.fit.label,
             loss=self.loss,
             status=status_entry(self.status),
             parameters=tuple(

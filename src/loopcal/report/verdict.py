@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from loopcal.document.result_document import ResultDocument
+from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import chance, size, unit_shown
 
 REJECTED = 0.01
@@ -122,6 +123,14 @@ def _of_model(document: ResultDocument) -> list[tuple[str, str]]:
                 "the corrections are larger than the stated sds allow "
                 f"(p = {chance(chi.p_value)}{more}), so the sds of the parameters are too small",
                 "check the sds of the sensors, estimate them, or allow for a model error",
+            )
+        )
+    if chi is not None and chi.too_small:
+        found.append(
+            (
+                "the readings scatter less than the stated sds allow (chi-squared per degree of "
+                f"freedom {significant(chi.variance_factor or 0.0, 2)}), so the sds are too large",
+                "check the sds of the sensors and their units, or estimate them",
             )
         )
     if document.sensors_exact:

@@ -57,6 +57,8 @@ class Outliers:
     scale: float
     by_residuals: bool
     columns: tuple[ColumnFault, ...] = ()
+    rejected: float | None = None
+    """p-value of a chi-squared that rejects the fit as a whole; None where it does not."""
 
     def __len__(self) -> int:
         return len(self.found)
@@ -77,6 +79,11 @@ class Outliers:
         rule = f"{self.tested} poses tested, family-wise level {100 * self.level:g} %"
         if self.by_residuals:
             rule += f", residuals as scale (factor {significant(self.scale, 3)})"
+        if not self.found and self.rejected is not None:
+            return [
+                f"outliers: no single pose stands out, yet chi-squared rejects the fit (p = "
+                f"{self.rejected:.2g}): check the stated sds and the model ({rule})"
+            ]
         if not self.found:
             return [f"outliers: none ({rule})"]
         lines = [f"outliers: {len(self.found)} ({rule})"]
@@ -121,7 +128,9 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
         fit, gone, tests = search.run()
         found = _named(search, fit, gone, tests)
     root = float(np.sqrt(fit.factor))
-    return Outliers(found, level, search.tested(tests), root, fit.factor != 1.0)
+    chi = result.chi_squared
+    rejected = chi.p_value if chi is not None and chi.too_large else None
+    return Outliers(found, level, search.tested(tests), root, fit.factor != 1.0, rejected=rejected)
 
 
 def _named(
