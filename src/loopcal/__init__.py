@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from loopcal.document.fit import NoiseEntry
     from loopcal.document.goodness_of_fit import ChiSquared
     from loopcal.document.result_document import ResultDocument
+    from loopcal.document.verdict import Answer, Verdict
     from loopcal.errors import InputError, LoopcalError
     from loopcal.estimation.accuracy import Accuracy, InstrumentAccuracy
     from loopcal.estimation.fit import Fit
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from loopcal.statistics.comparison import compare
     from loopcal.statistics.findings import Findings, findings
     from loopcal.statistics.intervals import Interval, intervals
+    from loopcal.statistics.judging import verdict
     from loopcal.statistics.models import ComparedModel, ModelComparison, compare_models
     from loopcal.statistics.outliers import Outliers, find_outliers
     from loopcal.statistics.prediction import Prediction, predict
@@ -108,6 +110,8 @@ _HOME = {
     "statistics.intervals": ("Interval", "intervals"),
     "statistics.validate": ("MethodComparison", "compare_methods", "validate"),
     "statistics.validation": ("Validation",),
+    "document.verdict": ("Answer", "Verdict"),
+    "statistics.judging": ("verdict",),
     "statistics.verification": ("verify",),
     "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
@@ -122,6 +126,7 @@ _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name
 
 __all__ = [
     "Accuracy",
+    "Answer",
     "Check",
     "ChiSquared",
     "Closure",
@@ -166,6 +171,7 @@ __all__ = [
     "Tracker",
     "Undetermined",
     "Validation",
+    "Verdict",
     "Verification",
     "WrittenResult",
     "__version__",
@@ -207,6 +213,7 @@ __all__ = [
     "tracker_covariance",
     "validate",
     "vector",
+    "verdict",
     "verify",
     "with_effects",
     "write_result",

@@ -189,10 +189,12 @@ class ResultDocument:
         return not self.noise
 
     def __str__(self) -> str:
-        """The summary: state, accuracy, sensors, parameters, intervals, models, warnings."""
+        """The summary: the verdict, then state, accuracy, sensors, parameters, warnings."""
         loss = "" if self.loss == "gaussian" else f", loss {self.loss}"
         name = self.mechanism.name if self.mechanism else self.title
         lines = [f"{name}: {self.method_label or self.method}{loss}", ""]
+        if self.verdict is not None:
+            lines += [*self.verdict.lines(), ""]
         lines += _state(self)
         lines += ["", *_accuracy(self)]
         p_value = 1.0 if self.chi_squared is None else self.chi_squared.p_value
