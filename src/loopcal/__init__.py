@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from loopcal import effects, instruments, machines
+    from loopcal.document.change_points import ChangePoint
+    from loopcal.document.dependence import Dependence
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
     from loopcal.document.fit import NoiseEntry
     from loopcal.document.goodness_of_fit import ChiSquared
@@ -48,6 +50,7 @@ if TYPE_CHECKING:
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation, simulate
     from loopcal.statistics.calibrate import calibrate
+    from loopcal.statistics.change_points import Shifts, find_shifts
     from loopcal.statistics.check import Check, check
     from loopcal.statistics.compared import Compared
     from loopcal.statistics.comparison import compare
@@ -58,6 +61,7 @@ if TYPE_CHECKING:
     from loopcal.statistics.outliers import Outliers, find_outliers
     from loopcal.statistics.prediction import Prediction, predict
     from loopcal.statistics.repeats import Repeats, repeated_readings
+    from loopcal.statistics.shifted import Shifted, with_shifts
     from loopcal.statistics.validate import MethodComparison, compare_methods, validate
     from loopcal.statistics.validation import Validation
     from loopcal.statistics.verification import verify
@@ -66,6 +70,8 @@ if TYPE_CHECKING:
 
 _HOME = {
     "document.goodness_of_fit": ("ChiSquared",),
+    "document.change_points": ("ChangePoint",),
+    "document.dependence": ("Dependence",),
     "document.findings": ("ColumnFault", "Identifiability", "Outlier", "Undetermined"),
     "document.fit": ("NoiseEntry",),
     "document.result_document": ("ResultDocument",),
@@ -115,7 +121,9 @@ _HOME = {
     "statistics.verification": ("verify",),
     "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
+    "statistics.change_points": ("Shifts", "find_shifts"),
     "statistics.outliers": ("Outliers", "find_outliers"),
+    "statistics.shifted": ("Shifted", "with_shifts"),
     "statistics.findings": ("Findings", "findings"),
     "statistics.prediction": ("Prediction", "predict"),
     "statistics.repeats": ("Repeats", "repeated_readings"),
@@ -127,6 +135,7 @@ _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name
 __all__ = [
     "Accuracy",
     "Answer",
+    "ChangePoint",
     "Check",
     "ChiSquared",
     "Closure",
@@ -135,6 +144,7 @@ __all__ = [
     "Compared",
     "ComparedModel",
     "Dataset",
+    "Dependence",
     "Findings",
     "Fit",
     "Identifiability",
@@ -163,6 +173,8 @@ __all__ = [
     "Repeats",
     "Result",
     "ResultDocument",
+    "Shifted",
+    "Shifts",
     "Simulation",
     "Status",
     "Term",
@@ -186,6 +198,7 @@ __all__ = [
     "effects",
     "encoder_sd",
     "find_outliers",
+    "find_shifts",
     "findings",
     "fix_redundant",
     "grid_poses",
@@ -216,6 +229,7 @@ __all__ = [
     "verdict",
     "verify",
     "with_effects",
+    "with_shifts",
     "write_result",
 ]
 
