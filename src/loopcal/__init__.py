@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from loopcal.document.verdict import Answer, Verdict
     from loopcal.errors import InputError, LoopcalError
     from loopcal.estimation.accuracy import Accuracy, InstrumentAccuracy
-    from loopcal.estimation.calibrate import calibrate
     from loopcal.estimation.fit import Fit
     from loopcal.estimation.residuals import Closure
     from loopcal.estimation.result import Result
@@ -50,6 +49,7 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.terms import Term
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation, simulate
+    from loopcal.statistics.calibrate import calibrate
     from loopcal.statistics.change_points import Shifts, find_shifts
     from loopcal.statistics.check import Check, check
     from loopcal.statistics.compared import Compared
@@ -62,12 +62,8 @@ if TYPE_CHECKING:
     from loopcal.statistics.prediction import Prediction, predict
     from loopcal.statistics.repeats import Repeats, repeated_readings
     from loopcal.statistics.shifted import Shifted, with_shifts
-    from loopcal.statistics.validation import (
-        MethodComparison,
-        Validation,
-        compare_methods,
-        validate,
-    )
+    from loopcal.statistics.validate import MethodComparison, compare_methods, validate
+    from loopcal.statistics.validation import Validation
     from loopcal.statistics.verification import verify
     from loopcal.statistics.verified import Verification
     from loopcal.workflow.calibration import write_result
@@ -82,7 +78,6 @@ _HOME = {
     "errors": ("InputError", "LoopcalError"),
     "estimation.accuracy": ("Accuracy", "InstrumentAccuracy"),
     "estimation.residuals": ("Closure",),
-    "estimation.calibrate": ("calibrate",),
     "estimation.fit": ("Fit",),
     "estimation.result": ("Result",),
     "estimation.solve.status": ("Status",),
@@ -114,11 +109,13 @@ _HOME = {
     "mechanisms.terms": ("Term",),
     "simulation.poses": ("grid_poses", "random_poses"),
     "simulation.simulate": ("Simulation", "simulate"),
+    "statistics.calibrate": ("calibrate",),
     "statistics.check": ("Check", "check"),
     "statistics.compared": ("Compared",),
     "statistics.comparison": ("compare",),
     "statistics.intervals": ("Interval", "intervals"),
-    "statistics.validation": ("MethodComparison", "Validation", "compare_methods", "validate"),
+    "statistics.validate": ("MethodComparison", "compare_methods", "validate"),
+    "statistics.validation": ("Validation",),
     "document.verdict": ("Answer", "Verdict"),
     "statistics.judging": ("verdict",),
     "statistics.verification": ("verify",),

@@ -229,6 +229,8 @@ def _state(document: ResultDocument) -> list[str]:
     )
     lines = [f"FILE AT FAULT  {fault}" for fault in document.column_faults or ()]
     lines.append(f"{head} in {steps} on {poses}")
+    if document.chosen is not None:
+        lines.append(f"chosen: {document.chosen.words}")
     if not status.converged:
         lines.append(f"  {status.message}")
     chi = document.chi_squared
