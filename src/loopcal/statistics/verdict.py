@@ -296,7 +296,7 @@ def _valid(document: ResultDocument) -> Answer:
     if sources == {"readings"}:
         where = "the box of the measured readings (no limits are known)"
     elif "turn" in sources:
-        where = "the working region (half a turn either way where no limits are stated)"
+        where = "the working region (joints without stated limits turn a quarter turn either way)"
     here = with_unit(region.sd_at_poses, region.unit, 2)
     if region.sd is None or region.ratio is None:
         words = f"The data leave a direction open that moves the end point in {where}."
