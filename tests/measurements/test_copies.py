@@ -35,6 +35,14 @@ def test_copied_rows_count_once_and_are_said() -> None:
     assert not once.document.data.warnings()
 
 
+def test_methods_compete_on_rows_that_count_once() -> None:
+    result = lc.calibrate(
+        ARM.truth, doubled(ARM.read(SDS, 1), 20), noise=lc.Noise(SDS), method="auto"
+    )
+    assert len(result.dataset) == 40
+    assert len(result.document.data.copied) == 20
+
+
 def test_poses_taken_several_times_on_purpose_are_no_copies() -> None:
     data = ARM.read(SDS, 1).take(np.repeat(np.arange(40), 2))
     assert not copies(data, QUANTITIES, OUTPUTS).size

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
 from loopcal.document.bounds import Count, Size
+from loopcal.document.change_points import ChangePoints
 from loopcal.document.choice import Chosen
 from loopcal.document.dependence import Dependence
 from loopcal.document.findings import (
@@ -172,6 +173,8 @@ class ResultDocument:
     """Models that were compared; null: none were."""
     dependence: Dependence | None = None
     """Whether residuals depend on pose order or place; null: not tested."""
+    change_points: ChangePoints | None = None
+    """What moved along the run; null: not sought."""
     identifiability: Identifiability
     observability: Observability | None
     """Null: not computed."""
@@ -237,6 +240,8 @@ def _state(document: ResultDocument) -> list[str]:
     )
     lines = [f"FILE AT FAULT  {fault}" for fault in document.column_faults or ()]
     lines.append(f"{head} in {steps} on {poses}")
+    if document.chosen is not None:
+        lines.append(f"chosen: {document.chosen.words}")
     if not status.converged:
         lines.append(f"  {status.message}")
     chi = document.chi_squared
