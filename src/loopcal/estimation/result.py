@@ -18,7 +18,7 @@ from loopcal.document.findings import ColumnFault, Identifiability
 from loopcal.document.fit import ClosureEntry, NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.plain import known
-from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
+from loopcal.document.result_document import SCHEMA, DataEntry, MechanismEntry, ResultDocument
 from loopcal.document.terms import TermEntry
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
@@ -364,7 +364,7 @@ class Result:
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What the reader must know before using the result."""
-        found = [*self.identifiability.warnings()]
+        found = [*self._data.warnings(), *self.identifiability.warnings()]
         if self.status.converged and self.status.note:
             found.insert(0, self.status.note)
         if self.mechanism.placement is not None:
@@ -424,6 +424,10 @@ class Result:
         """The mechanism with the calibrated values as its nominal ones."""
         return self.mechanism.with_nominal(self.value)
 
+    @property
+    def _data(self) -> DataEntry:
+        return data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities])
+
     def adding(self, *additions: Addition) -> Result:
         """The same result with a document that gains these."""
         return replace(self, additions=(*self.additions, *additions))
@@ -478,7 +482,7 @@ class Result:
             prediction=None,
             outliers=None,
             column_faults=self.faults or None,
-            data=data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities]),
+            data=self._data,
             warnings=self.warnings,
             inputs={},
             versions={},

@@ -204,6 +204,11 @@ def _undetermined(document: ResultDocument) -> Said | None:
     return Said(f"These poses do not determine {', '.join(loose)}.", float(len(loose)))
 
 
+def _rows_copied(document: ResultDocument) -> Said | None:
+    said = document.data.warnings()
+    return Said(said[0], float(len(document.data.copied))) if said else None
+
+
 def _no_test(document: ResultDocument) -> Said | None:
     if document.sensors_exact:
         return Said("Least squares states no sds of sensors, so nothing tests them.")
@@ -248,6 +253,7 @@ SOUND: tuple[Rule, ...] = (
         "Check for missing effects (compliance, eccentric gears, drift).",
     ),
     Rule("outliers", None, _outliers, "Inspect these poses; correct or exclude them."),
+    Rule("rows-copied", None, _rows_copied, "Check how the file was made; delete the copies."),
     Rule("other-optimum", None, _optima, "State priors from the drawing."),
     Rule(
         "not-identifiable",
