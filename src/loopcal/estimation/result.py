@@ -438,6 +438,10 @@ class Result:
     @cached_property
     def document(self) -> ResultDocument:
         """The result as result.json holds it, without what further statistics add."""
+        with one_blas_thread():
+            return self._document()
+
+    def _document(self) -> ResultDocument:
         errors = self.errors or {}
         loose = self.identifiability.loose
         return ResultDocument(
