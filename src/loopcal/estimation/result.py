@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.choice import Chosen
 from loopcal.document.dependence import Dependence
 from loopcal.document.findings import ColumnFault, Identifiability
 from loopcal.document.fit import ClosureEntry, NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.plain import known
-from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
+from loopcal.document.result_document import SCHEMA, DataEntry, MechanismEntry, ResultDocument
 from loopcal.document.terms import TermEntry
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
@@ -51,6 +52,8 @@ if TYPE_CHECKING:
     from loopcal.estimation.noise.kenward_roger import LearntParameters
 
 Array = NDArray[np.float64]
+Addition = Callable[[ResultDocument], ResultDocument]
+"""Adds to the document of a result what was found beside the fit."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,8 @@ class Result:
     estimate: NoiseEstimate | None = None
     all_poses: AllPoses | None = None
     notes: tuple[str, ...] = ()
+    additions: tuple[Addition, ...] = ()
+    """What the document gains beyond the fit: a choice of method, a validation, a verdict."""
     variance_factor_applied: bool = False
     """Whether covariance and sds were multiplied by the variance factor, on request."""
     errors: Mapping[str, float] | None = None
@@ -375,7 +380,7 @@ class Result:
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What the reader must know before using the result."""
-        found = [*self.identifiability.warnings()]
+        found = [*self._data.warnings(), *self.identifiability.warnings()]
         if self.status.converged and self.status.note:
             found.insert(0, self.status.note)
         if self.mechanism.placement is not None:
@@ -435,12 +440,29 @@ class Result:
         """The mechanism with the calibrated values as its nominal ones."""
         return self.mechanism.with_nominal(self.value)
 
+    @property
+    def _data(self) -> DataEntry:
+        return data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities])
+
+    def adding(self, *additions: Addition) -> Result:
+        """The same result with a document that gains these."""
+        return replace(self, additions=(*self.additions, *additions))
+
+    @property
+    def chosen(self) -> Chosen | None:
+        """What the method "auto" chose; None: the method was stated."""
+        return self.document.chosen
+
     @cached_property
     def document(self) -> ResultDocument:
-        """The result as result.json holds it, without what further statistics add."""
+        """The result as result.json holds it, with what was added to it."""
         with one_blas_thread():
-            return self._document()
+            document = self._document
+            for addition in self.additions:
+                document = addition(document)
+            return document
 
+    @property
     def _document(self) -> ResultDocument:
         errors = self.errors or {}
         loose = self.identifiability.loose
@@ -477,7 +499,7 @@ class Result:
             prediction=None,
             outliers=None,
             column_faults=self.faults or None,
-            data=data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities]),
+            data=self._data,
             warnings=self.warnings,
             inputs={},
             versions={},

@@ -151,9 +151,10 @@ def compare_models(
         )
     if GEOMETRIC not in models:
         models = {GEOMETRIC: Model(), **models}
-    asked = Asked.of(fit, options)
+    asked, told = Asked.of(fit, options), Noise.of(noise)
     mechanism = asked.fit.with_prior(mechanism)
-    shared = Case(mechanism, data, Noise.of(noise), replace(asked.fit, prior=None))
+    by_one = asked.fit.changed(method=asked.fit.among(data, told)[0], prior=None)
+    shared = Case(mechanism, data, told, by_one)
     fits: dict[str, Result] = {}
     errors: list[InputError] = []
     found: list[ComparedModel] = []

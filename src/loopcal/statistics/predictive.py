@@ -11,7 +11,6 @@ knows no Sigma; its residual variance, the same for every loop equation, stands 
 from __future__ import annotations
 
 import math
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,17 +48,7 @@ class Held:
 
 def taken(noise: Noise | None, index: NDArray[np.intp] | None) -> Noise | None:
     """The noise of the poses at these positions."""
-    if noise is None or index is None:
-        return noise
-    part = copy(noise)
-    part.entries = {
-        key: value[index] if _by_pose(key, value) else value for key, value in noise.entries.items()
-    }
-    return part
-
-
-def _by_pose(key: object, value: object) -> bool:
-    return isinstance(value, np.ndarray) and value.ndim == (3 if isinstance(key, tuple) else 1)
+    return noise if noise is None or index is None else noise.take(index)
 
 
 def held_problem(fit: Result, data: Dataset, noise: Noise | None) -> Held:

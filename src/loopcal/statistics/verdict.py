@@ -102,16 +102,11 @@ def _noise_generous(document: ResultDocument) -> Said | None:
 
 
 def _prior_tension(document: ResultDocument) -> Said | None:
-    """|value - nominal| over the sd of that difference, prior_sd^2 - sd^2 in the Gaussian case."""
-    found = []
-    for p in () if document.sensors_exact else document.parameters:
-        if p.fixed or not p.prior_sd or p.sd is None:
-            continue
-        variance = p.prior_sd**2 - p.sd**2
-        if variance > 0.0:
-            found.append((abs(p.value - p.nominal) / math.sqrt(variance), p))
-    if not found:
+    """|value - nominal| over the prior sd, which the sd of that difference never exceeds."""
+    estimated = [p for p in document.parameters if p.prior_sd and not p.fixed]
+    if document.sensors_exact or not estimated:
         return None
+    found = [(abs(p.value - p.nominal) / (p.prior_sd or math.inf), p) for p in estimated]
     z, p = max(found, key=lambda one: one[0])
     if len(found) * math.erfc(z / math.sqrt(2.0)) >= RARE:
         return None
@@ -209,6 +204,11 @@ def _undetermined(document: ResultDocument) -> Said | None:
     return Said(f"These poses do not determine {', '.join(loose)}.", float(len(loose)))
 
 
+def _rows_copied(document: ResultDocument) -> Said | None:
+    said = document.data.warnings()
+    return Said(said[0], float(len(document.data.copied))) if said else None
+
+
 def _no_test(document: ResultDocument) -> Said | None:
     if document.sensors_exact:
         return Said("Least squares states no sds of sensors, so nothing tests them.")
@@ -253,6 +253,7 @@ SOUND: tuple[Rule, ...] = (
         "Check for missing effects (compliance, eccentric gears, drift).",
     ),
     Rule("outliers", None, _outliers, "Inspect these poses; correct or exclude them."),
+    Rule("rows-copied", None, _rows_copied, "Check how the file was made; delete the copies."),
     Rule("other-optimum", None, _optima, "State priors from the drawing."),
     Rule(
         "not-identifiable",

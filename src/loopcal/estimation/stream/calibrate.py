@@ -67,6 +67,7 @@ def calibrate_stream(
     if not stream.count:
         raise InputError("the stream has no poses", code="no-data", remedy="give at least one pose")
     first, fit = stream.chunk(0), fit or Fit()
+    fit = fit.changed(method=fit.among(first.data, first.noise)[0])
     refuse_unstreamable(fit)
     _refuse_estimates(fit, first.noise)
     mechanism = modelled(fit, fit.with_prior(mechanism), stream.poses)
