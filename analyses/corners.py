@@ -59,8 +59,7 @@ def main() -> None:
         some = data.take(np.sort(inside))
         rest = data.take(np.setdiff1d(np.arange(len(data)), inside))
         case = Case(project.mechanism, some, loaded.noise, lc.Fit(method="auto"))
-        given = {"noise": loaded.noise, "fit": case.fit}
-        auto = lc.calibrate(project.mechanism, some, **given)
+        auto = lc.calibrate(project.mechanism, some, noise=loaded.noise, fit=case.fit)
         least = lc.Fit(method="least-squares")
         plain = Case(project.mechanism, some, None, least)
         drawn = nominal_case(case)
