@@ -92,6 +92,9 @@ def calibrate(
             return once(problem)
         return solve_or_fall_back(problem, once, fit.max_iterations, judged=judged)
 
+    if learns:
+        import scipy.linalg  # noqa: F401  before the limit, which then holds for its threads too
+
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)
         faults: tuple[ColumnFault, ...] = ()

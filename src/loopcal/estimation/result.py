@@ -145,9 +145,25 @@ class Result:
         """Of the estimated parameters, and how sure it is itself: sds that were learnt are not
         known, and those of least squares come from its residuals. It allows for serial dependence
         where there is any."""
-        loss, method = self.fit.robust_loss, self.fit.solver
         if self._depending is not None and self._depending.covariance is not None:
             return LearntCovariance.known(self._depending.covariance)
+        return self._independent
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the covariance allows for serial dependence."""
+        return self._depending is not None and self._depending.covariance is not None
+
+    @property
+    def covariance_if_independent(self) -> Array:
+        """(n, n) of the estimated parameters, were no residuals dependent. It tests nothing."""
+        if self._learnt is not None and not self.variance_factor_applied:
+            return self._learnt.matrix
+        return self._independent.matrix
+
+    @cached_property
+    def _independent(self) -> LearntCovariance:
+        loss, method = self.fit.robust_loss, self.fit.solver
         if loss is not None:
             sums = self.robust_sums if self.all_poses is None else self.all_poses.robust
             return LearntCovariance.known(sums.covariance(self.spectrum, self.problem.prior_sd))
@@ -440,10 +456,11 @@ class Result:
     @cached_property
     def document(self) -> ResultDocument:
         """The result as result.json holds it, with what was added to it."""
-        document = self._document
-        for addition in self.additions:
-            document = addition(document)
-        return document
+        with one_blas_thread():
+            document = self._document
+            for addition in self.additions:
+                document = addition(document)
+            return document
 
     @property
     def _document(self) -> ResultDocument:
