@@ -26,7 +26,7 @@ import time
 import warnings
 import zlib
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
@@ -44,7 +44,6 @@ KEPT = Path(".cache/gauntlet.jsonl")
 PAGE = Path("docs/explanation/gauntlet.md")
 BEYOND = 1.5
 """True error over the stated 95 % region, from which a stated region is wrong."""
-QUESTIONS = ("sound", "valid", "better", "tolerance")
 
 
 def run(name: str, draw: int) -> dict[str, Any]:
@@ -57,16 +56,18 @@ def run(name: str, draw: int) -> dict[str, Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            result = lc.calibrate(trial.mechanism, trial.readings, noise=trial.noise)
-            document = result.verdict.document
+            result = lc.calibrate(trial.mechanism, trial.readings, noise=trial.noise, method="auto")
+            verdict = lc.verdict(result)
         except (lc.InputError, lc.LoopcalError) as refused:
             words = f"{refused.code}: {refused}"
             named = bool(re.search(kind.cause, words, re.IGNORECASE)) if kind.cause else None
             return found | {"refused": words[:300], "named": named, "cpu": _since(begun)}
-        told = " ".join([*_told(document), *result.warnings])
-        found |= {q: document[q]["passed"] for q in QUESTIONS}
-        found |= {"codes": [document[q]["code"] for q in QUESTIONS]}
-        found |= {"method": str(result.method), "cpu": _since(begun)}
+        answers = verdict.answers
+        told = " ".join([*(f"{a.code} {a.words} {a.next}" for a in answers.values())])
+        told = " ".join([told, *result.warnings])
+        found |= {name: answer.passed for name, answer in answers.items()}
+        found |= {"codes": [answer.code for answer in answers.values()], "cpu": _since(begun)}
+        found |= {"method": result.fit.method.label, "told": told[:600]}
         if kind.cause:
             found["named"] = bool(re.search(kind.cause, told, re.IGNORECASE))
         found["inside"] = _beyond(result, trial.inside, kind)
@@ -76,18 +77,6 @@ def run(name: str, draw: int) -> dict[str, Any]:
 
 def _since(begun: float) -> float:
     return round(time.process_time() - begun, 3)
-
-
-def _told(entry: Any) -> Iterable[str]:
-    """Every code and every sentence of a verdict."""
-    if isinstance(entry, dict):
-        for value in entry.values():
-            yield from _told(value)
-    elif isinstance(entry, list | tuple):
-        for value in entry:
-            yield from _told(value)
-    elif isinstance(entry, str):
-        yield entry
 
 
 def _beyond(result: lc.Result, fresh: Fresh, kind: Kind) -> dict[str, float] | None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Unpack
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.document.findings import ColumnFault
 from loopcal.errors import InputError
@@ -35,6 +37,8 @@ LEARNT = 1e-5
 """With terms a fit converges to so many sds, unless the user says otherwise: their own sds are
 learnt from it, and are never known to so many digits."""
 
+Array = NDArray[np.float64]
+
 
 def calibrate(
     mechanism: Mechanism,
@@ -43,13 +47,14 @@ def calibrate(
     noise: NoiseLike | None = None,
     fit: Fit | None = None,
     progress: Progress | None = None,
-    near: bool = False,
+    near: Mapping[str, Array] | None = None,
     **options: Unpack[FitOptions],
 ) -> Result:
     """Calibrate a mechanism by one stated method.
 
     As `loopcal.statistics.calibrate.calibrate`, which also chooses the method. near: the fit begins
-    where one of nearly the same readings ended, so a misfit is no reason to try other starts.
+    where one of nearly the same readings ended, which found these corrections (N,) of what no
+    sensor reads, so a misfit is no reason to try other starts.
     """
     fit, stated = Fit.of(fit, options), Noise.of(noise)
     refuse_noise(fit, stated)
@@ -79,7 +84,7 @@ def calibrate(
         return fit.solver.solve(problem, **limits)
 
     learns = told is not None and bool(told.estimate or mechanism.terms)
-    judged = not (near or fit.solver.exact or fit.robust_loss or learns)
+    judged = not (near is not None or fit.solver.exact or fit.robust_loss or learns)
 
     own = (fit.tolerance or LEARNT) if told is not None and mechanism.terms else fit.tolerance
 
@@ -97,6 +102,8 @@ def calibrate(
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)
+        if near:
+            problem = begun_near(problem, near)
         faults: tuple[ColumnFault, ...] = ()
         if isinstance(fit.start, str) and suspicious(problem):
             faults = column_faults(problem)
@@ -116,6 +123,13 @@ def calibrate(
         )
         learnt = replace(estimate.problem, start=problem.start)
         return Result(fit, data, learnt, estimate.solution, problem, estimate)
+
+
+def begun_near(problem: Problem, near: Mapping[str, Array]) -> Problem:
+    """The problem, which begins at these corrections (N,) of what no sensor reads."""
+    names = problem.mechanism.tape.quantities
+    zero = np.zeros(problem.count)
+    return replace(problem, found=np.array([near.get(name, zero) for name in names]))
 
 
 def refuse_noise(fit: Fit, noise: Noise | None) -> None:
