@@ -205,7 +205,11 @@ def _coverage(document: ResultDocument) -> Said | None:
 
 def _model_error(document: ResultDocument) -> Said | None:
     entries = [e for e in document.noise if e.role == "disturbance" and e.sd]
-    if not entries:
+    # learnt terms say what the model lacks; what they leave belongs to the stated regions
+    if not entries or document.terms:
+        return None
+    chance_of_none = entries[0].p_value
+    if chance_of_none is not None and chance_of_none >= RARE:
         return None
     sd = with_unit(entries[0].sd, entries[0].unit)
     return Said(
