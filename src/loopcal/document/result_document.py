@@ -35,6 +35,8 @@ from loopcal.document.tables import (
     model_table,
     parameter_table,
     sensor_table,
+    shown_parameters,
+    term_table,
 )
 from loopcal.document.terms import TermEntry
 from loopcal.document.verdict import Verdict
@@ -215,7 +217,12 @@ class ResultDocument:
         rejected = p_value is not None and p_value < 0.01
         if rejected or any(entry.source == "estimated" for entry in self.noise):
             lines += ["", *sensor_table(self.noise)]
-        lines += ["", *parameter_table(self.parameters)]
+        if self.terms:
+            lines += ["", *term_table(self.terms)]
+        shown = shown_parameters(self.parameters, self.terms)
+        lines += ["", *parameter_table(shown)]
+        if rest := len(self.parameters) - len(shown):
+            lines.append(f"(and {rest} parameters of the model error: result.json)")
         if self.variance_factor_applied:
             lines.append("(sds multiplied by the root of chi-squared per degree of freedom)")
         if any(p.error is not None for p in self.parameters):
