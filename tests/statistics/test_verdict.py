@@ -207,6 +207,31 @@ def test_false_alarms_over_clean_draws_are_rare() -> None:
     assert found.count(False) <= 2
 
 
+@pytest.mark.parametrize(("change", "names"), [("far", True), ("shrunk", True), ("near", False)])
+def test_no_machine_is_that_far_from_its_drawing(change: str, names: bool) -> None:
+    document = clean()
+
+    def moved(p):
+        if p.unit != "m" or p.fixed:
+            return p
+        value = {"far": p.nominal + 100.0, "shrunk": 1e-14, "near": 1.5 * p.nominal}[change]
+        return replace(p, value=value)
+
+    judged = verdict_of(replace(document, parameters=tuple(map(moved, document.parameters))))
+    assert (judged.sound.code == "far-from-nominal") is names
+    assert judged.sound.passed is not names
+
+
+def test_a_hundred_prior_sds_are_too_far_for_every_method() -> None:
+    document = clean()
+    first = next(p for p in document.parameters if not p.fixed)
+    for sds, code in ((101.0, "far-from-nominal"), (90.0, "prior-tension")):
+        off = replace(first, prior_sd=1e-5, value=first.nominal + sds * 1e-5)
+        parameters = tuple(off if p is first else p for p in document.parameters)
+        found = verdict_of(replace(document, parameters=parameters)).sound
+        assert (found.code, found.passed) == (code, False)
+
+
 def test_every_code_is_described() -> None:
     text = (ROOT / "docs" / "explanation" / "verdict.md").read_text("utf-8")
     described = set(re.findall(r"^\| `([a-z-]+)` \|", text, re.MULTILINE))

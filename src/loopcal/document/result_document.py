@@ -72,6 +72,17 @@ class DataEntry:
     """Quantities that were read."""
     joined: tuple[JoinedFile, ...] = ()
     """Further files of the same poses, joined by pose id."""
+    copied: tuple[str, ...] = ()
+    """Ids of the poses left out because their rows copy others in every column."""
+
+    def warnings(self) -> tuple[str, ...]:
+        """What the reader must know of the rows."""
+        number = len(self.copied)
+        if not number:
+            return ()
+        named = ", ".join(self.copied[:5]) + (", ..." if number > 5 else "")
+        rows = f"{number} rows copy others" if number > 1 else "1 row copies another"
+        return (f"{rows} in every column (pose {named}): each measurement counts once.",)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Unpack
 
+import numpy as np
+
 from loopcal.document.findings import ColumnFault
 from loopcal.errors import InputError
 from loopcal.estimation.faults.search import column_faults, suspicious
@@ -22,6 +24,7 @@ from loopcal.estimation.solve.robust import solve_robust
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import Progress
+from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
@@ -52,6 +55,10 @@ def calibrate(
     refuse_noise(fit, stated)
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
+    copied = copies(data, [*mechanism.quantities, *mechanism.known], mechanism.outputs)
+    if copied.size:
+        kept = np.delete(np.arange(len(data)), copied)
+        data, stated = data.without_copies(copied), stated and stated.take(kept)
     mechanism = modelled(fit, fit.with_prior(mechanism), len(data))
     told = noise_told(fit, mechanism, data, stated)
     refuse_learning(fit, mechanism, told)
@@ -84,6 +91,9 @@ def calibrate(
         if fit.solver.damped:
             return once(problem)
         return solve_or_fall_back(problem, once, fit.max_iterations, judged=judged)
+
+    if learns:
+        import scipy.linalg  # noqa: F401  before the limit, which then holds for its threads too
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)

@@ -18,7 +18,7 @@ from loopcal.document.findings import ColumnFault, Identifiability
 from loopcal.document.fit import ClosureEntry, NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.plain import known
-from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
+from loopcal.document.result_document import SCHEMA, DataEntry, MechanismEntry, ResultDocument
 from loopcal.document.terms import TermEntry
 from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError
@@ -148,9 +148,25 @@ class Result:
         """Of the estimated parameters, and how sure it is itself: sds that were learnt are not
         known, and those of least squares come from its residuals. It allows for serial dependence
         where there is any."""
-        loss, method = self.fit.robust_loss, self.fit.solver
         if self._depending is not None and self._depending.covariance is not None:
             return LearntCovariance.known(self._depending.covariance)
+        return self._independent
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the covariance allows for serial dependence."""
+        return self._depending is not None and self._depending.covariance is not None
+
+    @property
+    def covariance_if_independent(self) -> Array:
+        """(n, n) of the estimated parameters, were no residuals dependent. It tests nothing."""
+        if self._learnt is not None and not self.variance_factor_applied:
+            return self._learnt.matrix
+        return self._independent.matrix
+
+    @cached_property
+    def _independent(self) -> LearntCovariance:
+        loss, method = self.fit.robust_loss, self.fit.solver
         if loss is not None:
             sums = self.robust_sums if self.all_poses is None else self.all_poses.robust
             return LearntCovariance.known(sums.covariance(self.spectrum, self.problem.prior_sd))
@@ -367,7 +383,7 @@ class Result:
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What the reader must know before using the result."""
-        found = [*self.identifiability.warnings()]
+        found = [*self._data.warnings(), *self.identifiability.warnings()]
         if self.status.converged and self.status.note:
             found.insert(0, self.status.note)
         if self.mechanism.placement is not None:
@@ -427,6 +443,10 @@ class Result:
         """The mechanism with the calibrated values as its nominal ones."""
         return self.mechanism.with_nominal(self.value)
 
+    @property
+    def _data(self) -> DataEntry:
+        return data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities])
+
     def adding(self, *additions: Addition) -> Result:
         """The same result with a document that gains these."""
         return replace(self, additions=(*self.additions, *additions))
@@ -448,10 +468,11 @@ class Result:
     @cached_property
     def document(self) -> ResultDocument:
         """The result as result.json holds it, with what was added to it."""
-        document = self._document
-        for addition in self.additions:
-            document = addition(document)
-        return document
+        with one_blas_thread():
+            document = self._document
+            for addition in self.additions:
+                document = addition(document)
+            return document
 
     @property
     def _document(self) -> ResultDocument:
@@ -490,7 +511,7 @@ class Result:
             prediction=None,
             outliers=None,
             column_faults=self.faults or None,
-            data=data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities]),
+            data=self._data,
             warnings=self.warnings,
             inputs={},
             versions={},

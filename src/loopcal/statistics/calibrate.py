@@ -64,6 +64,8 @@ def calibrate(
     or shuffled, readings of another machine) is recognised before the fit where it begins at the
     nominal machine. The fit is then cut short, no sd is estimated, and `Result.faults` names them.
 
+    Rows that copy others in every column count once; `Result.dataset` is what was used.
+
     Raises InputError for input that cannot be used. A fit that does not converge is returned, with
     the reason in its status.
     """
