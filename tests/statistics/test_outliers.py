@@ -14,8 +14,8 @@ from analyses.instruments import setup
 from loopcal.errors import InputError
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import build_problem
-from loopcal.report.verdict import verdict
 from loopcal.statistics import causes
+from loopcal.statistics.verdict import verdict_of
 from loopcal.units import from_si
 from tests.reference.simulated import ma1400, planar_arm
 
@@ -342,7 +342,7 @@ def test_sds_far_too_large_are_doubted_in_the_report_as_in_the_summary() -> None
     sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-4, "phi3": 1e-4}
     wide = {q: 1e3 * sd if q in ("xP", "yP") else sd for q, sd in sds.items()}
     result = lc.calibrate(arm.truth, arm.read(sds, 2), noise=lc.Noise(wide))
-    told = verdict(result.document)
-    assert told.grade == "care"
-    assert "scatter less" in told.paragraph
+    told = verdict_of(result.document)
+    assert told.sound.code == "sds-too-large"
+    assert told.grade == "bad"
     assert any("scatter less" in warning for warning in result.warnings)

@@ -157,6 +157,32 @@ class UsualSd:
 
 
 @dataclass(frozen=True)
+class RegionRange:
+    """Range of a reading in the working region [SI]."""
+
+    quantity: str
+    low: float
+    high: float
+    source: str
+    """stated; limits: of the joint; turn: half a turn either way, nobody states limits; readings:
+    no limits are known."""
+
+
+@dataclass(frozen=True)
+class RegionEntry:
+    """The working region, and the sd that the parameters cause there beside the measured poses."""
+
+    ranges: tuple[RegionRange, ...]
+    unit: str
+    sd_at_poses: Size
+    """Rms over the measured poses, root of the trace over the outputs."""
+    sd: Size | None
+    """Rms over the region; null: unbounded, the data leave a direction open."""
+    ratio: Size | None
+    """Of the two; of the instrument with the largest."""
+
+
+@dataclass(frozen=True)
 class PredictionEntry:
     """What `loopcal predict` needs beside the covariance and the calibrated mechanism."""
 
@@ -173,6 +199,8 @@ class PredictionEntry:
     """Per instrument; empty: written by an earlier version, which took all outputs together."""
     unmeasured: tuple[str, ...] = ()
     """Quantities that no sensor read: a column of one holds start values only."""
+    region: RegionEntry | None = None
+    """The working region; null: not known, or written by an earlier version."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
 from loopcal.document.bounds import Count, Size
+from loopcal.document.change_points import ChangePoints
 from loopcal.document.choice import Chosen
 from loopcal.document.dependence import Dependence
 from loopcal.document.findings import (
@@ -71,6 +72,17 @@ class DataEntry:
     """Quantities that were read."""
     joined: tuple[JoinedFile, ...] = ()
     """Further files of the same poses, joined by pose id."""
+    copied: tuple[str, ...] = ()
+    """Ids of the poses left out because their rows copy others in every column."""
+
+    def warnings(self) -> tuple[str, ...]:
+        """What the reader must know of the rows."""
+        number = len(self.copied)
+        if not number:
+            return ()
+        named = ", ".join(self.copied[:5]) + (", ..." if number > 5 else "")
+        rows = f"{number} rows copy others" if number > 1 else "1 row copies another"
+        return (f"{rows} in every column (pose {named}): each measurement counts once.",)
 
 
 @dataclass(frozen=True)
@@ -161,6 +173,8 @@ class ResultDocument:
     """Models that were compared; null: none were."""
     dependence: Dependence | None = None
     """Whether residuals depend on pose order or place; null: not tested."""
+    change_points: ChangePoints | None = None
+    """What moved along the run; null: not sought."""
     identifiability: Identifiability
     observability: Observability | None
     """Null: not computed."""
@@ -189,10 +203,12 @@ class ResultDocument:
         return not self.noise
 
     def __str__(self) -> str:
-        """The summary: state, accuracy, sensors, parameters, intervals, models, warnings."""
+        """The summary: the verdict, then state, accuracy, sensors, parameters, warnings."""
         loss = "" if self.loss == "gaussian" else f", loss {self.loss}"
         name = self.mechanism.name if self.mechanism else self.title
         lines = [f"{name}: {self.method_label or self.method}{loss}", ""]
+        if self.verdict is not None:
+            lines += [*self.verdict.lines(), ""]
         lines += _state(self)
         lines += ["", *_accuracy(self)]
         p_value = 1.0 if self.chi_squared is None else self.chi_squared.p_value
@@ -224,6 +240,8 @@ def _state(document: ResultDocument) -> list[str]:
     )
     lines = [f"FILE AT FAULT  {fault}" for fault in document.column_faults or ()]
     lines.append(f"{head} in {steps} on {poses}")
+    if document.chosen is not None:
+        lines.append(f"chosen: {document.chosen.words}")
     if not status.converged:
         lines.append(f"  {status.message}")
     chi = document.chi_squared

@@ -11,6 +11,8 @@ from loopcal.errors import InputError, nearest
 from loopcal.estimation.methods.method import Method
 from loopcal.estimation.methods.registry import DEFAULT, method_named, names_where
 from loopcal.estimation.solve.loss import Loss, loss_named
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.prior import Prior, PriorLike
 
@@ -130,6 +132,20 @@ class Fit:
         }
         return Fit(**every)
 
+    def among(self, data: Dataset, noise: Noise | None) -> tuple[Method, ...]:
+        """The methods that its own chooses among and that these readings allow; itself if none.
+
+        Without any sd only those that take the readings as exact; under a loss only those that
+        have one.
+        """
+        stated = bool(data.sds) or (noise is not None and bool(noise.entries or noise.estimate))
+        lossless = self.robust_loss is None
+        return tuple(
+            m
+            for m in self.method.choice or (self.method,)
+            if not self.method.choice or ((stated or m.exact) and (lossless or m.robust))
+        )
+
     @property
     def solver(self) -> Method:
         """The method whose fit is made: the implicit loop where least squares learns model error.
@@ -138,6 +154,13 @@ class Fit:
         """
         learns = self.method.exact and self.model_error != "none"
         return method_named(DEFAULT) if learns else self.method
+
+    @property
+    def label(self) -> str:
+        """The method in words, with the model error where it has one."""
+        if self.model_error == "none":
+            return self.method.label
+        return f"{self.method.label.split(' (')[0]} with structured model error"
 
     @property
     def robust_loss(self) -> Loss | None:

@@ -17,7 +17,7 @@ from loopcal.estimation.faults.misfit import misfit
 from loopcal.estimation.faults.search import column_faults, suspicious
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
-from loopcal.report.verdict import verdict
+from loopcal.statistics.verdict import verdict_of
 from tests.reference.robots import urdf_of
 
 SPATIAL = {
@@ -88,7 +88,7 @@ def test_learnt_sds_are_not_sought_in_a_file_at_fault_and_every_face_says_so() -
     assert [fault.code for fault in result.faults] == ["rows-shifted"]
     assert lc.find_outliers(result).columns == result.faults
     assert str(result).splitlines()[2].startswith("FILE AT FAULT")
-    assert verdict(result.document).grade == "bad"
+    assert verdict_of(result.document).grade == "bad"
 
 
 def test_the_measured_grid_displaced_or_in_another_unit_is_named(
