@@ -181,6 +181,23 @@ def test_never_silently_worse_than_a_rival() -> None:
     assert verdict_of(replace(clean(), validation=None)).better.code == "not-validated"
 
 
+def test_a_result_knows_its_verdict_and_files_hold_the_same(tmp_path: Path) -> None:
+    result = corner()
+    assert result.verdict == lc.verdict(result)
+    lc.write_result(result, tmp_path)
+    assert lc.read_result(tmp_path / "result.json").verdict == result.verdict
+
+
+def test_a_chosen_result_is_judged_by_its_validation_and_candidates() -> None:
+    arm = planar_arm(40)
+    result = lc.calibrate(arm.truth, arm.read(SDS, 1), noise=lc.Noise(SDS), method="auto")
+    assert result.verdict is not None
+    assert result.chosen is not None
+    rival = next(c for c in result.chosen.over if c.name == "nominal")
+    assert result.verdict.better.number == rival.difference
+    assert "sd of the difference" in result.verdict.better.words
+
+
 def test_false_alarms_over_clean_draws_are_rare() -> None:
     arm = planar_arm(40)
     found = []
