@@ -41,6 +41,7 @@ from loopcal.document.tables import (
 from loopcal.document.terms import TermEntry
 from loopcal.document.verdict import Verdict
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.structure.structured import unstated_mountings
 from loopcal.presentation.rounding import significant
 
 SCHEMA: Literal[2] = 2
@@ -103,6 +104,8 @@ class MechanismEntry:
     """Outputs, and small turns between computed and measured orientations."""
     remarks: tuple[str, ...]
     """What a user should know of it, such as why a parameter is fixed."""
+    unstated: tuple[tuple[str, ...], ...] = ()
+    """The parameters of each thing on the body whose place nobody stated: all free, flat and 0."""
 
     @classmethod
     def of(cls, mechanism: Mechanism) -> MechanismEntry:
@@ -115,6 +118,7 @@ class MechanismEntry:
             mechanism.outputs,
             mechanism.compared,
             mechanism.remarks,
+            unstated_mountings(mechanism),
         )
 
 
@@ -154,6 +158,8 @@ class ResultDocument:
     """Of the quantities whose covariance was stated."""
     terms: tuple[TermEntry, ...] = ()
     """What was learnt of the model error; empty: nothing was to be learnt."""
+    sds_settled: bool | None = None
+    """Whether the learnt sds converged; null: none were learnt."""
     model_discrepancy: Size | None = None
     """sd [SI, of the outputs] of an error of the machine model at the end point that would explain
     a chi-squared too large for the stated sds."""
