@@ -16,7 +16,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "src" / "loopcal"
 LAYERS = (
     ("errors",),
     ("chi_squared", "expressions", "units"),
-    ("presentation",),
+    ("presentation", "small_samples"),
     ("execution",),
     ("mechanisms", "measurements"),
     ("document",),

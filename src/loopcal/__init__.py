@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from loopcal.document.fit import NoiseEntry
     from loopcal.document.goodness_of_fit import ChiSquared
     from loopcal.document.result_document import ResultDocument
+    from loopcal.document.verdict import Answer, Verdict
     from loopcal.errors import InputError, LoopcalError
     from loopcal.estimation.accuracy import Accuracy, InstrumentAccuracy
     from loopcal.estimation.calibrate import calibrate
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from loopcal.statistics.comparison import compare
     from loopcal.statistics.findings import Findings, findings
     from loopcal.statistics.intervals import Interval, intervals
+    from loopcal.statistics.judging import verdict
     from loopcal.statistics.models import ComparedModel, ModelComparison, compare_models
     from loopcal.statistics.outliers import Outliers, find_outliers
     from loopcal.statistics.prediction import Prediction, predict
@@ -111,6 +113,8 @@ _HOME = {
     "statistics.comparison": ("compare",),
     "statistics.intervals": ("Interval", "intervals"),
     "statistics.validation": ("MethodComparison", "Validation", "compare_methods", "validate"),
+    "document.verdict": ("Answer", "Verdict"),
+    "statistics.judging": ("verdict",),
     "statistics.verification": ("verify",),
     "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
@@ -125,6 +129,7 @@ _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name
 
 __all__ = [
     "Accuracy",
+    "Answer",
     "Check",
     "ChiSquared",
     "Closure",
@@ -169,6 +174,7 @@ __all__ = [
     "Tracker",
     "Undetermined",
     "Validation",
+    "Verdict",
     "Verification",
     "WrittenResult",
     "__version__",
@@ -210,6 +216,7 @@ __all__ = [
     "tracker_covariance",
     "validate",
     "vector",
+    "verdict",
     "verify",
     "with_effects",
     "write_result",

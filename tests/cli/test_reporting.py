@@ -24,7 +24,7 @@ def test_several_results_need_a_file(folder: Path, run: Run) -> None:
     assert "--out" in done.err
     assert contents(folder) == before
     assert run("report", "project-result", "project-result", "--out", "both.html").code == 0
-    assert (folder / "both.html").read_text("utf-8").count("Usable with care") >= 2
+    assert (folder / "both.html").read_text("utf-8").count("Use it with care") >= 2
 
 
 def test_without_a_report_an_earlier_one_goes(folder: Path, run: Run) -> None:

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, Undetermined
+from loopcal.document.findings import Outlier
 from loopcal.document.result_document import ResultDocument
 from loopcal.files.result.pose_table import PoseTable
 from loopcal.files.result.result_file import read_result
 from loopcal.report.page import MOST, report_html
 from loopcal.report.source import read_source
 from loopcal.report.tables import accuracy_tables, comparison_table, parameter_table
-from loopcal.report.verdict import verdict
 from tests.golden_files import page_text
 from tests.refusals import refused
 
@@ -105,46 +104,14 @@ def test_a_folder_without_a_result_is_told(tmp_path: Path) -> None:
         read_source(tmp_path)
 
 
-def test_a_good_result_is_called_good(planar: Path) -> None:
-    told = verdict(document_of(planar))
-    assert told.grade == "good"
-    assert "on held-out poses" in told.paragraph
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "grade", "words"),
-    [
-        ("status.converged", False, "bad", "do not use"),
-        ("validation", None, "care", "--folds"),
-        ("chi_squared.p_value", 1e-6, "care", "larger than the stated sds"),
-        ("validation.accuracy.rms", 9.0, "care", "much worse"),
-        ("accuracy.after.rms", 9.0, "care", "did not improve"),
-        ("noise", (), "care", "taken as exact"),
-        (
-            "identifiability.not_identifiable",
-            (Undetermined({"l2": 1.0}, "l2"),),
-            "care",
-            "do not determine l2",
-        ),
-        (
-            "column_faults",
-            (ColumnFault(("xP",), "xP is in another unit", 1.0, 0.0),),
-            "bad",
-            "another unit",
-        ),
-        ("outliers", (outlier("17"),), "care", "1 pose does not fit the others (17)"),
-        (
-            "outliers",
-            (outlier("17"), outlier("9"), outlier("17")),
-            "care",
-            "2 poses do not fit the others (17, 9, worst first)",
-        ),
-    ],
-)
-def test_every_doubt_is_told(planar: Path, path: str, value: Any, grade: str, words: str) -> None:
-    told = verdict(changed(document_of(planar), path, value))
-    assert told.grade == grade
-    assert words in f"{told.headline} {told.paragraph}"
+def test_the_page_shows_the_four_answers(planar: Path) -> None:
+    page = report_html([read_source(planar)])
+    verdict = document_of(planar).verdict
+    assert verdict is not None
+    assert f"<strong>{verdict.headline}</strong>" in page
+    for answer in verdict.answers.values():
+        assert answer.words in page
+        assert f"<code>{answer.code}</code>" in page
 
 
 def test_parameters_stand_with_change_and_share_of_the_prior(planar: Path) -> None:
@@ -159,27 +126,3 @@ def test_parameters_stand_with_change_and_share_of_the_prior(planar: Path) -> No
     assert row[-1] == "25%"
     assert float(row[-2]) == pytest.approx((entry.value - entry.nominal) / entry.sd, abs=0.05)
     assert "fixed" in rows[other.name]
-
-
-def test_a_column_at_fault_is_the_verdict_and_another_optimum_a_doubt(planar: Path) -> None:
-    document = document_of(planar)
-    other = OtherOptimum({"l2": 0.6}, 250.0, "another optimum: l2 600 mm")
-    told = verdict(replace(document, other_optima=(other,)))
-    assert told.grade == "care"
-    assert "another optimum: l2 600 mm" in told.paragraph
-    words = "the columns of phi2 and phi3 are exchanged"
-    fault = ColumnFault(("phi2", "phi3"), words, 0.1, 1e-4)
-    told = verdict(replace(document, column_faults=(fault,)))
-    assert told.grade == "bad"
-    assert words in told.paragraph
-
-
-def test_what_the_machine_model_lacks_is_part_of_the_verdict(planar: Path) -> None:
-    document = document_of(planar)
-    sensor = replace(document.noise[0], quantities=("model_x",), unit="m", sd=1.37e-3)
-    model = replace(sensor, role="disturbance")
-    told = verdict(replace(document, noise=(*document.noise, model)))
-    assert told.grade == "care"
-    assert "an sd of 1.37 mm" in told.paragraph
-    for nothing in (replace(model, sd=0.0), sensor):  # a name says nothing
-        assert verdict(replace(document, noise=(*document.noise, nothing))) == verdict(document)

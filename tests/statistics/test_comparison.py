@@ -190,3 +190,43 @@ def test_poses_that_both_calibrations_share_count_once() -> None:
     other = compare(calibrated(arm, 1), calibrated(arm, 2))
     assert other.points is not None
     assert len(other.points.poses) == 60
+
+
+def eccentric(box: dict[str, tuple[float, float]], seed: int, *, shift: float = 0.0) -> lc.Result:
+    """An arm with an eccentric encoder that its model does not know, in a region of its joints."""
+    arm = lc.planar_two_link()
+    truth = arm.with_nominal({"l3": arm.parameters["l3"].nominal + shift})
+    at = lc.random_poses(box, 40, seed=1000 + seed)
+    made = lc.simulate(truth, at, noise={"*": 1e-4}, seed=seed).dataset
+    readings = {q: np.array(made[q]) for q in made.quantities}
+    readings["phi2"] += 1e-3 * np.sin(readings["phi2"] + readings["phi3"])
+    return lc.calibrate(arm, readings, noise={"*": 1e-4}, start="nominal")
+
+
+def test_an_unchanged_imperfect_machine_in_two_regions_gives_no_alarm() -> None:
+    low, high = {"phi2": (0.0, 0.8), "phi3": (0.3, 1.1)}, {"phi2": (0.8, 1.6), "phi3": (0.9, 1.7)}
+    found = [compare(eccentric(low, s), eccentric(high, 50 + s)) for s in range(8)]
+    assert all(f.p_value is not None and f.p_value < 0.05 for f in found)
+    assert [f.differ for f in found] == [None] * 8
+    assert "different regions" in found[0].verdict()
+    assert found[0].document()["differ"] is None
+
+
+def test_a_change_in_the_same_region_is_seen() -> None:
+    box = {"phi2": (0.0, 1.6), "phi3": (0.3, 1.7)}
+    assert compare(eccentric(box, 1), eccentric(box, 2, shift=5e-3)).differ is True
+
+
+def test_rejected_sds_count_as_large_as_the_residuals() -> None:
+    arm = planar_arm(40)
+    small = lc.Noise(dict.fromkeys(arm.truth.quantities, 2e-5))
+    a, b = (
+        lc.calibrate(arm.truth, arm.read(sds_of(arm), seed), noise=small, start="nominal")
+        for seed in (1, 2)
+    )
+    found = compare(a, b)
+    assert a.chi_squared is not None and a.chi_squared.too_large  # noqa: PT018
+    assert found.p_value is not None
+    assert found.p_value > 1e-3
+    assert any("count 5" in note or "count 4.9" in note or "count 5.1" in note
+               for note in found.notes)  # fmt: skip

@@ -12,9 +12,10 @@ import loopcal as lc
 from analyses.gross_errors import Counts, run, sds
 from analyses.instruments import setup
 from loopcal.errors import InputError
+from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.statistics import causes
-from loopcal.statistics.column_faults import column_faults
+from loopcal.statistics.verdict import verdict_of
 from loopcal.units import from_si
 from tests.reference.simulated import ma1400, planar_arm
 
@@ -234,6 +235,7 @@ def test_what_happened_to_a_column_is_named(change, words) -> None:
     assert len(found.columns) == 1
     assert words in str(found)
     assert found.columns[0].before is not None
+    assert found.columns[0].after is not None
     assert found.columns[0].after < 0.1 * found.columns[0].before
 
 
@@ -285,7 +287,8 @@ def test_a_mirror_image_names_every_column_that_may_be_to_blame() -> None:
 
     fault = outliers(mirrored, method="least-squares", max_iterations=20).columns[0]
     assert set(fault.quantities) == {"x", "y", "z"}
-    assert "the columns of x and y are exchanged" in fault.words
+    assert fault.code == "left-handed"
+    assert "the columns of y and z are exchanged" in fault.words
 
 
 def test_pose_13_of_the_measured_workspace_is_named(shared_data, monkeypatch) -> None:
@@ -322,3 +325,24 @@ def test_the_document_says_how_the_poses_were_tested() -> None:
 def test_a_rule_that_is_none_is_refused(wrong) -> None:
     with pytest.raises(InputError):
         lc.find_outliers(lc.calibrate(START, written(), noise=NOISE), **wrong)
+
+
+def test_no_outlier_is_not_said_as_if_all_were_well_where_chi_squared_rejects() -> None:
+    arm = planar_arm(60)
+    sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-4, "phi3": 1e-4}
+    few = {q: sd / 3 for q, sd in sds.items()}
+    found = lc.find_outliers(lc.calibrate(arm.truth, arm.read(sds, 2), noise=lc.Noise(few)))
+    assert found.rejected is not None
+    assert len(found) > 0 or "chi-squared rejects" in str(found)
+    assert "outliers: none" not in str(found)
+
+
+def test_sds_far_too_large_are_doubted_in_the_report_as_in_the_summary() -> None:
+    arm = planar_arm(60)
+    sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-4, "phi3": 1e-4}
+    wide = {q: 1e3 * sd if q in ("xP", "yP") else sd for q, sd in sds.items()}
+    result = lc.calibrate(arm.truth, arm.read(sds, 2), noise=lc.Noise(wide))
+    told = verdict_of(result.document)
+    assert told.sound.code == "sds-too-large"
+    assert told.grade == "bad"
+    assert any("scatter less" in warning for warning in result.warnings)

@@ -104,6 +104,14 @@ def calibrate(
             "--require-identifiable", help="Exit with code 4 unless every parameter is determined."
         ),
     ] = False,
+    require: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="QUESTION",
+            help="Exit with code 4 unless the verdict answers this with yes: sound, valid, better, "
+            "tolerance; repeatable or comma separated [default: sound must not fail].",
+        ),
+    ] = None,
     folds: Annotated[
         int | None,
         typer.Option(
@@ -147,6 +155,7 @@ def calibrate(
                 method=method,
                 truth=truth,
                 require_identifiable=require_identifiable,
+                require=[name for part in require or () for name in part.split(",")],
                 folds=folds,
                 profile=profile or (),
                 compare=compare,

@@ -157,6 +157,32 @@ class UsualSd:
 
 
 @dataclass(frozen=True)
+class RegionRange:
+    """Range of a reading in the working region [SI]."""
+
+    quantity: str
+    low: float
+    high: float
+    source: str
+    """stated; limits: of the joint; turn: half a turn either way, nobody states limits; readings:
+    no limits are known."""
+
+
+@dataclass(frozen=True)
+class RegionEntry:
+    """The working region, and the sd that the parameters cause there beside the measured poses."""
+
+    ranges: tuple[RegionRange, ...]
+    unit: str
+    sd_at_poses: Size
+    """Rms over the measured poses, root of the trace over the outputs."""
+    sd: Size | None
+    """Rms over the region; null: unbounded, the data leave a direction open."""
+    ratio: Size | None
+    """Of the two; of the instrument with the largest."""
+
+
+@dataclass(frozen=True)
 class PredictionEntry:
     """What `loopcal predict` needs beside the covariance and the calibrated mechanism."""
 
@@ -171,6 +197,10 @@ class PredictionEntry:
     """Parameter steps [SI] that neither data nor prior limit."""
     by: tuple[UsualSd, ...] = ()
     """Per instrument; empty: written by an earlier version, which took all outputs together."""
+    unmeasured: tuple[str, ...] = ()
+    """Quantities that no sensor read: a column of one holds start values only."""
+    region: RegionEntry | None = None
+    """The working region; null: not known, or written by an earlier version."""
 
 
 @dataclass(frozen=True)
@@ -227,11 +257,10 @@ class OutlierTests:
 
 @dataclass(frozen=True)
 class ColumnFault:
-    """A fault of whole columns, verified by fits with it and without.
+    """A fault of whole columns, of the order of rows, or of the whole file.
 
-    Misfit: the rms distance of the half of the poses where the nominal machine, placed as well as
-    can be, is nearest to the readings [SI]; of a machine that cannot be placed, the rms of the loop
-    values after a fit.
+    Misfit: the rms distance [SI] of the nine tenths of the poses where the nominal machine is
+    nearest to the readings, with instruments and targets placed as well as can be.
     """
 
     quantities: tuple[str, ...]
@@ -239,12 +268,17 @@ class ColumnFault:
     """What it is; alternatives that the readings cannot distinguish are joined by "or"."""
     before: Size | None
     """Misfit [SI] as read; null: no loop closes."""
-    after: Size
-    """The same with the fault corrected."""
+    after: Size | None
+    """The same with the fault corrected; null: the readings do not say how."""
     placed: bool = True
     """Whether the machine can be placed."""
+    code: str = "column"
+    """left-handed, reversed, unit, exchanged, orientation, pose-inverted, rows-shifted,
+    rows-shuffled, constant or wrong-machine; column: written by an earlier version."""
 
     def __str__(self) -> str:
+        if self.after is None:
+            return self.words
         meets = "the nominal machine meets the readings" if self.placed else "the loops fit"
         unit = " m" if self.placed else ""
         before = "inf" if self.before is None else f"{self.before:.3g}"

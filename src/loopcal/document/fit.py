@@ -58,6 +58,8 @@ class ParameterEntry:
     """True minus estimate, where the truth of a simulation was given."""
     interval: IntervalEntry | None = None
     """Null where it was not asked for."""
+    degrees_of_freedom: Size | None = None
+    """Of Student's t, where sds were learnt; null: normal, because all sds are known."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,10 @@ class CovarianceEntry:
     unit: Literal["SI"]
     matrix: tuple[tuple[float | None, ...], ...]
     """Products of the parameters' SI units; null where one is not identifiable."""
+    plain: tuple[tuple[float, ...], ...] | None = None
+    """The same as if the learnt sds were known; null: none were learnt."""
+    slopes: tuple[tuple[tuple[float, ...], ...], ...] = ()
+    """Its changes per sd of each independent error of the learnt sds."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +101,17 @@ class NoiseEntry:
     what the sd deserves: the sensor is worse than stated, or the machine model lacks something."""
     role: Literal["reading", "disturbance"] = "reading"
     """reading: of sensors; disturbance: an error of the machine model, which no sensor reads."""
+    slopes: tuple[float, ...] = ()
+    """Relative changes of the variance, sd squared, along each of the slopes of `covariance`."""
+
+
+@dataclass(frozen=True)
+class NoiseCovarianceEntry:
+    """Quantities whose errors are not independent."""
+
+    quantities: tuple[str, ...]
+    matrix: tuple[tuple[float, ...], ...]
+    """Their covariance [SI]; the mean over poses, where it differs from pose to pose."""
 
 
 @dataclass(frozen=True)

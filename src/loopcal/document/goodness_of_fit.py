@@ -38,6 +38,11 @@ class ChiSquared:
             return False
         return self.p_value < 1e-3 and self.variance_factor > 1.0
 
+    @property
+    def too_small(self) -> bool:
+        """Whether the corrections are smaller than the stated sds let expect."""
+        return (self.p_value or 0.0) > 0.999 and (self.variance_factor or 1.0) < 0.8
+
     def warnings(self, discrepancy: float | None, unit: str) -> tuple[str, ...]:
         """What the reader must know of the stated sds.
 
@@ -46,7 +51,7 @@ class ChiSquared:
         """
         if self.too_large:
             return (self._too_large(discrepancy, unit),)
-        if (self.p_value or 0.0) > 0.999 and (self.variance_factor or 1.0) < 0.8:
+        if self.too_small:
             return (
                 f"Chi-squared per degree of freedom is {self.variance_factor:.2g}: the readings "
                 "scatter less than their stated sds, which are too large.",

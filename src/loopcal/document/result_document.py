@@ -22,6 +22,7 @@ from loopcal.document.findings import (
 from loopcal.document.fit import (
     ClosureEntry,
     CovarianceEntry,
+    NoiseCovarianceEntry,
     NoiseEntry,
     ParameterEntry,
     StatusEntry,
@@ -135,6 +136,8 @@ class ResultDocument:
     covariance: CovarianceEntry
     noise: tuple[NoiseEntry, ...]
     """Empty for least squares, which knows none."""
+    noise_covariances: tuple[NoiseCovarianceEntry, ...] = ()
+    """Of the quantities whose covariance was stated."""
     terms: tuple[TermEntry, ...] = ()
     """What was learnt of the model error; empty: nothing was to be learnt."""
     model_discrepancy: Size | None = None
@@ -168,8 +171,8 @@ class ResultDocument:
     outlier_tests: OutlierTests | None = None
     """How outliers were found; null: no reading was tested."""
     column_faults: tuple[ColumnFault, ...] | None = None
-    """Columns that are exchanged, in another unit or counted the other way round; where there are
-    any, single poses are not tested."""
+    """Columns exchanged, reversed or in another unit, rows displaced, another machine; where there
+    are any, single poses are not tested."""
     other_optima: tuple[OtherOptimum, ...] | None = None
     """Optima that fit about as well; null: not sought."""
     data: DataEntry
@@ -186,13 +189,16 @@ class ResultDocument:
         return not self.noise
 
     def __str__(self) -> str:
-        """The summary: state, accuracy, sensors, parameters, intervals, models, warnings."""
+        """The summary: the verdict, then state, accuracy, sensors, parameters, warnings."""
         loss = "" if self.loss == "gaussian" else f", loss {self.loss}"
         name = self.mechanism.name if self.mechanism else self.title
         lines = [f"{name}: {self.method_label or self.method}{loss}", ""]
+        if self.verdict is not None:
+            lines += [*self.verdict.lines(), ""]
         lines += _state(self)
         lines += ["", *_accuracy(self)]
-        rejected = self.chi_squared is not None and (self.chi_squared.p_value or 0.0) < 0.01
+        p_value = 1.0 if self.chi_squared is None else self.chi_squared.p_value
+        rejected = p_value is not None and p_value < 0.01
         if rejected or any(entry.source == "estimated" for entry in self.noise):
             lines += ["", *sensor_table(self.noise)]
         lines += ["", *parameter_table(self.parameters)]
@@ -218,14 +224,16 @@ def _state(document: ResultDocument) -> list[str]:
     poses = (
         f"{data.used} poses" if data.poses == data.used else f"{data.used} of {data.poses} poses"
     )
-    lines = [f"{head} in {steps} on {poses}"]
+    lines = [f"FILE AT FAULT  {fault}" for fault in document.column_faults or ()]
+    lines.append(f"{head} in {steps} on {poses}")
     if not status.converged:
         lines.append(f"  {status.message}")
     chi = document.chi_squared
-    if chi is not None and chi.variance_factor is not None and chi.p_value is not None:
+    if chi is not None and chi.variance_factor is not None:
+        told = "no p: all sds were learnt" if chi.p_value is None else f"p = {chi.p_value:.2g}"
         lines.append(
             f"chi-squared {significant(chi.value, 5)} at {chi.degrees_of_freedom} degrees of "
-            f"freedom (per degree {significant(chi.variance_factor, 3)}, p = {chi.p_value:.2g})"
+            f"freedom (per degree {significant(chi.variance_factor, 3)}, {told})"
         )
     information = document.identifiability
     condition = information.condition_number

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+QUESTIONS = ("sound", "valid", "better", "tolerance")
+"""The four questions, in the order in which they are asked."""
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -40,3 +43,25 @@ class Verdict:
     """Good enough for the stated tolerance."""
     headline: str
     """The worst of the answers in one sentence."""
+
+    @property
+    def grade(self) -> str:
+        """good, care or bad: of the worst answer."""
+        asked = [a.passed for a in self.answers.values() if a.code != "no-tolerance"]
+        return "bad" if False in asked else "care" if None in asked else "good"
+
+    @property
+    def answers(self) -> dict[str, Answer]:
+        """By question."""
+        return {name: getattr(self, name) for name in QUESTIONS}
+
+    def lines(self) -> list[str]:
+        """The headline, and a line for each question with what to do."""
+        found = [self.headline]
+        for name, answer in self.answers.items():
+            if answer.code == "no-tolerance":
+                continue
+            found.append(f"  {name:<9}  {answer.mark:<4}  {answer.words}")
+            if answer.next:
+                found.append(f"{'':<17}  {answer.next}")
+        return found

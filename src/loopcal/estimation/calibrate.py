@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Unpack
 
+from loopcal.document.findings import ColumnFault
 from loopcal.errors import InputError
+from loopcal.estimation.faults.search import column_faults, suspicious
 from loopcal.estimation.fit import Fit, FitOptions, Start
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.model_error import modelled, noise_told, weighed
@@ -24,6 +26,8 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 
+FAULTY = 3
+"""Iterations of the fit of a file that is at fault as a whole."""
 LEARNT = 1e-5
 """With terms a fit converges to so many sds, unless the user says otherwise: their own sds are
 learnt from it, and are never known to so many digits."""
@@ -62,6 +66,10 @@ def calibrate(
     "auto" (default) aligns a machine whose placement parameters are free with flat priors; or
     parameter values [SI] by name.
 
+    A file that is at fault as a whole (columns in another unit, reversed or exchanged, rows shifted
+    or shuffled, readings of another machine) is recognised before the fit where it begins at the
+    nominal machine. The fit is then cut short, no sd is estimated, and `Result.faults` names them.
+
     Raises InputError for input that cannot be used. A fit that does not converge is returned, with
     the reason in its status.
     """
@@ -76,9 +84,11 @@ def calibrate(
         data = weighed(fit, data)
         mechanism, data = with_model(mechanism, data, told)
 
-    def fitted(problem: Problem, tolerance: float | None) -> Solution:
+    def fitted(
+        problem: Problem, tolerance: float | None, max_iterations: int = fit.max_iterations
+    ) -> Solution:
         limits: dict[str, Any] = {
-            "max_iterations": fit.max_iterations,
+            "max_iterations": max_iterations,
             "tolerance": tolerance,
             "progress": progress,
         }
@@ -102,6 +112,12 @@ def calibrate(
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)
+        faults: tuple[ColumnFault, ...] = ()
+        if isinstance(fit.start, str) and suspicious(problem):
+            faults = column_faults(problem)
+        if faults:  # no fit is of use: a short one, so that there is a result to say so
+            short = fitted(problem, fit.tolerance, min(fit.max_iterations, FAULTY))
+            return Result(fit, data, problem, short, problem, faults=faults)
         if told is None or not learns:
             return Result(fit, data, problem, solved(problem), problem)
         from loopcal.estimation.noise.estimation import estimate_noise

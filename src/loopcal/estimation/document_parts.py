@@ -15,6 +15,7 @@ from loopcal.document.result_document import DataEntry, JoinedFile
 from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.parameters import Parameter
+from loopcal.small_samples import LearntCovariance
 
 Array = NDArray[np.float64]
 
@@ -42,19 +43,25 @@ def parameter_entry(
 
 
 def covariance_entry(
-    names: tuple[str, ...], covariance: Array, loose: frozenset[str]
+    names: tuple[str, ...], covariance: LearntCovariance, loose: frozenset[str]
 ) -> CovarianceEntry:
     """The covariance of these parameters; loose: those that nothing determines."""
     open_ = np.array([name in loose for name in names], dtype=bool)
-    lost = open_[:, None] | open_ | ~np.isfinite(covariance)
-    rows = zip(covariance.tolist(), lost.tolist(), strict=True)
-    return CovarianceEntry(
-        names,
-        "SI",
-        tuple(
-            tuple(None if gone else value for value, gone in zip(*row, strict=True)) for row in rows
-        ),
+    lost = open_[:, None] | open_ | ~np.isfinite(covariance.matrix)
+    rows = zip(covariance.matrix.tolist(), lost.tolist(), strict=True)
+    matrix = tuple(
+        tuple(None if gone else value for value, gone in zip(*row, strict=True)) for row in rows
     )
+    if not len(covariance.slopes):
+        return CovarianceEntry(names, "SI", matrix)
+    plain = tuple(map(tuple, covariance.plain.tolist()))
+    slopes = tuple(tuple(map(_short, slope)) for slope in covariance.slopes.tolist())
+    return CovarianceEntry(names, "SI", matrix, plain, slopes)
+
+
+def _short(row: Sequence[float]) -> tuple[float, ...]:
+    """To six digits: they say how sure variances are."""
+    return tuple(float(f"{value:.6g}") for value in row)
 
 
 def noise_entries(

@@ -140,6 +140,13 @@ class Fit:
         return method_named(DEFAULT) if learns else self.method
 
     @property
+    def label(self) -> str:
+        """The method in words, with the model error where it has one."""
+        if self.model_error == "none":
+            return self.method.label
+        return f"{self.method.label.split(' (')[0]} with structured model error"
+
+    @property
     def robust_loss(self) -> Loss | None:
         """The loss, None for the gaussian one, which needs no weights."""
         return loss_named(self.loss)

@@ -44,6 +44,12 @@ def noise_told(fit: Fit, mechanism: Mechanism, data: Dataset, noise: Noise | Non
     return noise if begin is None or noise is None else noise.begun_at(begin)
 
 
+def learnt_at(noise: Noise, factor: float) -> Noise:
+    """The noise with the sds that are to be learnt multiplied by a factor, and then as given."""
+    learnt = {n for key in noise.estimate for n in (key if isinstance(key, tuple) else (key,))}
+    return Noise({k: v * factor if k in learnt else v for k, v in noise.entries.items()})
+
+
 def weighed(fit: Fit, data: Dataset) -> Dataset:
     """The data without the sds that came with them, where a fit learns its own weights."""
     return replace(data, sds={}) if fit.method.exact else data

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.dependence import Dependence
-from loopcal.document.findings import Identifiability
+from loopcal.document.findings import ColumnFault, Identifiability
 from loopcal.document.fit import ClosureEntry, NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.plain import known
 from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
 from loopcal.document.terms import TermEntry
 from loopcal.errors import InputError
@@ -30,8 +31,9 @@ from loopcal.estimation.document_parts import (
 )
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.identifiability import identifiability
-from loopcal.estimation.noise.learning import entries, words
+from loopcal.estimation.noise.learning import entries, joint_covariances, words
 from loopcal.estimation.noise.terms import term_entries
+from loopcal.estimation.noise.variances import all_learnt
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.residuals import Closure, by_name, residuals
@@ -42,9 +44,11 @@ from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.small_samples import LearntCovariance
 
 if TYPE_CHECKING:
     from loopcal.estimation.noise.estimation import NoiseEstimate
+    from loopcal.estimation.noise.kenward_roger import LearntParameters
 
 Array = NDArray[np.float64]
 
@@ -65,7 +69,8 @@ class Result:
 
     fit: the settings; dataset: the readings; problem: with the sds used, solution: where the fit
     ended; stated: the problem with the sds as stated, estimate: what was learnt of them, None
-    where nothing was; all_poses: of a stream; notes: warnings beside those of the fit itself.
+    where nothing was; all_poses: of a stream; notes: warnings beside those of the fit itself;
+    faults: of the file as a whole, found before the fit.
     What follows from these is computed when it is first asked for.
     """
 
@@ -81,6 +86,7 @@ class Result:
     """Whether covariance and sds were multiplied by the variance factor, on request."""
     errors: Mapping[str, float] | None = None
     """True minus estimated value of the parameters whose truth is known."""
+    faults: tuple[ColumnFault, ...] = ()
 
     @property
     def method(self) -> str:
@@ -130,20 +136,56 @@ class Result:
         return MappingProxyType(dict(zip(names, self.solution.parameters.tolist(), strict=True)))
 
     @cached_property
-    def covariance(self) -> Array:
-        """(n, n) of the estimated parameters; allows for serial dependence where there is any."""
+    def learnt_covariance(self) -> LearntCovariance:
+        """Of the estimated parameters, and how sure it is itself: sds that were learnt are not
+        known, and those of least squares come from its residuals. It allows for serial dependence
+        where there is any."""
         loss, method = self.fit.robust_loss, self.fit.solver
         if self._depending is not None and self._depending.covariance is not None:
-            return self._depending.covariance
+            return LearntCovariance.known(self._depending.covariance)
         if loss is not None:
             sums = self.robust_sums if self.all_poses is None else self.all_poses.robust
-            return sums.covariance(self.spectrum, self.problem.prior_sd)
-        found = self.spectrum.covariance()
-        variance = method.unit_variance(self.solution.chi_squared, self.freedom)
-        if variance != 1.0:
-            found = found * (math.inf if variance is None else variance)
+            return LearntCovariance.known(sums.covariance(self.spectrum, self.problem.prior_sd))
+        if method.exact:
+            return self._by_residuals(self.solution.chi_squared)
         factor = self._variance_factor if self.variance_factor_applied else None
-        return found if factor is None else found * factor
+        if self._learnt is not None:
+            learnt = self._learnt.covariance
+            return learnt if factor is None else learnt.scaled_by(factor)
+        if factor is not None:
+            return self._by_residuals(self.solution.chi_squared)
+        return LearntCovariance.known(self.spectrum.covariance())
+
+    def _by_residuals(self, square: float) -> LearntCovariance:
+        """Scaled by the mean square of the residuals."""
+        plain = self.spectrum.covariance()
+        if self.freedom <= 0:
+            return LearntCovariance.known(plain * math.inf)
+        return LearntCovariance.scaled(plain * (square / self.freedom), self.freedom)
+
+    @cached_property
+    def _learnt(self) -> LearntParameters | None:
+        """Kenward and Roger's covariance, where sds were learnt by a fit that converged.
+
+        A stream has too many poses for it to matter.
+        """
+        if self.estimate is None or self.all_poses is not None or not self.status.converged:
+            return None
+        from loopcal.estimation.noise.kenward_roger import learnt_parameters
+
+        return learnt_parameters(self.estimate)
+
+    @property
+    def covariance(self) -> Array:
+        """(n, n) of the estimated parameters."""
+        return self.learnt_covariance.matrix
+
+    @cached_property
+    def degrees_of_freedom(self) -> Mapping[str, float | None]:
+        """Of Student's t of every parameter: None if fixed, inf where its sd is known."""
+        found: dict[str, float | None] = dict.fromkeys(self.mechanism.parameters.names)
+        found |= dict(zip(self.estimated, self.learnt_covariance.freedom.tolist(), strict=True))
+        return MappingProxyType(found)
 
     @property
     def dependence(self) -> Dependence | None:
@@ -186,14 +228,26 @@ class Result:
         """None where the method or the loss has none."""
         value = self.solution.chi_squared
         known = not self.fit.solver.exact and self.fit.robust_loss is None
-        return ChiSquared.of(value, self.freedom) if known and math.isfinite(value) else None
+        if not known or not math.isfinite(value):
+            return None
+        found = ChiSquared.of(value, self.freedom)
+        return replace(found, p_value=None) if self._all_sds_learnt else found
+
+    @property
+    def _all_sds_learnt(self) -> bool:
+        """Whether chi-squared is what it is because the sds were chosen so."""
+        if self.estimate is None:
+            return False
+        positions = [component.quantities for component in self.estimate.stated]
+        return all_learnt(self.stated, positions)
 
     @cached_property
     def noise(self) -> tuple[NoiseEntry, ...]:
         """The sds that were used."""
         if self.fit.solver.exact:
             return ()
-        return entries(self.problem, self.estimate, self.stated)
+        errors = None if self._learnt is None else self._learnt.errors
+        return entries(self.problem, self.estimate, self.stated, errors)
 
     @cached_property
     def terms(self) -> tuple[TermEntry, ...]:
@@ -298,7 +352,9 @@ class Result:
     def restricted_criterion(self) -> float | None:
         """-2 log of the restricted likelihood, up to a constant of the readings, where sds were
         estimated: the difference between two models of the same readings is what counts."""
-        return None if self.estimate is None else self.estimate.criterion
+        if self.estimate is None or self.all_poses is not None:
+            return None
+        return self.estimate.criterion
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -374,15 +430,19 @@ class Result:
             title=None,
             mechanism=MechanismEntry.of(self.mechanism),
             method=self.method,
-            method_label=self.fit.method.label,
+            method_label=self.fit.label,
             loss=self.loss,
             status=status_entry(self.status),
             parameters=tuple(
-                parameter_entry(p, self.value[p.name], self.sd[p.name], errors.get(p.name))
+                replace(
+                    parameter_entry(p, self.value[p.name], self.sd[p.name], errors.get(p.name)),
+                    degrees_of_freedom=known(self.degrees_of_freedom[p.name]),
+                )
                 for p in self.mechanism.parameters
             ),
-            covariance=covariance_entry(self.estimated, self.covariance, loose),
+            covariance=covariance_entry(self.estimated, self.learnt_covariance, loose),
             noise=noise_entries(self.noise, self.chi_squared_shares),
+            noise_covariances=() if self.fit.solver.exact else joint_covariances(self.problem),
             terms=self.terms,
             model_discrepancy=self.model_discrepancy,
             variance_factor_applied=self.variance_factor_applied,
@@ -396,6 +456,7 @@ class Result:
             observability=None,
             prediction=None,
             outliers=None,
+            column_faults=self.faults or None,
             data=data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities]),
             warnings=self.warnings,
             inputs={},

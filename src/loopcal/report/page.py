@@ -20,13 +20,19 @@ from loopcal.figures.figure import plotly_javascript
 from loopcal.report import tables
 from loopcal.report.drawn import figures
 from loopcal.report.source import Source, source_of
-from loopcal.report.verdict import verdict
+from loopcal.statistics.verdict import verdict_of
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
 MOST = 8
 """So many results stand side by side; a browser draws some sixteen scenes in space at most."""
+QUESTIONS = {
+    "sound": "Sound?",
+    "valid": "Valid where?",
+    "better": "Better than what you had?",
+    "tolerance": "Good enough?",
+}
 LITTLE = 0.5
 """Sd over prior sd above which it is said that the data tell little."""
 
@@ -54,6 +60,7 @@ def report_html(sources: Sequence[Source]) -> str:
             title=", ".join(dict.fromkeys(source.title for source in sources)),
             results=[_result(source, number) for number, source in enumerate(sources, 1)],
             comparison=tables.comparison_table(sources) if several else None,
+            questions=QUESTIONS,
             style=part("style.css"),
             program=program,
             drawing=drawing,
@@ -76,7 +83,7 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "title": source.title,
         "id": f"r{number}",
         "document": document,
-        "verdict": verdict(document),
+        "verdict": document.verdict or verdict_of(document),
         "figures": drawn,
         "accuracy": tables.accuracy_tables(document),
         "models": tables.model_table(document),

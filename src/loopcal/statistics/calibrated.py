@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.fit import NoiseEntry
+from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.result_document import ResultDocument
 from loopcal.estimation.result import Result
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.small_samples import LearntCovariance
+from loopcal.statistics.stored_covariance import stored_covariance
 
 Array = NDArray[np.float64]
 
@@ -32,19 +35,21 @@ class Calibrated:
     mechanism: with the calibrated values; covariance: (n_all, n_all) [SI], zero for fixed
     parameters; undetermined: (n_all, d) steps [SI] that neither data nor prior limit; nominal,
     prior_sd: (n_all,) what was known before; poses: its readings; data: what tells the readings
-    apart from others; p_value: of its own chi-squared; noise: the sds of its sensors; residual: of
-    a method that takes the readings as exact.
+    apart from others; rejected: chi-squared, where it rejects the stated sds; carried: whether
+    parameters with learnt sds (terms) carry the error of the model; noise: the sds of its sensors;
+    residual: of a method that takes the readings as exact.
     """
 
     name: str
     mechanism: Mechanism
-    covariance: Array
+    covariance: LearntCovariance
     undetermined: Array
     nominal: Array
     prior_sd: Array
     poses: Dataset | None
     data: str | None
-    p_value: float | None
+    rejected: ChiSquared | None
+    carried: bool
     noise: tuple[NoiseEntry, ...] = ()
     residual: ResidualVariance | None = None
 
@@ -54,17 +59,18 @@ class Calibrated:
         system, parameters = result.spectrum, result.mechanism.parameters
         exact = result.fit.solver.exact
         loose = system.scale[:, None] * system.directions[:, ~system.kept]
-        free = result.problem.free
+        free, size = result.problem.free, len(parameters)
         return cls(
             name,
             result.calibrated,
-            _spread(result.covariance, free, len(parameters)),
-            _rows(loose, free, len(parameters)),
+            _spread(result.learnt_covariance, free, size),
+            _rows(loose, free, size),
             np.array([p.nominal for p in parameters]),
             np.array([math.inf if exact else p.prior_sd for p in parameters]),
             result.dataset,
             result.dataset.source.sha256 or str(id(result.dataset)),
-            None if result.chi_squared is None else result.chi_squared.p_value,
+            _rejected(result.chi_squared, result.variance_factor_applied),
+            bool(result.terms),
             result.noise,
             _residual(result.solution.chi_squared, result.freedom) if exact else None,
         )
@@ -78,18 +84,17 @@ class Calibrated:
         entries = {entry.name: entry for entry in document.parameters}
         estimated = document.covariance.names
         free = np.array([names.index(n) for n in estimated], dtype=np.intp)
-        matrix = np.array(document.covariance.matrix, dtype=float).reshape((len(free),) * 2)
         stored = document.prediction
         if stored is not None and stored.covariance is not None:
-            covariance = np.array(stored.covariance, dtype=float)
+            determined = stored.covariance
             loose = np.array(stored.undetermined, dtype=float).reshape(-1, len(free)).T
         else:
             # a parameter without covariance is one that nothing limits
-            open_ = np.isnan(np.diag(matrix))
-            covariance, loose = np.nan_to_num(matrix), np.eye(len(free))[:, open_]
+            matrix = np.array(document.covariance.matrix, dtype=float).reshape((len(free),) * 2)
+            determined, loose = None, np.eye(len(free))[:, np.isnan(np.diag(matrix))]
+        covariance = stored_covariance(document.covariance, determined)
         prior = [entries[n].prior_sd for n in names]
         exact = document.sensors_exact
-        chi = document.chi_squared
         return cls(
             name,
             mechanism.with_nominal({n: entries[n].value for n in names}),
@@ -99,10 +104,31 @@ class Calibrated:
             np.array([math.inf if exact or sd is None else sd for sd in prior]),
             poses,
             document.data.sha256,
-            None if chi is None else chi.p_value,
+            _rejected(document.chi_squared, document.variance_factor_applied),
+            bool(document.terms),
             document.noise,
             _residual(_squares(document), _freedom(document)) if exact else None,
         )
+
+    @property
+    def factor(self) -> float:
+        """By how much the residuals are larger than the stated variances say; 1 where not."""
+        return 1.0 if self.rejected is None else self.rejected.variance_factor or 1.0
+
+    @property
+    def as_its_residuals(self) -> Calibrated:
+        """With a covariance as large as the residuals, where chi-squared rejects the sds."""
+        chi, own = self.rejected, self.covariance
+        if chi is None:
+            return self
+        if len(own.slopes):
+            return replace(self, covariance=own.scaled_by(self.factor))
+        scaled = LearntCovariance.scaled(self.factor * own.matrix, chi.degrees_of_freedom)
+        return replace(self, covariance=scaled)
+
+
+def _rejected(chi: ChiSquared | None, applied: bool) -> ChiSquared | None:
+    return chi if chi is not None and chi.too_large and not applied else None
 
 
 def _residual(squares: float, freedom: int) -> ResidualVariance | None:
@@ -129,10 +155,8 @@ def _freedom(document: ResultDocument) -> int:
     return 0 if index is None else index.value - document.identifiability.rank
 
 
-def _spread(covariance: Array, free: NDArray[np.intp], size: int) -> Array:
-    whole = np.zeros((size, size))
-    whole[np.ix_(free, free)] = covariance
-    return whole
+def _spread(covariance: LearntCovariance, free: NDArray[np.intp], size: int) -> LearntCovariance:
+    return covariance.through(np.eye(size)[:, free])
 
 
 def _rows(part: Array, free: NDArray[np.intp], size: int) -> Array:

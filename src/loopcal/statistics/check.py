@@ -32,6 +32,7 @@ from loopcal.mechanisms.prior import PriorLike
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import SHOWN
 from loopcal.presentation.text_table import columns
+from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.identifiability import (
     SCHROER,
     WhatDataSay,
@@ -39,7 +40,12 @@ from loopcal.statistics.identifiability import (
     what_data_say,
 )
 from loopcal.statistics.observability import observability
-from loopcal.statistics.predictor import largest_by_unit, predictor_at, usual_words
+from loopcal.statistics.predictor import (
+    ReadingNoise,
+    largest_by_unit,
+    predictor_at,
+    usual_words,
+)
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]
@@ -171,9 +177,8 @@ def check(
         usual: tuple[UsualSd, ...] = ()
         if mechanism.outputs and told is not None:
             x = problem.readings + corrections
-            usual = predictor_at(
-                problem, problem.mechanism, system.covariance(), system, x, {}
-            ).usual
+            known = LearntCovariance.known(system.covariance())
+            usual = predictor_at(problem, problem.mechanism, known, system, x, ReadingNoise()).usual
     index = calibration_index(problem, problem.count, problem.equations)
     said = what_data_say(problem, information, sds, index, unit_sd=None if told is None else 1.0)
     verdict = _verdict(problem, said, loose)

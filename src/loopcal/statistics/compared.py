@@ -10,14 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.chi_squared import quantile, tail
+from loopcal.document.plain import known
 from loopcal.presentation.rounding import rounded_by_sd, significant
 from loopcal.presentation.shown import SHOWN
 from loopcal.presentation.text_table import columns
+from loopcal.small_samples import f_tail, t_quantile
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]
 SIGNIFICANT = 0.05
+FAR = 2.0
+"""Regions differ where one calibration is so many times less certain in that of the other."""
 _NAMED = 3
 
 
@@ -27,7 +30,8 @@ class ParameterDifference:
 
     sd: None where one of the calibrations does not determine the parameter; placement: whether
     it says where the machine stands: what the machines differ in turns up there too, because
-    they were brought together as wholes.
+    they were brought together as wholes; degrees_of_freedom: of Student's t of z, None where it is
+    normal.
     """
 
     name: str
@@ -38,6 +42,13 @@ class ParameterDifference:
     sd: float | None
     z: float | None
     placement: bool = False
+    degrees_of_freedom: float | None = None
+
+    @property
+    def significant(self) -> bool:
+        """Whether the difference alone is beyond its 95 % interval."""
+        freedom = math.inf if self.degrees_of_freedom is None else self.degrees_of_freedom
+        return self.z is not None and abs(self.z) > t_quantile(1.0 - SIGNIFICANT, freedom)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,21 +70,12 @@ class PointDifference:
 
     @classmethod
     def of(
-        cls,
-        ids: tuple[str, ...],
-        delta: Array,
-        covariance: Array,
-        distance: Array,
-        square: Array,
-        free: NDArray[np.bool_] | None,
+        cls, ids: tuple[str, ...], delta: Array, covariance: Array, within: NDArray[np.bool_]
     ) -> PointDifference:
-        """From differences, their distances and squares in sds; free: without any bound."""
+        """From differences and whether each lies within its 95 % region."""
+        distance = np.linalg.norm(delta, axis=1)
         worst = int(np.argmax(distance))
         direction = delta[worst] / max(float(distance[worst]), 1e-300)
-        limit = quantile(0.05, delta.shape[1])
-        within = square <= limit
-        if free is not None:
-            within = within | free
         return cls(
             ids,
             delta,
@@ -86,12 +88,29 @@ class PointDifference:
         )
 
 
+@dataclass(frozen=True)
+class ContrastTest:
+    """chi^2 of all that both calibrations determine, its degrees of freedom, and those of the
+    denominator of F where sds were learnt, else inf."""
+
+    value: float
+    freedom: int
+    denominator: float
+
+    @property
+    def p_value(self) -> float | None:
+        """Probability of a difference at least this large between two right calibrations."""
+        return f_tail(self.value, self.freedom, self.denominator) if self.freedom else None
+
+
 @dataclass(frozen=True, eq=False)
 class Compared:
     """The comparison of calibrations A and B.
 
-    aligned: whether B was brought to A; points: None without outputs; chi_squared, with
-    degrees_of_freedom: of the difference between the machines; notes: what must be known.
+    aligned: whether B was brought to A; points: None without outputs; test: of the difference
+    between the machines; reach: how many times less certain one is at the poses of the other than
+    at its own, None where learnt terms carry the error of both models or the poses are not known;
+    notes: what must be known.
     """
 
     a: str
@@ -99,16 +118,32 @@ class Compared:
     aligned: bool
     parameters: tuple[ParameterDifference, ...]
     points: PointDifference | None
-    chi_squared: float
-    degrees_of_freedom: int
+    test: ContrastTest
+    reach: float | None
     notes: tuple[str, ...]
 
     @property
     def p_value(self) -> float | None:
         """Probability of a difference at least this large between two right calibrations."""
-        if not self.degrees_of_freedom:
+        return self.test.p_value
+
+    @property
+    def chi_squared(self) -> float:
+        """Of all that both calibrations determine."""
+        return self.test.value
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Of that chi-squared."""
+        return self.test.freedom
+
+    @property
+    def differ(self) -> bool | None:
+        """Whether the machines differ at the 5 % level; None where that cannot be decided."""
+        p = self.p_value
+        if p is None or (p < SIGNIFICANT and (self.reach or 0.0) > FAR):
             return None
-        return tail(self.chi_squared, self.degrees_of_freedom)
+        return p < SIGNIFICANT
 
     def document(self) -> dict[str, Any]:
         """Plain values, SI, for JSON."""
@@ -119,10 +154,13 @@ class Compared:
             "aligned": self.aligned,
             "words": self.verdict(),
             "chi_squared": {
-                "value": self.chi_squared,
-                "degrees_of_freedom": self.degrees_of_freedom,
+                "value": self.test.value,
+                "degrees_of_freedom": self.test.freedom,
+                "denominator_degrees_of_freedom": known(self.test.denominator),
                 "p_value": self.p_value,
             },
+            "reach": self.reach,
+            "differ": self.differ,
             "common_poses": points
             and {
                 "poses": len(points.poses),
@@ -145,8 +183,15 @@ class Compared:
         told = f"p = {p:.2g}"
         if p >= SIGNIFICANT:
             return f"The two machines agree within their stated uncertainty: {where}{told}."
+        if self.differ is None:
+            return (
+                "Undecided: the two machines differ by more than noise explains "
+                f"({where}{told}), but they were measured in different regions, where an "
+                "unmodelled error differs too. Measure both in the same region, or learn the "
+                'model error of both (model_error = "structured").'
+            )
         own = [q for q in self.parameters if not (self.aligned and q.placement)]
-        tested = [q for q in own if q.z is not None and abs(q.z) > 2.0]
+        tested = [q for q in own if q.significant]
         most = sorted(tested, key=lambda q: -abs(q.z or 0.0))[:_NAMED]
         named = ", ".join(f"{q.name} (z = {q.z:+.1f})" for q in most)
         together = "No single parameter differs significantly; together they do."
@@ -160,9 +205,11 @@ class Compared:
         head = f"A: {self.a}\nB: {self.b}"
         head += ", moved to where it agrees best with A" if self.aligned else ""
         fit = (
-            f"chi-squared of the difference {significant(self.chi_squared, 4)} at "
-            f"{self.degrees_of_freedom} degrees of freedom"
+            f"chi-squared of the difference {significant(self.test.value, 4)} at "
+            f"{self.test.freedom} degrees of freedom"
         )
+        if math.isfinite(self.test.denominator):
+            fit += f" (F with {significant(self.test.denominator, 3)} for the learnt sds)"
         lines = [head, "", self.verdict(), fit]
         if self.points is not None:
             lines.append(

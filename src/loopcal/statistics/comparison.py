@@ -13,12 +13,20 @@ everything that either calibration left undetermined:
     chi^2 = (K^T d)^T (K^T C K)^+ (K^T d),   degrees of freedom: the rank of K^T C K
 
 (Rao and Mitra, Generalized Inverse of Matrices and its Applications, 1971, section 9.2). It does
-not depend on how the alignment was weighted.
+not depend on how the alignment was weighted. Where sds were learnt, C is itself uncertain, and
+chi^2 over its degrees of freedom is compared with F (`loopcal.small_samples`).
+
+Where chi-squared rejects the stated sds, C is as large as the residuals.
+
+An error of the machine model moves the parameters otherwise in other poses, by more than any
+residual shows. Two calibrations in different regions are compared by what each says of the region
+that it has not seen. Unless learnt terms carry the error of both models, a difference beyond the
+noise then decides nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,8 +39,15 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.small_samples import LearntCovariance, f_limit
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.statistics.compared import Compared, ParameterDifference, PointDifference
+from loopcal.statistics.compared import (
+    SIGNIFICANT,
+    Compared,
+    ContrastTest,
+    ParameterDifference,
+    PointDifference,
+)
 from loopcal.statistics.gauge import carried, difference, gauge, moved, values_of
 
 Array = NDArray[np.float64]
@@ -59,6 +74,7 @@ def compare(
     """
     a = Calibrated.of(a, "A") if isinstance(a, Result) else a
     b = Calibrated.of(b, "B") if isinstance(b, Result) else b
+    a, b = a.as_its_residuals, b.as_its_residuals
     _check_same(a.mechanism, b.mechanism)
     aligned = align and a.mechanism.placement is not None and len(a.mechanism.outputs) in (2, 3)
     points = _points(a, b, poses) if a.mechanism.outputs else None
@@ -75,16 +91,16 @@ def compare(
     if G.shape[1] and points is not None:
         stacked = points.S.reshape(-1, len(d))
         P = P - G @ np.linalg.lstsq(stacked @ G, stacked, rcond=None)[0]
-    value, freedom = _statistic(d, C, np.hstack([G, loose]))
-    spread = P @ C @ P.T
+    tested = _statistic(d, C, np.hstack([G, loose]))
+    spread = C.through(P)
     return Compared(
         a.name,
         b.name,
         aligned,
         _parameters(a, b, d, spread, P @ loose),
         None if points is None else _differences(points, spread, points.S @ (P @ loose)),
-        value,
-        freedom,
+        tested,
+        _reaches(a, b),
         _notes(a, b, aligned),
     )
 
@@ -195,41 +211,73 @@ def _brought(b: Calibrated, points: _Points) -> tuple[Calibrated, Array]:
     brought = replace(
         b,
         mechanism=machine.with_nominal(named),
-        covariance=M @ b.covariance @ M.T,
+        covariance=b.covariance.through(M),
         undetermined=M @ b.undetermined,
     )
     return brought, np.column_stack([motion.rotation, motion.shift])
 
 
-def _covariance(a: Calibrated, b: Calibrated) -> Array:
+def _covariance(a: Calibrated, b: Calibrated) -> LearntCovariance:
     """Of p_B - p_A; a prior that both share counts once."""
     same = np.isfinite(a.prior_sd) & (a.prior_sd == b.prior_sd) & (a.prior_sd > 0.0)
     close = np.abs(a.nominal - b.nominal) <= 1e-6 * np.where(same, a.prior_sd, 1.0)
     precision = np.where(same & close, 1.0 / np.square(np.where(same, a.prior_sd, 1.0)), 0.0)
-    shared = a.covariance @ (precision[:, None] * b.covariance)
-    total: Array = a.covariance + b.covariance - shared - shared.T
-    return total
+
+    def less(one: Array, other: Array) -> Array:
+        """One covariance, or its slopes, without its share in what both took from the drawing."""
+        shared = one @ (precision[:, None] * other)
+        rest: Array = one - shared - np.swapaxes(shared, -1, -2)
+        return rest
+
+    A, B = a.covariance, b.covariance
+    return LearntCovariance(
+        less(A.matrix, B.matrix) + B.matrix,
+        less(A.plain, B.plain) + B.plain,
+        np.concatenate([less(A.slopes, B.plain), less(B.slopes, A.plain)]),
+    )
 
 
-def _statistic(d: Array, C: Array, left_out: Array) -> tuple[float, int]:
-    """chi^2 of the contrasts that feel nothing of these directions, and its rank."""
-    sd = np.sqrt(np.maximum(np.diag(C), 0.0))
+def _reaches(a: Calibrated, b: Calibrated) -> float | None:
+    """How many times less certain one is at the poses of the other than at its own.
+
+    None where it does not matter: both models carry their error, or the poses are not known.
+    """
+    if (a.carried and b.carried) or a.poses is None or b.poses is None or not a.mechanism.outputs:
+        return None
+    ratios = []
+    for one, own, other in ((a, a.poses, b.poses), (b, b.poses, a.poses)):
+        there, here = (_size(one, _thinned(poses)) for poses in (other, own))
+        ratios.append(there / here if here > 0.0 else 1.0)
+    return max(ratios)
+
+
+def _size(one: Calibrated, poses: Dataset) -> float:
+    """Rms over poses of the sd that parameters cause at the end point."""
+    S = _sensitivity(one.mechanism, poses)
+    variances = np.einsum("noo->n", one.covariance.through(S[np.isfinite(S).all((1, 2))]).plain)
+    return float(np.sqrt(variances.mean())) if len(variances) else 0.0
+
+
+def _statistic(d: Array, C: LearntCovariance, left_out: Array) -> ContrastTest:
+    """The test of the contrasts that feel nothing of these directions."""
+    sd = np.sqrt(np.maximum(np.diag(C.matrix), 0.0))
     fixed = sd == 0.0  # in both: not what the calibrations say
     scale = np.where(fixed, 1.0, sd)
     directions = left_out / scale[:, None]
     directions = directions / np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
     U, s, _ = np.linalg.svd(np.hstack([directions, np.zeros((len(d), 1))]))
-    K = U[:, int((s > 1e-9).sum()) :]
-    values, vectors = np.linalg.eigh(K.T @ (C / scale / scale[:, None]) @ K)
+    K = U[:, int((s > 1e-9).sum()) :].T / scale
+    values, vectors = np.linalg.eigh(C.through(K).matrix)
     kept = values > _RANK * max(float(values.max(initial=0.0)), 1e-300)
-    z = vectors[:, kept].T @ (K.T @ (d / scale))
-    return float(np.square(z / np.sqrt(values[kept])).sum()), int(kept.sum())
+    contrasts = (vectors[:, kept] / np.sqrt(values[kept])).T @ K
+    denominator = float(C.through(contrasts).denominator)
+    return ContrastTest(float(np.square(contrasts @ d).sum()), int(kept.sum()), denominator)
 
 
 def _parameters(
-    a: Calibrated, b: Calibrated, d: Array, spread: Array, loose: Array
+    a: Calibrated, b: Calibrated, d: Array, spread: LearntCovariance, loose: Array
 ) -> tuple[ParameterDifference, ...]:
-    sds = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    sds, freedom = np.sqrt(np.maximum(np.diag(spread.matrix), 0.0)), spread.freedom.tolist()
     size = np.abs(loose).max(axis=1, initial=0.0)
     unknown = size > 1e-6 * size.max(initial=0.0)
     stands = () if a.mechanism.placement is None else a.mechanism.placement.parameters
@@ -239,22 +287,25 @@ def _parameters(
         sd = None if unknown[i] else float(sds[i])
         z = change / sd if sd else None
         name, unit = parameter.name, parameter.unit
-        placement = name in stands
+        degrees = freedom[i] if sd and math.isfinite(freedom[i]) else None
         found.append(
-            ParameterDifference(name, unit, value, value + change, change, sd, z, placement)
+            ParameterDifference(
+                name, unit, value, value + change, change, sd, z, name in stands, degrees
+            )
         )
     return tuple(found)
 
 
-def _differences(points: _Points, spread: Array, loose: Array) -> PointDifference:
+def _differences(points: _Points, spread: LearntCovariance, loose: Array) -> PointDifference:
     delta = (points.b - points.a).T
-    covariance = points.S @ spread @ points.S.transpose(0, 2, 1)
-    distance = np.linalg.norm(delta, axis=1)
-    inverse = np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
+    known = spread.through(points.S)
+    inverse = np.linalg.pinv(known.matrix, rcond=1e-9, hermitian=True)
     square = np.einsum("no,nop,np->n", delta, inverse, delta)
+    within = square <= f_limit(1.0 - SIGNIFICANT, delta.shape[1], known.denominator)
     size = np.abs(points.S).max() * np.abs(loose).max(initial=0.0)
-    free = np.abs(loose).max(axis=(1, 2), initial=0.0) > 1e-9 * size if size else None
-    return PointDifference.of(points.ids, delta, covariance, distance, square, free)
+    if size:  # without any bound
+        within = within | (np.abs(loose).max(axis=(1, 2), initial=0.0) > 1e-9 * size)
+    return PointDifference.of(points.ids, delta, known.matrix, within)
 
 
 def _notes(a: Calibrated, b: Calibrated, aligned: bool) -> tuple[str, ...]:
@@ -269,12 +320,12 @@ def _notes(a: Calibrated, b: Calibrated, aligned: bool) -> tuple[str, ...]:
             "Both come from the same readings and share their errors: the sds of the "
             "differences, computed as if independent, are too large and p is too close to 1."
         )
-    doubtful = [c.name for c in _rejected((a, b))]
-    if doubtful:
-        notes.append(
-            f"Chi-squared rejects the sds of {' and '.join(doubtful)} itself: the sds here are "
-            f"too small, and a small p may mean only that."
-        )
+    notes += [
+        f"Chi-squared rejects the sds of {c.name} itself: they count {math.sqrt(c.factor):.2g} "
+        "times as large here, as its residuals are."
+        for c in (a, b)
+        if c.factor > 1.0
+    ]
     return tuple(notes)
 
 
@@ -284,7 +335,3 @@ def _share_readings(a: Calibrated, b: Calibrated) -> bool:
     if a.poses is None or b.poses is None:
         return True
     return bool(set(a.poses.poses) & set(b.poses.poses))
-
-
-def _rejected(both: Sequence[Calibrated]) -> list[Calibrated]:
-    return [c for c in both if c.p_value is not None and c.p_value < 1e-3]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from loopcal.document.findings import Observability, OtherOptimum
+from loopcal.document.findings import Observability, OtherOptimum, RegionEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
@@ -14,18 +15,21 @@ from loopcal.statistics.observability import data_spectrum, observability
 from loopcal.statistics.optima import other_optima
 from loopcal.statistics.outliers import Outliers, find_outliers
 from loopcal.statistics.predictor import Predictor, predictor, usual_words
+from loopcal.statistics.region import Span, region_of
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
     """identifiability: data beside prior; observability: of the poses; predictor: or None;
-    outliers: what does not fit; optima: others that fit about as well."""
+    outliers: what does not fit; optima: others that fit about as well; region: where the machine
+    works, and the sd there."""
 
     identifiability: WhatDataSay
     observability: Observability
     predictor: Predictor | None
     outliers: Outliers
     optima: tuple[OtherOptimum, ...]
+    region: RegionEntry | None = None
 
     def added_to(self, document: ResultDocument) -> ResultDocument:
         """The document of the result with these figures."""
@@ -33,7 +37,9 @@ class Findings:
             document,
             identifiability=self.identifiability.added_to(document.identifiability),
             observability=self.observability,
-            prediction=None if self.predictor is None else self.predictor.entry,
+            prediction=None
+            if self.predictor is None
+            else replace(self.predictor.entry, region=self.region),
             outliers=self.outliers.found,
             outlier_tests=self.outliers.tests,
             column_faults=self.outliers.columns,
@@ -52,10 +58,14 @@ class Findings:
         return "\n".join(lines + [str(optimum) for optimum in self.optima])
 
 
-def findings(result: Result) -> Findings:
-    """Everything that follows from the result's parameter system."""
+def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findings:
+    """Everything that follows from the result's parameter system.
+
+    region: quantity -> range [SI] in which the machine works, where not its joints' limits.
+    """
     solution = result.solution
     with one_blas_thread():
+        known = predictor(result)
         return Findings(
             what_data_say(
                 result.problem,
@@ -65,9 +75,10 @@ def findings(result: Result) -> Findings:
                 unit_sd=_unit_sd(result),
             ),
             observability(result.information, solution.poses),
-            predictor(result),
+            known,
             find_outliers(result),
             () if result.all_poses is not None else other_optima(result),
+            None if known is None else region_of(result, known, region),
         )
 
 

@@ -79,7 +79,7 @@ class Linearised:
         """Undetermined steps of the calibration are as free as the placement."""
         J = here.J
         held = ~here.anew[:, None]
-        root = here.brought(root_of(known.covariance) * held)
+        root = here.brought(root_of(known.covariance.matrix) * held)
         loose = here.brought(known.undetermined * held)
         seen = np.linalg.norm(J @ loose, axis=0)
         single = np.linalg.norm(J, axis=0) @ np.abs(loose)

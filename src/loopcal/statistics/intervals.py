@@ -8,7 +8,9 @@ one point, knows nothing. Least squares knows no sds: there the rise counts in r
 and its quantile is that of F with one and the residual degrees of freedom, the square of
 Student's t.
 
-Sds that were estimated are held at what the calibration of all poses found.
+Sds that were learnt are held at what the calibration of all poses found. That they are not known
+makes both intervals wider alike: by Student's t and by what learning them adds to the sd
+(`loopcal.estimation.noise.kenward_roger`).
 """
 
 from __future__ import annotations
@@ -34,6 +36,7 @@ from loopcal.estimation.solve.solver import solve
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.mechanisms.parameters import matching
+from loopcal.small_samples import t_quantile
 
 Array = NDArray[np.float64]
 DIFFERS = 0.1
@@ -85,12 +88,13 @@ def with_intervals(
 def covariance_interval(result: Result, name: str, level: float = 0.95) -> Interval | None:
     """The interval value +- quantile * sd; None where fixed or not identifiable.
 
-    quantile: of the normal distribution, for least squares of Student's t.
+    quantile: of the normal distribution; of Student's t where sds were learnt, and for least
+    squares.
     """
     sd = result.sd[name]
     if sd is None or not math.isfinite(sd):
         return None
-    half = _quantile(result, level) * sd
+    half = t_quantile(level, result.degrees_of_freedom[name] or math.inf) * sd
     value = result.value[name]
     return Interval(level, value - half, value + half, None, None, False)
 
@@ -151,29 +155,21 @@ def _check(result: Result) -> None:
         )
 
 
-def _quantile(result: Result, level: float) -> float:
-    from scipy.special import ndtri, stdtrit
-
-    if result.fit.solver.exact:
-        return float(stdtrit(result.freedom, 0.5 + 0.5 * level))
-    return float(ndtri(0.5 + 0.5 * level))
-
-
 @dataclass(frozen=True)
 class _Optimum:
     """Where the profiles begin: the parameters [SI], and chi-squared there.
 
-    exact: whether by least squares; variance: what the rise of chi-squared counts in; quantile:
-    the rise at which intervals end, its square root.
+    exact: whether by least squares; plain: (n, n) their covariance at the sds used; variance: what
+    the rise of chi-squared counts in; limits: (n,) the root of the rise at which intervals end.
     """
 
     problem: Problem
     exact: bool
     parameters: Array
-    covariance: Array
+    plain: Array
     least: float
     variance: float
-    quantile: float
+    limits: Array
 
     @classmethod
     def of(cls, result: Result, level: float) -> _Optimum:
@@ -181,16 +177,21 @@ class _Optimum:
         best = np.array([result.value[n] for n in whole.mechanism.parameters.names])
         least = _merit(result, whole, best)
         variance = method.unit_variance(least, result.freedom) or 1.0
-        quantile = _quantile(result, level)
-        return cls(whole, method.exact, best, result.covariance, least, variance, quantile)
+        if result.variance_factor_applied and result.chi_squared is not None:
+            variance = result.chi_squared.variance_factor or 1.0
+        learnt = result.learnt_covariance
+        wider = np.sqrt(np.diag(learnt.matrix) / np.maximum(np.diag(learnt.plain), 1e-300))
+        limits = wider * [t_quantile(level, f) for f in learnt.freedom.tolist()]
+        return cls(whole, method.exact, best, learnt.plain, least, variance, limits)
 
 
 def _profiled(at: _Optimum, parameter: tuple[str, Interval]) -> Interval:
     """The interval of a parameter, to which its profile is added."""
     name, plain = parameter
     with one_blas_thread():
-        profile = _Profile.of(at, at.problem.names.index(name))
-        low, high = (_root(profile, side * at.quantile) for side in (-1.0, 1.0))
+        j = at.problem.names.index(name)
+        profile = _Profile.of(at, j)
+        low, high = (_root(profile, side * float(at.limits[j])) for side in (-1.0, 1.0))
     half = 0.5 * (plain.high - plain.low)
     off = [
         end is None or abs(end - straight) > DIFFERS * half
@@ -211,8 +212,8 @@ class _Profile:
     def of(cls, at: _Optimum, j: int) -> _Profile:
         held, best = _held(at.problem, j), at.parameters
         position = int(at.problem.free[j])
-        sd = math.sqrt(at.covariance[j, j])
-        slope = np.delete(at.covariance[:, j], j) / at.covariance[j, j]
+        sd = math.sqrt(at.plain[j, j])
+        slope = np.delete(at.plain[:, j], j) / at.plain[j, j]
         nominal, prior_sd = float(at.problem.nominal[j]), float(at.problem.prior_sd[j])
         last = [(0.0, best[held.free])]
 

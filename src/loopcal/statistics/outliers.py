@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from loopcal.document.findings import ColumnFault, Outlier, OutlierTests
 from loopcal.document.plain import known
 from loopcal.errors import InputError
+from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
@@ -56,6 +57,8 @@ class Outliers:
     scale: float
     by_residuals: bool
     columns: tuple[ColumnFault, ...] = ()
+    rejected: float | None = None
+    """p-value of a chi-squared that rejects the fit as a whole; None where it does not."""
 
     def __len__(self) -> int:
         return len(self.found)
@@ -70,12 +73,17 @@ class Outliers:
 
     def lines(self, most: int = 10) -> list[str]:
         """In words: the rule of the tests, what it found, at most so many poses."""
-        lines = [f"columns: {fault}" for fault in self.columns]
         if self.columns:
-            return [*lines, "outliers: not tested until the columns are corrected"]
+            lines = [f"file: {fault}" for fault in self.columns]
+            return [*lines, "outliers: not tested until the file is corrected"]
         rule = f"{self.tested} poses tested, family-wise level {100 * self.level:g} %"
         if self.by_residuals:
             rule += f", residuals as scale (factor {significant(self.scale, 3)})"
+        if not self.found and self.rejected is not None:
+            return [
+                f"outliers: no single pose stands out, yet chi-squared rejects the fit (p = "
+                f"{self.rejected:.2g}): check the stated sds and the model ({rule})"
+            ]
         if not self.found:
             return [f"outliers: none ({rule})"]
         lines = [f"outliers: {len(self.found)} ({rule})"]
@@ -112,16 +120,17 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
         )
     with one_blas_thread():
         search = Search(result, level, scale)
-        if search.hopeless():
-            from loopcal.statistics.column_faults import column_faults
-
+        columns = result.faults
+        if not columns and search.hopeless():
             columns = column_faults(result.problem)
-            if columns:
-                return Outliers((), level, 0, 1.0, False, columns)
+        if columns:
+            return Outliers((), level, 0, 1.0, False, columns)
         fit, gone, tests = search.run()
         found = _named(search, fit, gone, tests)
     root = float(np.sqrt(fit.factor))
-    return Outliers(found, level, search.tested(tests), root, fit.factor != 1.0)
+    chi = result.chi_squared
+    rejected = chi.p_value if chi is not None and chi.too_large else None
+    return Outliers(found, level, search.tested(tests), root, fit.factor != 1.0, rejected=rejected)
 
 
 def _named(

@@ -28,6 +28,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import with_unit
+from loopcal.small_samples import LearntCovariance, f_limit, t_quantile
 from loopcal.statistics.predictor import Predictor, by_parameters, predictor, trace_sd
 
 Array = NDArray[np.float64]
@@ -44,7 +45,9 @@ class Prediction:
     not known; inf where an undetermined direction moves the outputs, NaN where no loop closes.
     ratio: (N,) the parameters' part of the sd over the usual at the calibration poses (the
     largest over instruments and units); NaN where that is not known. groups: outputs whose sds
-    belong together: those of one unit that one instrument reads.
+    belong together: those of one unit that one instrument reads. freedom (N, o), denominator (N,):
+    degrees of freedom of Student's t of each output, and of the denominator of F of all; inf where
+    the sds are known and none was learnt from the calibration.
     """
 
     poses: tuple[str, ...]
@@ -54,6 +57,8 @@ class Prediction:
     from_readings: Array | None
     ratio: Array
     groups: tuple[OutputGroup, ...]
+    freedom: Array
+    denominator: Array
 
     @property
     def covariance(self) -> Array:
@@ -69,6 +74,16 @@ class Prediction:
         sds = np.sqrt(np.einsum("noo->on", self.covariance))
         return dict(zip(self.outputs, sds, strict=True))
 
+    def half_width(self, level: float = 0.95) -> dict[str, Array]:
+        """Output -> (N,) half width [SI] of the interval that holds it at this level."""
+        factor = np.array([[t_quantile(level, f) for f in row] for row in self.freedom.tolist()])
+        factor = factor.reshape(self.freedom.shape).T
+        return {q: k * sd for k, (q, sd) in zip(factor, self.sd.items(), strict=True)}
+
+    def region(self, level: float = 0.95) -> Array:
+        """(N,) the limit of d^T covariance^-1 d for the errors d of all outputs of a pose."""
+        return f_limit(level, len(self.outputs), self.denominator)
+
     @property
     def extrapolated(self) -> NDArray[np.bool_]:
         """(N,) whether the parameters' part is far above that at the calibration poses."""
@@ -82,6 +97,8 @@ class Prediction:
             table[f"{name} [{self.units[name]}]"] = values
         for name, sd in self.sd.items():
             table[f"{name} sd [{self.units[name]}]"] = _finite(sd)
+        for name, half in self.half_width().items():
+            table[f"{name} +- 95 % [{self.units[name]}]"] = _finite(half)
         parts = {"sd": self.covariance, "sd from parameters": self.from_parameters}
         if self.from_readings is not None:
             parts["sd from readings"] = self.from_readings
@@ -93,12 +110,14 @@ class Prediction:
             for j, b in enumerate(names[: i + 1]):
                 key = f"covariance {b} {a} [{self.units[b]} {self.units[a]}]"
                 table[key] = _finite(self.covariance[:, j, i])
+        table["region 95 %"] = self.region()
         table["extrapolated"] = tuple("yes" if e else "no" for e in self.extrapolated)
         return table
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""
         outputs, sds = list(self.outputs.items()), self.sd
+        halves, limits = self.half_width(), self.region()
         by = [
             (group, trace_sd(self.covariance, group), trace_sd(self.from_parameters, group))
             for group in self.groups
@@ -108,6 +127,8 @@ class Prediction:
                 "pose": pose,
                 "outputs": {q: _plain(v[i]) for q, v in outputs},
                 "sd": {q: _plain(v[i]) for q, v in sds.items()},
+                "half_width_95": {q: _plain(v[i]) for q, v in halves.items()},
+                "region_95": _plain(limits[i]),
                 "covariance": [[_plain(v) for v in row] for row in self.covariance[i]],
                 "covariance_from_parameters": [
                     [_plain(v) for v in row] for row in self.from_parameters[i]
@@ -206,8 +227,9 @@ def predict(
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     machine = known.mechanism.predicting()
     names, unused = machine.tape.quantities, machine.unused
-    also = [q for q in names if q not in data.readings and q not in machine.disturbances]
-    also = [q for q in also if q not in machine.outputs and q not in unused]
+    guessed = _guessed(known, data, told)
+    also = [q for q in names if q not in data.readings or q in guessed]
+    also = [q for q in also if q not in (*machine.disturbances, *machine.outputs, *unused)]
     _check_enough(machine, also)
     found = replace(machine, outputs=(*machine.outputs, *also))
     x = np.array([_readings(q, data, known) for q in names])
@@ -220,15 +242,31 @@ def predict(
     S = output_sensitivity(found, values, known.names, x, constants)
     o = len(known.units)
     from_parameters = by_parameters(known, S.by_parameter[:, :o])
+    total = known.covariance.through(S.by_parameter[:, :o])
+    readings = _by_readings(known, found, data, told, S.by_reading[:, :o])
+    if readings is not None:
+        total = total.plus(readings)
     return Prediction(
         data.poses,
         dict(zip(known.units, y[:o], strict=True)),
         known.units,
         from_parameters,
-        _by_readings(known, found, data, told, S.by_reading[:, :o]),
+        None if readings is None else readings.matrix,
         _ratio(from_parameters, known),
         output_groups(known.mechanism),
+        total.freedom,
+        total.denominator,
     )
+
+
+def _guessed(known: Predictor, data: Dataset, noise: Noise | None) -> set[str]:
+    """Quantities whose columns are no readings: no sensor read them, here or in the calibration."""
+    guessed = set(known.readings.unmeasured)
+    for key, value in ({} if noise is None else noise.entries).items():
+        names = key if isinstance(key, tuple) else known.mechanism.quantity_group(key)
+        unmeasured = isinstance(value, np.ndarray) and bool(np.isinf(value).all())
+        guessed = guessed.union(names) if unmeasured else guessed.difference(names)
+    return guessed - {q for q, sds in data.sds.items() if np.isfinite(sds).any()}
 
 
 def _check_enough(mechanism: Mechanism, missing: Sequence[str]) -> None:
@@ -238,7 +276,8 @@ def _check_enough(mechanism: Mechanism, missing: Sequence[str]) -> None:
             f"there are no readings of {', '.join(map(repr, missing))}, and {loops} loop "
             f"equations have the {outputs} outputs to find already",
             code="missing-reading",
-            remedy="give the readings of every quantity but the outputs",
+            remedy="give the readings of every quantity but the outputs; state the sd of one that "
+            "the calibration did not measure",
         )
 
 
@@ -255,14 +294,21 @@ def _readings(quantity: str, data: Dataset, known: Predictor) -> Array:
 
 def _by_readings(
     known: Predictor, found: Mechanism, data: Dataset, noise: Noise | None, S: Array
-) -> Array | None:
-    """C_x = S_x Sigma S_x^T, (N, o, o); None where the sd of a reading is not known."""
+) -> LearntCovariance | None:
+    """C_x = S_x Sigma S_x^T, (N, o, o); None where the sd of a reading is not known.
+
+    Sds of the calibration that were learnt there have errors in common with its parameters.
+    """
     names = found.tape.quantities
     read = [q for q in names if q not in found.outputs]
+    own, slopes = known.readings, np.zeros((len(known.covariance.slopes), len(names)))
     if noise is None:
-        if any(q not in known.sds and q not in data.sds for q in read):
+        if any(q not in own.sds and q not in data.sds for q in read):
             return None
-        noise = Noise({q: known.sds.get(q, 0.0) for q in read})
+        noise = Noise({q: own.sds.get(q, 0.0) for q in read} | _marginal(own.joint, read))
+        learnt = {q: s for q, s in own.slopes.items() if q in read and q not in data.sds}
+        for q, relative in learnt.items():
+            slopes[:, names.index(q)] = relative
     # What is found moves nothing by itself: any sd will do for it.
     entries: dict[str | tuple[str, ...], Any] = dict.fromkeys(found.outputs, 0.0)
     noise = Noise(entries | noise.entries)
@@ -273,8 +319,21 @@ def _by_readings(
     G = S * np.broadcast_to(sd, (len(names), len(data))).T[:, None, :]
     for block in its.blocks:
         G[:, :, block.indices] = S[:, :, block.indices] @ block.factor
-    covariance: Array = G @ G.transpose(0, 2, 1)
-    return covariance
+    turned = G.transpose(0, 2, 1)
+    covariance = G @ turned
+    return LearntCovariance(covariance, covariance, (G * slopes[:, None, None, :]) @ turned)
+
+
+def _marginal(
+    joint: Mapping[tuple[str, ...], Array], read: Sequence[str]
+) -> dict[str | tuple[str, ...], Any]:
+    """The joint covariances of those of their quantities that are read."""
+    found: dict[str | tuple[str, ...], Any] = {}
+    for names, matrix in joint.items():
+        index = [i for i, name in enumerate(names) if name in read]
+        if index:
+            found[tuple(names[i] for i in index)] = matrix[np.ix_(index, index)]
+    return found
 
 
 def _ratio(from_parameters: Array, known: Predictor) -> Array:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.findings import PredictionEntry, UsualSd
+from loopcal.document.fit import NoiseCovarianceEntry, NoiseEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
+from loopcal.estimation.noise.learning import joint_covariances
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem.patterns import Pattern
 from loopcal.estimation.problem.problem import Problem
@@ -22,6 +24,8 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.presentation.shown import with_unit
+from loopcal.small_samples import LearntCovariance
+from loopcal.statistics.stored_covariance import stored_covariance
 
 Array = NDArray[np.float64]
 _MOST_POSES = 2000
@@ -31,21 +35,52 @@ left when they are added up."""
 
 
 @dataclass(frozen=True, eq=False)
+class ReadingNoise:
+    """What a calibration knows of the noise of single readings.
+
+    sds: quantity -> sd of a reading [SI], empty where not known; slopes: quantity -> relative
+    changes of its variance along the slopes of the parameters' covariance; joint: covariances [SI]
+    of quantities that are not independent; unmeasured: quantities that no sensor reads, whatever
+    columns hold start values of them.
+    """
+
+    sds: Mapping[str, float] = field(default_factory=dict)
+    slopes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    joint: Mapping[tuple[str, ...], Array] = field(default_factory=dict)
+    unmeasured: frozenset[str] = frozenset()
+
+    @classmethod
+    def of(
+        cls,
+        noise: Sequence[NoiseEntry],
+        joint: Sequence[NoiseCovarianceEntry],
+        unmeasured: Iterable[str],
+    ) -> ReadingNoise:
+        """From the entries of a document."""
+        return cls(
+            {q: entry.sd for entry in noise for q in entry.quantities},
+            {q: entry.slopes for entry in noise for q in entry.quantities if entry.slopes},
+            {entry.quantities: np.array(entry.matrix) for entry in joint},
+            frozenset(unmeasured),
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class Predictor:
     """What predictions need to know of a calibration.
 
     mechanism: with the calibrated values; names (n,) and covariance (n, n) [SI] of the estimated
     parameters, over the directions that are determined; undetermined: (n, d) steps [SI] that
-    neither data nor prior limit; sds: quantity -> sd of a reading [SI], empty where not known;
-    usual: by instrument, the sd that parameters alone cause; typical: quantity -> a reading [SI] to
-    start the search for outputs from.
+    neither data nor prior limit; readings: what is known of their noise; usual: by instrument, the
+    sd that parameters alone cause; typical: quantity -> a reading [SI] to start the search for
+    outputs from.
     """
 
     mechanism: Mechanism
     names: tuple[str, ...]
-    covariance: Array
+    covariance: LearntCovariance
     undetermined: Array
-    sds: Mapping[str, float] = field(default_factory=dict)
+    readings: ReadingNoise = field(default_factory=ReadingNoise)
     usual: tuple[UsualSd, ...] = ()
     typical: Mapping[str, float] = field(default_factory=dict)
 
@@ -61,9 +96,10 @@ class Predictor:
         return PredictionEntry(
             largest_by_unit(self.usual),
             dict(self.typical),
-            tuple(map(tuple, self.covariance.tolist())) if loose else None,
+            tuple(map(tuple, self.covariance.matrix.tolist())) if loose else None,
             tuple(map(tuple, self.undetermined.T.tolist())),
             self.usual,
+            tuple(sorted(self.readings.unmeasured)),
         )
 
 
@@ -97,22 +133,21 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
             code="no-outputs",
             remedy="add the instrument whose readings are to be predicted, and calibrate again",
         )
-    sds = {q: entry.sd for entry in document.noise for q in entry.quantities}
-    if any(q in sds and q not in mechanism.quantities for q in disturbances(mechanism)):
+    readings = ReadingNoise.of(document.noise, document.noise_covariances, stored.unmeasured)
+    if any(q in readings.sds and q not in mechanism.quantities for q in disturbances(mechanism)):
         mechanism = with_model_error(mechanism)
     usual = stored.by or tuple(
         UsualSd(group.instrument, group.station, group.unit, stored.sd_at_poses[group.unit])
         for group in output_groups(mechanism)
         if group.unit in stored.sd_at_poses
     )
-    matrix = stored.covariance or document.covariance.matrix
     steps = np.array(stored.undetermined, dtype=float).reshape(-1, len(names)).T
     return Predictor(
         mechanism.with_nominal({p.name: p.value for p in document.parameters}),
         names,
-        np.array(matrix, dtype=float).reshape(len(names), len(names)),
+        stored_covariance(document.covariance, stored.covariance),
         steps,
-        sds,
+        readings,
         usual,
         stored.typical,
     )
@@ -124,18 +159,28 @@ def predictor(result: Result) -> Predictor | None:
         return None
     problem = result.problem
     corrections = np.array([result.corrections[q] for q in problem.mechanism.tape.quantities])
-    sds = {q: entry.sd for entry in result.noise for q in entry.quantities}
+    names = problem.mechanism.tape.quantities
+    everywhere = [frozenset(pattern.unmeasured) for pattern in problem.patterns]
+    unmeasured = [names[i] for i in frozenset.intersection(*everywhere)] if everywhere else []
+    joint = () if result.fit.solver.exact else joint_covariances(problem)
     x = problem.readings + corrections
-    return predictor_at(problem, result.calibrated, result.covariance, result.spectrum, x, sds)
+    return predictor_at(
+        problem,
+        result.calibrated,
+        result.learnt_covariance,
+        result.spectrum,
+        x,
+        ReadingNoise.of(result.noise, joint, unmeasured),
+    )
 
 
 def predictor_at(
     problem: Problem,
     mechanism: Mechanism,
-    covariance: Array,
+    covariance: LearntCovariance,
     system: Spectrum,
     x: Array,
-    sds: Mapping[str, float],
+    readings: ReadingNoise,
 ) -> Predictor:
     """The predictor of a parameter system, its usual sds taken at poses x (k, N) [SI]."""
     quantities = mechanism.tape.quantities
@@ -145,7 +190,7 @@ def predictor_at(
         problem.names,
         covariance,
         system.scale[:, None] * system.directions[:, ~system.kept],
-        sds,
+        readings,
         typical={q: v for q, v in typical.items() if math.isfinite(v)},
     )
     return replace(bare, usual=_usual(bare, problem, x))
@@ -191,7 +236,7 @@ def _some(pattern: Pattern, total: int) -> NDArray[np.intp]:
 
 def by_parameters(known: Predictor, S: Array) -> Array:
     """C_p = S Cov S^T, (N, o, o); inf for outputs that an undetermined direction moves."""
-    covariance: Array = S @ known.covariance @ S.transpose(0, 2, 1)
+    covariance: Array = S @ known.covariance.matrix @ S.transpose(0, 2, 1)
     for step in known.undetermined.T:
         effect = np.abs(S @ step)
         # measured by the largest single effect in the pose: an output may feel none of them

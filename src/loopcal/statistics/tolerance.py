@@ -37,20 +37,37 @@ class Quantile:
     @classmethod
     def of(cls, distances: Array) -> Quantile | None:
         """From distances (N,), those that are missing left out; None for fewer than three."""
-        from scipy.special import nctdtrit
-
         known = distances[np.isfinite(distances)]
-        n = len(known)
-        if n < _FEWEST:
+        if len(known) < _FEWEST:
             return None
         u = np.cbrt(np.square(known))
-        mean, sd, root = float(u.mean()), float(u.std(ddof=1)), math.sqrt(n)
-        ends = [
-            float(nctdtrit(n - 1.0, root * _NORMAL, p)) / root
-            for p in (0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE))
-        ]
-        value, low, high = (max(mean + k * sd, 0.0) ** 1.5 for k in (_NORMAL, *ends))
-        return cls(value, low, high)
+        mean, sd = float(u.mean()), float(u.std(ddof=1))
+        factors = (_NORMAL, *_factors(len(known)))
+        return cls(*(max(mean + k * sd, 0.0) ** 1.5 for k in factors))
+
+    @classmethod
+    def of_summary(cls, p95: float, poses: int) -> Quantile | None:
+        """From the 95 % quantile of so many distances, those of normal errors in space."""
+        if poses < _FEWEST:
+            return None
+        mean, sd = 1.0 - 2.0 / 27.0, math.sqrt(2.0 / 27.0)  # of (chi-squared(3) / 3)^(1/3)
+        middle = mean + _NORMAL * sd
+        low, high = (max((mean + k * sd) / middle, 0.0) ** 1.5 for k in _factors(poses))
+        return cls(p95, low * p95, high * p95)
+
+    def widened(self, more: float) -> Quantile:
+        """With an independent error of this 95 % quantile besides."""
+        return Quantile(*(math.hypot(v, more) for v in (self.value, self.low, self.high)))
+
+
+def _factors(poses: int) -> tuple[float, float]:
+    """Tolerance factors of both ends of the interval, for so many poses."""
+    from scipy.special import nctdtrit
+
+    root = math.sqrt(poses)
+    chances = 0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE)
+    low, high = (float(nctdtrit(poses - 1.0, root * _NORMAL, p)) / root for p in chances)
+    return low, high
 
 
 def judged(quantile: Quantile | None, tolerance: float | None, unit: str, where: str) -> Answer:
@@ -61,6 +78,9 @@ def judged(quantile: Quantile | None, tolerance: float | None, unit: str, where:
         words = f"The distances {where} are too few for a decision."
         return Answer(None, "unknown-accuracy", None, words, "Measure more poses.")
     limit = with_unit(tolerance, unit)
+    if not math.isfinite(quantile.value):
+        words = f"The error {where} is unbounded; the tolerance is {limit}."
+        return Answer(False, "outside-tolerance", None, words, "Measure poses all over the region.")
     found = f"95 % of poses {where} are within {with_unit(quantile.value, unit)}"
     band = f"{with_unit(quantile.low, unit)} to {with_unit(quantile.high, unit)}"
     words = f"{found} (guard band {band}); the tolerance is {limit}."

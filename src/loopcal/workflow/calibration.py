@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from loopcal.document.result_document import ResultDocument
+from loopcal.document.verdict import QUESTIONS
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit import Fit
@@ -29,6 +30,7 @@ from loopcal.files.result.truth_file import read_truth
 from loopcal.files.versions import versions as known_versions
 from loopcal.measurements.checks import DataWarning
 from loopcal.statistics.findings import Findings, findings
+from loopcal.statistics.verdict import refuses, verdict_of
 from loopcal.workflow.projects import named_project
 
 Addition = Callable[[ResultDocument], ResultDocument]
@@ -60,14 +62,16 @@ class Request:
 
     method: instead of the project's; truth: a file of true parameters, whose errors are added;
     require_identifiable: whether every parameter must be determined, as the project may ask;
-    folds: of a validation, instead of the project's; profile: parameters that get a profile
-    interval, beside those of the project; compare: whether the project's models are compared, and
-    the result is that of the one recommended; report: whether report.html is written as well.
+    require: questions of the verdict that must be answered with yes, beside "sound"; folds: of a
+    validation, instead of the project's; profile: parameters that get a profile interval, beside
+    those of the project; compare: whether the project's models are compared, and the result is
+    that of the one recommended; report: whether report.html is written as well.
     """
 
     method: str | None = None
     truth: str | Path | None = None
     require_identifiable: bool = False
+    require: Sequence[str] = ()
     folds: int | None = None
     profile: Sequence[str] = ()
     compare: bool = False
@@ -115,6 +119,13 @@ def run_calibration(
             code="unknown-name",
             remedy=nearest(request.method, METHODS),
         )
+    for name in request.require:
+        if name not in QUESTIONS:
+            raise UsageError(
+                f"the verdict has no question {name!r}",
+                code="unknown-name",
+                remedy=nearest(name, QUESTIONS),
+            )
     run = _Run(named_project(project, function), request, out, executor, listeners)
     stream = project_stream(run.project)
     folded = run.validation is not None and run.validation.folds
@@ -296,10 +307,12 @@ class _Run:
         if self.truth is not None:
             errors = {name: value - result.value[name] for name, value in self.truth.items()}
             result = replace(result, errors=MappingProxyType(errors))
-        told = findings(result)
+        asked = self.project.verdict
+        told = findings(result, asked.region)
         document = told.added_to(result.document)
         for addition in done.add:
             document = addition(document)
+        document = replace(document, verdict=verdict_of(document, asked.tolerance))
         words = tuple(str(warning) for warning in warnings)
         written = write_result(
             result,
@@ -310,8 +323,21 @@ class _Run:
             document=document,
             report=self.request.report,
         )
-        asked = self.request.require_identifiable or self.project.fit.require_identifiable
-        return Calibration(result, told, written, words, _objection(result, told, asked))
+        return Calibration(result, told, written, words, self._objection(written.document))
+
+    def _objection(self, document: ResultDocument) -> str | None:
+        """Why the result must not be used, where that is so."""
+        verdict = document.verdict
+        assert verdict is not None
+        required = {"sound", *self.project.verdict.require, *self.request.require}
+        asked = [(name, answer) for name, answer in verdict.answers.items() if name in required]
+        failed = [answer for name, answer in asked if refuses(name, answer)]
+        if failed:
+            return f"{failed[0].words} {failed[0].next or ''}".rstrip()
+        loose = document.identifiability.not_identifiable
+        if loose and (self.request.require_identifiable or self.project.fit.require_identifiable):
+            return "not every parameter is identifiable: " + "; ".join(u.words for u in loose)
+        return None
 
 
 def write_result(
@@ -332,6 +358,8 @@ def write_result(
     a remedy, where they cannot be written.
     """
     told = document or findings(result).added_to(result.document)
+    if told.verdict is None:
+        told = replace(told, verdict=verdict_of(told))
     versions = known_versions()
     told = replace(
         told,
@@ -353,16 +381,3 @@ def default_folder(project: Project) -> Path:
     """Where results go when nobody says: NAME-result beside the project NAME.toml."""
     name = "loopcal" if project.path is None else project.path.stem
     return project.folder / f"{name}-result"
-
-
-def _objection(result: Result, told: Findings, require_identifiable: bool) -> str | None:
-    """Why the result must not be used, where that is so."""
-    if told.outliers.columns:
-        faults = "; ".join(str(fault) for fault in told.outliers.columns)
-        return f"the file has columns at fault: {faults}. Correct them in the file or in [data]"
-    if not result.status.converged:
-        return f"the fit did not converge ({result.status.reason}): {result.status.message}"
-    loose = result.identifiability.not_identifiable
-    if require_identifiable and loose:
-        return "not every parameter is identifiable: " + "; ".join(u.words for u in loose)
-    return None

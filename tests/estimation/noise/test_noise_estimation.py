@@ -284,7 +284,7 @@ def test_the_model_s_own_error_takes_what_no_sensor_explains() -> None:
     sd, sd_of_sd = learnt(result)["model_xP"]
     assert sd_of_sd is not None
     assert abs(sd - 2e-3) < 4 * sd_of_sd
-    assert any("not a sensor" in w for w in result.warnings)
+    assert any("limits the accuracy" in w for w in result.warnings)
     roles = {q: entry.role for entry in result.noise for q in entry.quantities}
     assert {q for q, role in roles.items() if role == "disturbance"} == {"model_xP", "model_yP"}
     assert result.accuracy_after is not None

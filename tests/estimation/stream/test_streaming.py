@@ -21,6 +21,8 @@ from loopcal.execution.local import Processes, Threads
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.motoman import motoman_ma1400
 from loopcal.mechanisms.planar import planar_two_link
+from loopcal.mechanisms.prior import Prior
+from loopcal.mechanisms.structure.structured import structured
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
 from loopcal.statistics.outliers import find_outliers
@@ -373,3 +375,49 @@ def test_what_needs_all_poses_at_once_is_refused() -> None:
     learnt = Noise(noise.entries, estimate={"xyz": "group"})
     with refused("unsupported", "sds"):
         calibrate_stream(arm, Pieces(data, learnt))
+
+
+def close(streamed: Result, whole: Result) -> None:
+    """To what both leave of learnt sds: fits end at 1e-5 sds, logarithms of variances at 1e-3."""
+    assert streamed.status.converged
+    assert streamed.estimate is not None
+    assert streamed.estimate.settled
+    for name in whole.estimated:
+        sd = whole.sd[name]
+        assert sd is not None
+        assert streamed.value[name] == pytest.approx(whole.value[name], abs=0.02 * sd)
+    # at the learnt sds: what learning them adds is left out of a stream
+    one, other = (np.diag(r.spectrum.covariance()) for r in (streamed, whole))
+    assert one == pytest.approx(other, rel=4e-3)
+    for term, same in zip(streamed.terms, whole.terms, strict=True):
+        assert term.scale == pytest.approx(same.scale, rel=2e-3)
+        assert term.gain == pytest.approx(same.gain, abs=0.1)
+        assert term.effective == pytest.approx(same.effective, abs=0.02)
+    for n, m in zip(streamed.noise, whole.noise, strict=True):
+        assert (n.quantities, n.source) == (m.quantities, m.source)
+        assert n.sd == pytest.approx(m.sd, rel=2e-3)
+
+
+def test_terms_are_learnt_from_a_stream_as_from_memory() -> None:
+    """One factor of the noise, with least squares; none, with stated sds."""
+    arm, data = arm_and_data(400)
+    prior = Prior(
+        {"*": np.inf, "?6B": 5e-3, "z2": 1e-3, "x[145]": 1e-3}, estimate={"x[145]": "group"}
+    )
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    known = prior.apply(arm)
+    # aligned by the first chunk or by all poses, the nominal machine is described differently
+    learning = Fit(method="least-squares", model_error="structured", start="nominal")
+    for machine, fit in (
+        (structured(known, harmonics=False), learning),
+        (known, Fit()),
+    ):
+        streamed = calibrate_stream(machine, Pieces(data, noise), fit=fit)
+        close(streamed, calibrate(machine, data, noise=noise, fit=fit))
+
+
+def test_a_stream_learns_no_sds_of_several_sensors() -> None:
+    arm, data = arm_and_data(100)
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    with refused("unsupported", "least-squares"):
+        calibrate_stream(arm, Pieces(data, noise), fit=Fit(model_error="structured"))

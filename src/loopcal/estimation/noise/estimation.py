@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.noise.linear_model import LinearModel, linear_model
 from loopcal.estimation.noise.linear_model import fit as fit_at
-from loopcal.estimation.noise.terms import EstimatedTerm, judged_terms
+from loopcal.estimation.noise.terms import EstimatedTerm, curvature_sds, judged_terms
 from loopcal.estimation.noise.variance_components import (
     Component,
     Estimate,
@@ -55,7 +55,7 @@ _FAR = 100.0
 """A variance so many times the stated one, or less than it by as much, is checked again."""
 _ROUGHLY, _SLOWLY = 0.1, 100.0
 """Variance ratios that change less than this are roughly right; early ones fall no faster."""
-_NEAR, _ROUGH = 1e-3, 1e-2
+NEAR, ROUGH = 1e-3, 1e-2
 """With terms, logarithms of variances still change by so much in the last round, far less than
 their uncertainty; the first fit ends so many sds near the optimum."""
 _FAILURES = 1
@@ -138,6 +138,16 @@ class NoiseEstimate:
         learnt = self.variances.terms
         return () if learnt is None else judged_terms(learnt)
 
+    def _by_sums(self) -> tuple[EstimatedSd, ...]:
+        """What the sums of all poses say of the factor common to all noise."""
+        learnt = self.variances.terms
+        assert learnt is not None
+        sd = 0.5 * float(curvature_sds(learnt)[0])
+        return tuple(
+            EstimatedSd(c.name, c.quantities, ratio, ratio * sd, None, None, None)
+            for c, ratio in zip(self.stated, self.factors.values(), strict=True)
+        )
+
     @property
     def factors(self) -> Mapping[str, float]:
         """Estimated over stated sd of each component, by name."""
@@ -147,6 +157,8 @@ class NoiseEstimate:
     @cached_property
     def alike(self) -> tuple[tuple[str, str], ...]:
         """Pairs of components that these data cannot separate: only their sum shows."""
+        if self.variances.sensors is None:
+            return ()
         names = [component.name for component in self.stated]
         return tuple((names[j], names[i]) for j, i in self.found.alike)
 
@@ -161,6 +173,8 @@ class NoiseEstimate:
                 EstimatedSd(c.name, c.quantities, self.factors[c.name], None, None, None, None)
                 for c in self.stated
             )
+        if self.variances.sensors is None:
+            return self._by_sums()
         unsure = {name for pair in self.alike for name in pair}
         return tuple(
             _judged(self.model, self.found, i, component, component.name in unsure)
@@ -273,7 +287,7 @@ class _Search:
         the loops were left mean nothing, and a second fit from there is the last attempt.
         """
         start, before, vanish, iterations, failed = self.stated.start, math.inf, near, 0, 0
-        scales, rough = scales_of(self.stated), _ROUGH if self.stated.mechanism.terms else None
+        scales, rough = scales_of(self.stated), ROUGH if self.stated.mechanism.terms else None
         for number in range(_MOST):
             present = scaled(begun_with(self.stated, scales), self.positions, ratios)
             begun = replace(present, start=start)
@@ -288,7 +302,7 @@ class _Search:
                 change = max(change, _change(np.square(scales), np.square(found.terms.scales)))
             ended = change <= _SETTLED or abs(before - found.criterion) <= _BETTER
             if found.terms is not None:
-                ended = change <= _NEAR
+                ended = change <= NEAR
             if ended and vanish and not failed and rough is None:
                 return _Round(present, solution, found, found.converged, iterations)
             if failed > _FAILURES or _hopeless(solution):
@@ -297,7 +311,7 @@ class _Search:
             vanish = vanish or ended or change <= _ROUGHLY or number >= _MOST // 2
             ratios, before = found.ratios, found.criterion
             if found.terms is not None:
-                rough = None if ended else min(rough or _ROUGH, 0.1 * change)
+                rough = None if ended else min(rough or ROUGH, 0.1 * change)
             scales = scales if found.terms is None else found.terms.scales
         return _Round(present, solution, found, False, iterations)
 

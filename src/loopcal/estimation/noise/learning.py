@@ -7,8 +7,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from loopcal.document.fit import NoiseEntry
+from loopcal.document.fit import NoiseCovarianceEntry, NoiseEntry
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset
@@ -20,6 +21,8 @@ from loopcal.presentation.shown import with_unit
 if TYPE_CHECKING:
     from loopcal.estimation.noise.estimation import EstimatedSd, NoiseEstimate
     from loopcal.estimation.noise.variance_components import Component
+
+Array = NDArray[np.float64]
 
 
 def with_model(mechanism: Mechanism, data: Dataset, noise: Noise) -> tuple[Mechanism, Dataset]:
@@ -79,53 +82,60 @@ def _check_start(problem: Problem, position: int) -> None:
 
 
 def entries(
-    problem: Problem, estimate: NoiseEstimate | None, stated: Problem
+    problem: Problem,
+    estimate: NoiseEstimate | None,
+    stated: Problem,
+    errors: Array | None = None,
 ) -> tuple[NoiseEntry, ...]:
-    """The sds that were used, one entry for each quantity or estimated group."""
-    estimated = {i: c for c in (estimate.components if estimate else ()) for i in c.quantities}
-    found: list[NoiseEntry] = []
-    told: set[str] = set()
-    for i, quantity in enumerate(problem.mechanism.tape.quantities):
-        row = problem.uncertainty.sd[i]
-        measured = row[np.isfinite(row)]
-        if not measured.size:
+    """The sds that were used, one entry for each quantity or learnt group of alike sds.
+
+    errors: (c, a) changes of the learnt variance ratios along their independent errors.
+    """
+    learnt = estimate.components if estimate else ()
+    owner = {i: j for j, component in enumerate(learnt) for i in component.quantities}
+    quantities = problem.mechanism.tape.quantities
+    groups: dict[tuple[int, float], list[str]] = {}
+    found: list[tuple[NoiseEntry, list[str]]] = []
+    for i, quantity in enumerate(quantities):
+        sd = _typical(problem, i)
+        if sd is None:
             continue
-        unit = problem.mechanism.quantities[quantity]
         entry = NoiseEntry(
             (quantity,),
-            unit,
-            float(np.median(measured)),
+            problem.mechanism.quantities[quantity],
+            sd,
             None,
             problem.uncertainty.sources[i],
             role="disturbance" if quantity in problem.mechanism.disturbances else "reading",
         )
-        if i in estimated:
-            component = estimated[i]
-            if component.name in told:
+        names = [quantity]
+        if i in owner:
+            begun = _typical(stated, i) or 0.0
+            group = groups.setdefault((owner[i], begun), names)
+            if group is not names:  # shown with the first of its sd
+                group.append(quantity)
                 continue
-            told.add(component.name)
-            entry = _learnt(entry, component, stated)
-        found.append(entry)
-    return tuple(found)
+            entry = _learnt(entry, learnt[owner[i]], begun)
+            if errors is not None and entry.sd > 0.0:
+                relative = errors[owner[i]] / learnt[owner[i]].ratio ** 2
+                entry = replace(entry, slopes=tuple(relative.tolist()))
+        found.append((entry, names))
+    return tuple(replace(entry, quantities=tuple(names)) for entry, names in found)
 
 
-def _learnt(entry: NoiseEntry, component: EstimatedSd, stated: Problem) -> NoiseEntry:
-    quantities = stated.mechanism.tape.quantities
-    row = stated.uncertainty.sd[component.quantities[0]]
-    begun = float(np.median(row[np.isfinite(row)]))
+def _typical(problem: Problem, position: int) -> float | None:
+    """The median sd of a quantity, None where it is not measured."""
+    row = problem.uncertainty.sd[position]
+    measured = row[np.isfinite(row)]
+    return float(np.median(measured)) if measured.size else None
 
+
+def _learnt(entry: NoiseEntry, component: EstimatedSd, begun: float) -> NoiseEntry:
     def sd(ratio: float | None) -> float | None:
         return None if ratio is None else ratio * begun
 
-    alike = {
-        float(np.median(r[np.isfinite(r)]))
-        for r in (stated.uncertainty.sd[i] for i in component.quantities)
-    }
-    names = tuple(quantities[i] for i in component.quantities)
     return replace(
         entry,
-        # of a group with unlike sds the entry shows the first; the others keep their proportion
-        quantities=names if len(alike) == 1 else names[:1],
         sd=component.ratio * begun,
         sd_of_sd=sd(component.sd_of_ratio),
         source="estimated",
@@ -133,6 +143,18 @@ def _learnt(entry: NoiseEntry, component: EstimatedSd, stated: Problem) -> Noise
         likelihood_ratio=component.likelihood_ratio,
         p_value=component.p_value,
     )
+
+
+def joint_covariances(problem: Problem) -> tuple[NoiseCovarianceEntry, ...]:
+    """The covariances of quantities whose errors are not independent."""
+    quantities = problem.mechanism.tape.quantities
+    found = []
+    for block in problem.uncertainty.blocks:
+        matrix = block.factor @ np.swapaxes(block.factor, -1, -2)
+        mean = matrix.reshape(-1, *matrix.shape[-2:]).mean(axis=0)
+        names = tuple(quantities[i] for i in block.indices)
+        found.append(NoiseCovarianceEntry(names, tuple(map(tuple, mean.tolist()))))
+    return tuple(found)
 
 
 def words(
@@ -146,9 +168,11 @@ def words(
     for entry in noise:
         if entry.role == "disturbance" and sum(shares[q] for q in entry.quantities) > 0.5:
             said.append(
-                "The machine model limits the accuracy, not a sensor: sensor noise does not "
-                f"explain an error of {with_unit(entry.sd, entry.unit, 2, fine=True)} in each "
-                "coordinate. Check for missing effects (compliance, gear or encoder "
+                "An error of "
+                f"{with_unit(entry.sd, entry.unit, 2, fine=True)} in each coordinate limits the "
+                "accuracy. Either the machine model lacks an effect or the instrument is worse "
+                "than stated: these readings cannot distinguish them. Repeat readings of one pose. "
+                "If these scatter less, check for missing effects (compliance, gear or encoder "
                 "eccentricity, drift, bad poses)."
             )
     for one, other in estimate.alike:

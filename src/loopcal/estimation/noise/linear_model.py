@@ -16,7 +16,7 @@ a component with one column costs one column, not a matrix V_j for every pose.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -147,16 +147,62 @@ def mixed_fit(model: LinearModel, joined: Joined) -> MixedFit:
     score_j = (|G_j^T V^-1 r|^2 - tr G_j^T P G_j) / 2, information_jk = |G_j^T P G_k|^2 / 2.
     """
     n, R = len(model.precision), joined.R
+    solved = _solved(R[:, :n])
+    along = solved.axes.T @ R[:, n]
+    residual = float(np.linalg.norm(R[:, n] - solved.axes @ along))
+    score, information = _slopes(model, joined, solved.root, solved.root @ along)
+    return MixedFit(joined.volume + solved.log_volume + residual**2, score, information)
+
+
+@dataclass(frozen=True)
+class WhitenedModel:
+    """The model whitened at some ratios: H^-1 = root root^T (n, rank), and all blocks."""
+
+    root: Array
+    J: tuple[Array, ...]
+    W: tuple[Array, ...]
+    owners: tuple[NDArray[np.intp], ...]
+
+    @property
+    def blocks(self) -> Iterator[tuple[Array, Array, NDArray[np.intp]]]:
+        """L^-1 J (b, r, n), L^-1 G (b, r, K) and the component of each column, by block."""
+        return zip(self.J, self.W, self.owners, strict=True)
+
+
+def whitened_model(model: LinearModel, ratios: Array) -> WhitenedModel | None:
+    """The model whitened at these variance ratios; None where some V is singular."""
+    joined = whitened(model, ratios)
+    if joined is None:
+        return None
+    n = len(model.precision)
+    return WhitenedModel(
+        _solved(joined.R[:, :n]).root,
+        tuple(rows[:, :, :n] for rows in joined.rows),
+        tuple(joined.W),
+        tuple(block.owner for block in model.blocks),
+    )
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """R^T R = H solved over the directions that are determined: H^-1 = root root^T, R root = axes.
+
+    log_volume: log of the determinant of H, up to a constant.
+    """
+
+    axes: Array
+    root: Array
+    log_volume: float
+
+
+def _solved(R: Array) -> _Solved:
     # R, not R^T R = H: squaring the condition would leave the criterion some seven digits
-    scale = 1.0 / np.maximum(np.linalg.norm(R[:, :n], axis=0), 1e-150)
-    U, values, Vt = np.linalg.svd(R[:, :n] * scale, full_matrices=False)
+    scale = 1.0 / np.maximum(np.linalg.norm(R, axis=0), 1e-150)
+    U, values, Vt = np.linalg.svd(R * scale, full_matrices=False)
     kept = values > 1e-7 * values[0]
-    root = scale[:, None] * Vt[kept].T / values[kept]  # H^-1 = root root^T
-    along = U[:, kept].T @ R[:, n]
-    log_H = 2.0 * float(np.log(values[kept]).sum() - np.log(scale).sum())
-    residual = float(np.linalg.norm(R[:, n] - U[:, kept] @ along))
-    score, information = _slopes(model, joined, root, root @ along)
-    return MixedFit(joined.volume + log_H + residual**2, score, information)
+    root = scale[:, None] * Vt[kept].T / values[kept]
+    log_volume = 2.0 * float(np.log(values[kept]).sum() - np.log(scale).sum())
+    return _Solved(U[:, kept], root, log_volume)
 
 
 def with_prior(model: LinearModel, joined: Joined) -> Joined:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from loopcal.document.terms import TermEntry
-from loopcal.estimation.noise.term_scales import Start, TermFit, learn_scales
+from loopcal.estimation.noise.term_scales import Start, learn_scales
 from loopcal.presentation.shown import with_unit
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class EstimatedTerm:
 
 def judged_terms(found: TermVariances) -> tuple[EstimatedTerm, ...]:
     """What the last linearisation says of each term with estimated parameters."""
-    system, at, sds = found.system, found.at, _sds(found.at, found.free)
+    system, at, sds = found.system, found.at, curvature_sds(found)
     judged = []
     for i, term in enumerate(system.terms):
         columns = int((system.owner == i).sum())
@@ -99,8 +99,9 @@ def term_entries(
     return tuple(found)
 
 
-def _sds(at: TermFit, free: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Sds of x (log phi, log sd^2 of each term), 0 where held."""
+def curvature_sds(found: TermVariances) -> NDArray[np.float64]:
+    """Sds of (log of the common factor, log sd^2 of each term), 0 where held."""
+    at, free = found.at, found.free
     sds = np.zeros(len(at.x))
     index = np.flatnonzero(free)
     values, vectors = np.linalg.eigh(at.hessian[np.ix_(index, index)])

@@ -15,9 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.calibrate import LEARNT, refuse_learning
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import names_where
+from loopcal.estimation.model_error import modelled
 from loopcal.estimation.noise.learning import with_model
+from loopcal.estimation.noise.variances import with_scales
 from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
 from loopcal.estimation.problem.problem import Problem
@@ -31,6 +34,7 @@ from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.solve.sweep import NEAR
 from loopcal.estimation.stream.chunks import Chunk, Disturbed, Stream
 from loopcal.estimation.stream.last_pass import LastPass, Parts
+from loopcal.estimation.stream.learning import Weighed, learn, refuse_several
 from loopcal.estimation.stream.merit import StreamMerit, Task, do
 from loopcal.execution.executor import Executor, InProcess
 from loopcal.measurements.noise import Noise
@@ -65,7 +69,15 @@ def calibrate_stream(
     first, fit = stream.chunk(0), fit or Fit()
     refuse_unstreamable(fit)
     _refuse_estimates(fit, first.noise)
-    mechanism, exact = fit.with_prior(mechanism), fit.solver.exact
+    mechanism = modelled(fit, fit.with_prior(mechanism), stream.poses)
+    exact, told = fit.solver.exact, first.noise
+    learns = bool(mechanism.terms) and not exact
+    if learns:
+        refuse_learning(fit, mechanism, told)
+        stream = weighed = Weighed(fit, mechanism, stream)
+        told = weighed.told(first)
+        refuse_several(fit, told)
+        first = weighed.chunk(0)
     if not exact:
         stream = Disturbed(mechanism, stream)
         mechanism, data = with_model(mechanism, first.data, first.noise)
@@ -78,6 +90,8 @@ def calibrate_stream(
         problem = task.problem(first)
         refuse_parallel_axes(mechanism)
         task = _settled(task, problem)
+        if learns:
+            return _learnt(fit, task, problem, told, executor, progress, parts)
 
         with (executor or InProcess()).crew(do, task) as crew:
 
@@ -106,6 +120,43 @@ def calibrate_stream(
                 begin = Stage(resume.stage, resume.earlier) if resume else FIRST_STAGE
                 solution = in_stages(solved, problem.start, loss, cost, begin)
             return LastPass(task, fit, solution).result(crew, parts)
+
+
+def _learnt(
+    fit: Fit,
+    task: Task,
+    first: Problem,
+    told: Noise,
+    executor: Executor | None,
+    progress: Progress | None,
+    parts: Parts[Any] | None,
+) -> Result:
+    """The result with the sds of terms learnt. An interrupted run begins anew."""
+    make = executor or InProcess()
+
+    def at(factor: float) -> Task:
+        disturbed = task.stream
+        assert isinstance(disturbed, Disturbed)
+        assert isinstance(disturbed.stream, Weighed)
+        stream = replace(disturbed.stream, factor=factor)
+        return replace(task, stream=replace(disturbed, stream=stream))
+
+    def solved(problem: Problem, factor: float, tolerance: float | None) -> End[bool]:
+        its = at(factor)
+        with make.crew(do, its) as crew:
+            return solve_with(
+                StreamMerit(its, crew, problem),
+                max_iterations=fit.max_iterations,
+                tolerance=tolerance or fit.tolerance or LEARNT,
+                progress=progress,
+            )
+
+    learnt = learn(fit, first, solved)
+    last = replace(at(learnt.factor), mechanism=with_scales(learnt.problem).mechanism)
+    with make.crew(do, last) as crew:
+        result = LastPass(last, fit, learnt.end).result(crew, parts)
+    estimate = learnt.estimate(first, told, result.solution)
+    return replace(result, stated=first, estimate=estimate)
 
 
 def _task(mechanism: Mechanism, stream: Stream, *, exact: bool) -> Task:
@@ -141,7 +192,7 @@ def refuse_unstreamable(fit: Fit) -> None:
 
 
 def _refuse_estimates(fit: Fit, noise: Noise) -> None:
-    if noise.estimate and not fit.solver.exact:
+    if noise.estimate and not fit.method.exact:
         raise InputError(
             "estimating sds needs all poses in memory, but they are read as a stream",
             code="unsupported",

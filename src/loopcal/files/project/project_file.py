@@ -18,6 +18,7 @@ from loopcal.files.project.compare_entries import compare_spec
 from loopcal.files.project.data_entries import DataSpec, data_files
 from loopcal.files.project.fit_entries import FitSpec, fit_spec
 from loopcal.files.project.noise_entries import NoiseSpec, noise_spec
+from loopcal.files.project.verdict_entries import VerdictSpec, verdict_spec
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml, shown, toml_data
 from loopcal.mechanisms.effects.model import Model
@@ -49,6 +50,7 @@ class Project:
     data: DataSpec | None
     noise: NoiseSpec
     fit: FitSpec
+    verdict: VerdictSpec
     simulation: SimulationSpec | None
     inputs: Mapping[str, Any]
     compare: Mapping[str, Model]
@@ -83,6 +85,7 @@ def read_project(
     folder = Path() if real is None else real.parent
     machine = _mechanism(model, data, folder, mechanism, place)
     noise = noise_spec(model.noise, machine.quantities, machine.quantity_group, place.at("noise"))
+    simulation = _simulation(model, machine, noise, place.at("simulation"))
     return Project(
         title=model.title or (real.stem if real else machine.name),
         path=real,
@@ -91,7 +94,8 @@ def read_project(
         data=data_spec(model, machine, place),
         noise=noise,
         fit=fit_spec(model.fit, machine, place.at("fit")),
-        simulation=_simulation(model, machine, noise, place.at("simulation")),
+        verdict=verdict_spec(model.verdict, machine, simulation, place.at("verdict")),
+        simulation=simulation,
         inputs=plain(data),
         compare=compare_spec(model.compare, machine, place.at("compare")),
     )

@@ -9,9 +9,10 @@ from pydantic import Field
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
+from loopcal.document.verdict import QUESTIONS
 from loopcal.files.machines.effects import Effects
 from loopcal.files.machines.instruments import Instruments
-from loopcal.files.machines.mechanism_parts import ParameterEntries, Units, Value
+from loopcal.files.machines.mechanism_parts import Amount, ParameterEntries, Units, Value
 from loopcal.files.machines.registry import kinds, table_of
 from loopcal.files.project.fit_schema import FitEntry
 from loopcal.files.toml.by_type import ByType
@@ -19,6 +20,7 @@ from loopcal.files.toml.model import (
     Finite,
     Model,
     NameOrNumber,
+    OneOf,
     OrPlain,
     Sd,
     UnitName,
@@ -321,6 +323,33 @@ class SimulationEntry(Model):
     )
 
 
+class SpanEntry(Model):
+    """Range of a reading in the region where the machine works."""
+
+    from_: Finite = Field(alias="from")
+    to: Finite
+    unit: UnitName | None = None
+
+
+class VerdictEntry(Model):
+    """What the verdict judges, and which of its answers are required."""
+
+    tolerance: Amount | None = Field(
+        default=None,
+        description="Distance that 95 % of poses in the working region shall keep.",
+        examples=[{"value": 0.3, "unit": "mm"}],
+    )
+    region: dict[str, SpanEntry] = Field(
+        default={},
+        description="Where the machine works, by reading; default: the ranges of [simulation], "
+        "else the joints' limits.",
+        examples=[{"theta_1": {"from": -90, "to": 90, "unit": "deg"}}],
+    )
+    require: list[Annotated[str, OneOf(QUESTIONS)]] = Field(
+        default=[], description="End with exit code 4 unless these questions are answered yes."
+    )
+
+
 class ProjectModel(Model):
     """One calibration: a mechanism, its readings, and what is known of both."""
 
@@ -339,6 +368,7 @@ class ProjectModel(Model):
     )
     parameters: ParameterEntries = Field(default={})
     fit: FitEntry = FitEntry()
+    verdict: VerdictEntry = VerdictEntry()
     compare: CompareEntry | None = None
     simulation: SimulationEntry | None = None
 

@@ -8,8 +8,8 @@ import numpy as np
 
 import loopcal as lc
 from analyses.instruments import Setup, setup
+from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import Problem, build_problem
-from loopcal.statistics.column_faults import column_faults
 
 
 def problem(given: Setup, poses: int, **wrong: str) -> Problem:
@@ -28,6 +28,7 @@ def test_exchanged_angles_of_a_tracker_are_found() -> None:
     (fault,) = column_faults(problem(setup("six-axis spherical"), 30, **angles))
     assert fault.words == "the columns of T_azimuth and T_elevation are exchanged"
     assert fault.before is not None
+    assert fault.after is not None
     assert fault.after < 0.01 * fault.before
 
 

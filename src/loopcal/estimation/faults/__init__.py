@@ -1,0 +1,1 @@
+"""Faults of whole files: found before a fit, from the nominal machine alone."""

@@ -1,0 +1,245 @@
+"""How far the machine as drawn is from its readings, whatever instrument made them.
+
+Only what no drawing states is estimated: where instruments stand, and where on the machine their
+targets are. The misfit has no unit: lengths count as shares of the spread of what the instrument
+read, angles in rad. It is that of nine tenths of the poses, found by repetition (least trimmed
+squares, Rousseeuw 1984), so that gross errors in single poses neither make a fault nor hide one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.accuracy import by_pose, deviations
+from loopcal.estimation.prediction import output_differences
+from loopcal.estimation.problem.alignment import align, can_be_placed, placed, seen_points
+from loopcal.estimation.problem.problem import Problem, taken
+from loopcal.estimation.residuals import residuals
+from loopcal.estimation.solve.solver import solve
+from loopcal.mechanisms.mechanism import Family, Mechanism
+from loopcal.mechanisms.outputs import points
+
+Array = NDArray[np.float64]
+MOST, HALF = 0.9, 0.5
+"""Shares of the poses that decide: gross errors are few. Of a grid driven row by row whose readings
+stand one row late, the better half shows nothing but a constant shift."""
+GROSS = 10.0
+"""A pose this many times farther off than half of them takes no part in verifying a fault."""
+_ROUNDS, _STEPS = 3, 10
+_SPREAD = ("point", "pose", "spherical", "polar", "length")
+"""Forms of readings whose own spread says how large the machine's motions are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """Of the better part of the poses.
+
+    share: as it is compared; size: in `unit` [m or rad], for the reader; away: (N,) the share of
+    every pose, NaN where nothing was read.
+    """
+
+    share: float
+    size: float
+    unit: str
+    away: Array
+
+    @property
+    def good(self) -> NDArray[np.intp]:
+        """Positions of the poses that no gross error bends."""
+        middle = float(np.nanmedian(self.away)) if np.isfinite(self.away).any() else math.inf
+        return np.flatnonzero(~(self.away > GROSS * middle))
+
+
+def undrawn(mechanism: Mechanism) -> tuple[str, ...]:
+    """The parameters that say where instruments stand and what they look at, where known."""
+    kinds = mechanism.kinds
+    return tuple(n for n in mechanism.parameters.free if kinds[n] in ("placement", "mounting"))
+
+
+def misfit(
+    problem: Problem, rounds: int = _ROUNDS, steps: int = _STEPS, kept: float = MOST
+) -> Misfit:
+    """The misfit of the nominal machine, infinite where no loop closes.
+
+    Every parameter takes part where nothing says which of them the drawing does not state.
+    rounds: how often the better poses are found anew; steps: of each fit, at most; kept: which
+    share of the poses these are.
+    """
+    scales = _scales(problem)
+    away = np.full(problem.count, np.nan)
+    try:
+        find = _apart(problem, scales) if unread(problem) else _misplaced(problem, scales, steps)
+        away = find(None)
+        for _ in range(rounds):
+            away = find(_better(away, kept))
+        good = _better(away, kept)
+        share = float(np.sqrt(np.square(away[good]).mean())) if good.size else math.inf
+    except InputError:
+        share = math.inf
+    share = share if math.isfinite(share) else math.inf
+    return Misfit(share, share * scales.size, scales.unit, away)
+
+
+def _better(away: Array, kept: float) -> NDArray[np.intp]:
+    return np.flatnonzero(away <= np.nanquantile(away, kept, method="higher"))
+
+
+def unread(problem: Problem) -> bool:
+    """Whether loops must find what nobody reads before anything can be compared."""
+    return any(pattern.unmeasured for pattern in problem.patterns)
+
+
+_Find = Callable[[NDArray[np.intp] | None], Array]
+"""Shares (N,) once the machine was placed by some of the poses; None: as it begins."""
+
+
+def _misplaced(problem: Problem, scales: _Scales, steps: int) -> _Find:
+    """Instruments and targets are fitted."""
+    names = undrawn(problem.mechanism) or problem.names
+    parameters = _begun(problem)
+
+    def find(some: NDArray[np.intp] | None) -> Array:
+        nonlocal parameters
+        if some is not None:
+            parameters = _fitted(taken(problem, some), parameters, names, steps)
+        return scales.shares(problem, parameters)
+
+    return find
+
+
+def _apart(problem: Problem, scales: _Scales) -> _Find:
+    """Where loops find what nobody reads, they do so once; then the points are aligned."""
+    seen = seen_points(problem, problem.start)
+
+    def find(some: NDArray[np.intp] | None) -> Array:
+        squares = np.zeros(problem.count)
+        for _, computed, measured in seen:
+            part = slice(None) if some is None else some
+            motion = align(computed[:, part], measured[:, part])
+            away = motion.rotation @ computed + motion.shift[:, None] - measured
+            squares += np.square(away / scales.size).sum(axis=0)
+        return np.where(np.isfinite(squares), np.sqrt(squares), np.inf)
+
+    return find
+
+
+def at_start(problem: Problem) -> float:
+    """The share that most poses keep to at the start, without any fit: an upper bound."""
+    try:
+        away = _scales(problem).shares(problem, problem.start)
+    except InputError:
+        return math.inf
+    if not np.isfinite(away).any():
+        return math.inf
+    return float(np.nanquantile(away, MOST, method="higher"))
+
+
+def fit_of_all(problem: Problem, iterations: int) -> float:
+    """Rms share after a least-squares fit of all parameters, begun at the placed machine."""
+    try:
+        parameters = _fitted(problem, _begun(problem), problem.names, iterations)
+        away = _scales(problem).shares(problem, parameters)
+    except InputError:
+        return math.inf
+    there = away[np.isfinite(away)]
+    return float(np.sqrt(np.square(there).mean())) if there.size else math.inf
+
+
+def _begun(problem: Problem) -> Array:
+    if not can_be_placed(problem.mechanism):
+        return problem.start
+    moved, _ = placed(problem)
+    return np.array([p.nominal for p in moved.parameters])
+
+
+def _fitted(problem: Problem, start: Array, names: tuple[str, ...], iterations: int) -> Array:
+    """All parameters after a least-squares fit of some of them, from a start (n_all,)."""
+    its = np.array([problem.names.index(n) for n in names], dtype=np.intp)
+    part = replace(
+        problem,
+        start=start,
+        free=problem.free[its],
+        nominal=problem.nominal[its],
+        prior_sd=np.full(len(its), math.inf),
+    )
+    return solve(part, exact=True, max_iterations=iterations).parameters
+
+
+@dataclass(frozen=True, eq=False)
+class _Scales:
+    """loops: (m, 1) what a loop's value is divided by; size, unit: of a share for the reader."""
+
+    loops: Array
+    size: float
+    unit: str
+
+    def shares(self, problem: Problem, parameters: Array) -> Array:
+        """(N,) root mean square of the scaled loop values over what was read in a pose."""
+        if unread(problem):
+            return self._predicted(problem, parameters)
+        found = np.array(list(residuals(problem, parameters).values())) / self.loops
+        there = np.isfinite(found)
+        squares = np.where(there, np.square(found), 0.0).sum(axis=0)
+        return np.where(there.any(axis=0), np.sqrt(squares), np.nan)
+
+    def _predicted(self, problem: Problem, parameters: Array) -> Array:
+        """The same of the outputs alone, where loops find what nobody reads; inf if they do not."""
+        mechanism = problem.mechanism
+        measured = problem.readings[
+            [mechanism.tape.quantities.index(q) for q in mechanism.compared]
+        ]
+        found = by_pose(deviations(mechanism, measured, output_differences(problem, parameters)))
+        if found is None:
+            return np.full(problem.count, np.nan)
+        return np.where(np.isfinite(found), found / self.size, np.inf)
+
+
+def _scales(problem: Problem) -> _Scales:
+    mechanism = problem.mechanism
+    own = _own(mechanism)
+    reach = math.sqrt(
+        sum(p.nominal**2 for p in mechanism.parameters if p.unit == "m" and p.name in own)
+    )
+    whole = Family("", mechanism.tape.loops, mechanism.outputs)
+    scale: dict[str, float] = {}
+    spreads = []
+    for family in mechanism.families or (whole,):
+        spread = _spread(problem, family) or reach or 1.0
+        for loop in family.loops:
+            unit = mechanism.quantities.get(loop, "m")
+            scale[loop] = 1.0 if unit == "rad" else spread
+        if any(mechanism.quantities.get(q) == "m" for q in family.readings):
+            spreads.append(spread)
+    loops = np.array([[scale.get(loop, reach or 1.0)] for loop in mechanism.tape.loops])
+    return _Scales(loops, spreads[0] if spreads else 1.0, "m" if spreads else "rad")
+
+
+def _own(mechanism: Mechanism) -> frozenset[str]:
+    """The parameters that the drawing states, or all."""
+    every = frozenset(mechanism.parameters.names)
+    return every - frozenset(undrawn(mechanism)) or every
+
+
+def _spread(problem: Problem, family: Family) -> float:
+    """Median distance [m] of what an instrument read from its middle; 0 where it reads none."""
+    mechanism = problem.mechanism
+    names = mechanism.tape.quantities
+    its = [q for q in family.readings if mechanism.quantities[q] == "m" or family.form in _SPREAD]
+    if family.form == "pose":
+        its = [q for q in its if mechanism.quantities[q] == "m"]
+    if not its or family.form not in _SPREAD:
+        return 0.0
+    rows = [names.index(q) for q in its]
+    hidden = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[rows])
+    read = points(family, np.where(hidden, np.nan, problem.readings[rows]))
+    read = read[:, np.isfinite(read).all(axis=0)]
+    if not read.size:
+        return 0.0
+    middle = np.median(read, axis=1, keepdims=True)
+    return float(np.median(np.sqrt(np.square(read - middle).sum(axis=0))))

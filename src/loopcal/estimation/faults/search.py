@@ -1,0 +1,195 @@
+"""The search for faults of a whole file: in another unit, reversed, exchanged, displaced, shuffled.
+
+Such a file cannot be calibrated at all, and no single pose is to blame. Each repair is tried on the
+machine as drawn, placed as well as can be; the one that brings it much nearer to the readings is
+suspected. It is verified by fits of all parameters, with the fault and without it: a machine with
+many parameters bends itself to a fault too, but never better than to the readings as they should
+be. Where no repair helps and the machine as drawn explains next to nothing, that is the fault.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.findings import ColumnFault
+from loopcal.document.plain import known
+from loopcal.errors import InputError
+from loopcal.estimation.faults.misfit import HALF, at_start, fit_of_all, misfit, undrawn, unread
+from loopcal.estimation.faults.repairs import Repair, repairs
+from loopcal.estimation.problem.alignment import can_be_placed, seen_points
+from loopcal.estimation.problem.problem import Problem, taken
+from loopcal.presentation.shown import size, unit_shown
+
+Array = NDArray[np.float64]
+NEAR = 0.01
+"""A drawing that misses the readings by this share of their spread, or less, raises no question."""
+PLAUSIBLE = 0.1
+"""A repair must leave no larger share."""
+MUCH_BETTER = 1 / 3
+"""A fault is suspected if undoing it leaves at most this of the misfit."""
+SURE = 0.1
+"""A repair that leaves at most this of the misfit needs no fit to verify it. A fit would mislead:
+it shrinks a machine whose readings are all in another unit as well as it fits the right one."""
+BETTER = 0.99
+"""The fit of all parameters must improve by at least this factor, a fit that was the very measure
+of the suspicion by MUCH_BETTER: a repair that changes nothing proves nothing."""
+EQUAL = 1.05
+"""Repairs whose misfits differ by less than this factor cannot be told apart."""
+NOTHING = 0.3
+"""A drawing that misses the better half of the poses by this share of their spread describes
+another machine, or another file."""
+SAME = 0.05
+"""Two sets of points have the same shape if the quantiles of their distances differ by less."""
+_SAMPLE, _FEW, _FEWEST, _MOST, _STEPS, _FIRST, _BEST = 120, 40, 10, 3, 15, 3, 8
+
+
+def suspicious(problem: Problem) -> bool:
+    """Whether the machine as drawn misses the readings by more than a drawing may.
+
+    Always without what the drawing does not state: a machine of which nothing says what is drawn
+    and what is not gives no measure before its fit.
+    """
+    if not undrawn(problem.mechanism) or _blind(problem):
+        return False
+    some = _thinned(problem, _SAMPLE)
+    return at_start(some) > NEAR and misfit(some).share > NEAR
+
+
+def column_faults(problem: Problem) -> tuple[ColumnFault, ...]:
+    """The faults of a whole file, the gravest first."""
+    found: list[ColumnFault] = []
+    if _blind(problem):
+        return ()  # loops that unread quantities close meet altered readings as well
+    still = _still(problem)
+    if still:
+        return still
+    for _ in range(_MOST):
+        fault = _gravest(problem, found=bool(found))
+        if fault is None:
+            break
+        repair, told = fault
+        found.append(told)
+        problem = repair.problem
+    return tuple(found) or _hopeless(problem)
+
+
+def _blind(problem: Problem) -> bool:
+    return unread(problem) and not can_be_placed(problem.mechanism)
+
+
+def _thinned(problem: Problem, most: int) -> Problem:
+    N = problem.count
+    return taken(problem, np.unique(np.linspace(0, N - 1, min(N, most)).round().astype(np.intp)))
+
+
+def _gravest(problem: Problem, *, found: bool) -> tuple[Repair, ColumnFault] | None:
+    some = _thinned(problem, _SAMPLE)
+    before = misfit(some).share
+    if found and before <= NEAR:
+        return None
+    few = _FEWEST if unread(problem) else _FEW
+    first = [(misfit(_thinned(r.problem, few), 1, _FIRST).share, r) for r in repairs(problem)]
+    least = min((share for share, _ in first), default=math.inf)
+    if math.isinf(least) or not least < before:
+        return None
+    order = np.argsort([share for share, _ in first], kind="stable")[:_BEST]
+    tried = [(misfit(_thinned(first[i][1].problem, _SAMPLE)).share, i) for i in order]
+    least = min(share for share, _ in tried)
+    if not least <= min(MUCH_BETTER * before, PLAUSIBLE):
+        return None
+    alike = [first[i][1] for i in sorted(i for share, i in tried if share <= EQUAL * least)]
+    after = misfit(alike[0].problem)
+    drawn = bool(undrawn(problem.mechanism))
+    if not (drawn and least <= SURE * before):
+        limit = (BETTER if drawn else MUCH_BETTER) * _fitted(problem, after.good)
+        alike = [repair for repair in alike if _fitted(repair.problem, after.good) <= limit]
+    if not alike:
+        return None
+    best = alike[0]
+    quantities = tuple(dict.fromkeys(name for repair in alike for name in repair.quantities))
+    words = " or ".join(repair.words for repair in alike)
+    told = ColumnFault(
+        quantities,
+        words,
+        known(misfit(problem).size),
+        after.size,
+        drawn,
+        best.code,
+    )
+    return best, told
+
+
+def _fitted(problem: Problem, good: NDArray[np.intp]) -> float:
+    good = good[good < problem.count]
+    return fit_of_all(_thinned(taken(problem, good), _SAMPLE), _STEPS)
+
+
+def _still(problem: Problem) -> tuple[ColumnFault, ...]:
+    """Instruments that read the same number in every pose, although the machine moves there."""
+    found = []
+    mechanism = problem.mechanism
+    for family, computed, measured in seen_points(problem, problem.start):
+        if family.form not in ("point", "pose") or measured.shape[1] < 10:
+            continue
+        names = [q for q in family.readings if q in mechanism.outputs][: len(measured)]
+        spread = np.nanmax(np.nanstd(computed, axis=1))
+        for name, own, read in zip(names, computed, measured, strict=True):
+            if np.isfinite(read).all() and np.ptp(read) == 0.0 and np.nanstd(own) > NEAR * spread:
+                words = f"{name} reads the same value in every pose, although the machine moves"
+                away = float(np.nanstd(own))
+                found.append(ColumnFault((name,), words, away, None, True, "constant"))
+    return tuple(found)
+
+
+def _hopeless(problem: Problem) -> tuple[ColumnFault, ...]:
+    """The fault where no repair helps and the machine as drawn explains next to nothing."""
+    if not undrawn(problem.mechanism):
+        return ()
+    left = misfit(_thinned(problem, _SAMPLE), kept=HALF)
+    if not left.share > NOTHING:
+        return ()
+    names = tuple(q for q in problem.mechanism.outputs)
+    how = f"{size(left.size, left.unit)} {unit_shown(left.unit)}"
+    if _same_shape(problem):
+        words = (
+            "the readings of the instrument belong to these poses, but in another order (shuffled "
+            "rows, or ids that do not match)"
+        )
+        return (ColumnFault(names, words, known(left.size), None, True, "rows-shuffled"),)
+    words = (
+        f"the nominal machine does not describe these readings: wherever it is placed, half of the "
+        f"poses are more than {how} off; another robot type, or joint readings of another file"
+    )
+    return (ColumnFault(names, words, known(left.size), None, True, "wrong-machine"),)
+
+
+def _same_shape(problem: Problem) -> bool:
+    """Whether computed and measured points are alike as sets, whatever belongs to what.
+
+    Compared are the quantiles of the distances between the points of each set, which no motion and
+    no order changes.
+    """
+    some = _thinned(problem, _SAMPLE)
+    try:
+        seen = seen_points(some, some.start)
+    except InputError:
+        return False
+    quantiles = np.linspace(0.05, 0.95, 19)
+    for _, computed, measured in seen:
+        good = np.isfinite(computed).all(axis=0) & np.isfinite(measured).all(axis=0)
+        if good.sum() < 10:
+            return False
+        one, other = (np.quantile(_between(p[:, good]), quantiles) for p in (computed, measured))
+        if np.abs(one - other).max() > SAME * other.max():
+            return False
+    return bool(seen)
+
+
+def _between(points: Array) -> Array:
+    gaps = points[:, :, None] - points[:, None, :]
+    first, second = np.triu_indices(points.shape[1], 1)
+    distances: Array = np.sqrt(np.square(gaps).sum(axis=0))[first, second]
+    return distances

@@ -1,0 +1,102 @@
+"""Where is a calibration valid? Its stated sd over the working region beside that at its poses.
+
+The working region is a box of joint readings: as the user states it, else the joints' limits, else
+half a turn either way of a turning joint; what has none of these stays within its readings. The
+sd that the parameters cause (`predictor`) is averaged (rms) over random poses of the box, and over
+the measured ones. A ratio far above 1 says that the data hold the machine near their own poses
+only, whatever a cross-validation inside them says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.findings import RegionEntry, RegionRange
+from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.result import Result
+from loopcal.estimation.sensitivity import output_sensitivity
+from loopcal.mechanisms.limits import joint_limits
+from loopcal.mechanisms.outputs import output_groups
+from loopcal.statistics.predictor import Predictor, by_parameters, trace_sd
+
+Array = NDArray[np.float64]
+_POSES = 400
+_MOST = 2000
+_FEWEST = 40
+"""Poses of the box that the machine can reach; of fewer nothing is said."""
+Span = tuple[float, float]
+
+
+def region_of(
+    result: Result, known: Predictor, stated: Mapping[str, Span] | None = None
+) -> RegionEntry | None:
+    """The working region and the sds there; None where the machine cannot be moved in a box.
+
+    stated: quantity -> range [SI], in place of limits.
+    """
+    mechanism = known.mechanism
+    machine, problem = mechanism.predicting(), result.problem
+    names, outputs = machine.tape.quantities, set(machine.outputs)
+    corrected = problem.readings + result.solution.corrections
+    unread = [bool(np.isinf(sd).all()) for sd in problem.uncertainty.sd]
+    still = (*machine.disturbances, *machine.unused)
+    driven = [
+        q for i, q in enumerate(names) if q not in outputs and q not in still and not unread[i]
+    ]
+    if not driven:
+        return None
+    limits, given = joint_limits(mechanism), dict(stated or {})
+    ranges = []
+    for q in driven:
+        row = corrected[names.index(q)]
+        if q in given:
+            ranges.append(RegionRange(q, *given[q], "stated"))
+        elif q in limits:
+            ranges.append(RegionRange(q, limits[q].low, limits[q].high, limits[q].source))
+        else:
+            ranges.append(RegionRange(q, float(row.min()), float(row.max()), "readings"))
+    rng = np.random.default_rng(0)
+    home = np.array([known.typical.get(q, 0.0) for q in names])
+    x = np.repeat(home[:, None], _POSES, axis=1)
+    for one in ranges:
+        x[names.index(one.quantity)] = rng.uniform(one.low, one.high, _POSES)
+    constants = problem.known[:, rng.integers(0, problem.known.shape[1] or 1, _POSES)]
+    also = [i for i, q in enumerate(names) if unread[i] and q not in still]
+    there = _sds(known, x, constants, also)
+    some = slice(None, None, max(1, -(-problem.count // _MOST)))
+    here = _sds(known, corrected[:, some], problem.known[:, some], also)
+    entries = []
+    for i, group in enumerate(output_groups(mechanism)):
+        at, over = here[i][np.isfinite(here[i])], there[i][~np.isnan(there[i])]
+        if not at.size or len(over) < _FEWEST:
+            continue
+        mean, far = (float(np.sqrt(np.square(v).mean())) for v in (at, over))
+        entries.append((far / mean if mean else np.inf, mean, far, group.unit))
+    if not entries:
+        return None
+    ratio, mean, far, unit = max(entries)
+    finite = np.isfinite(far) and np.isfinite(ratio)
+    return RegionEntry(
+        tuple(ranges), unit, mean, far if finite else None, ratio if finite else None
+    )
+
+
+def _sds(known: Predictor, x: Array, constants: Array, also: list[int]) -> list[Array]:
+    """By group of outputs, the sd (N,) that the parameters cause; NaN where loops stay open."""
+    machine = known.mechanism.predicting()
+    values = np.array([p.nominal for p in machine.parameters])
+    x = x.copy()
+    rows = [machine.tape.quantities.index(q) for q in machine.outputs]
+    x[rows] = predict_outputs(machine, values, np.nan_to_num(x), constants)
+    good = np.isfinite(x).all(axis=0)
+    S = output_sensitivity(machine, values, known.names, x[:, good], constants[:, good], also)
+    covariance = by_parameters(known, S.by_parameter)
+    found = []
+    for group in output_groups(known.mechanism):
+        sd = np.full(x.shape[1], np.nan)
+        sd[good] = trace_sd(covariance, group)
+        found.append(sd)
+    return found

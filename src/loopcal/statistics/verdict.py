@@ -1,0 +1,408 @@
+"""The verdict: what a calibration's figures amount to, as four answers and a headline.
+
+Each finding is one rule of `SOUND`: a code, whether it makes a result unsound or leaves the
+question open, what it says where it applies, and what to do. docs/explanation/verdict.md
+describes every code.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from loopcal import chi_squared
+from loopcal.document.accuracy import Distances
+from loopcal.document.result_document import ResultDocument
+from loopcal.document.verdict import Answer, Verdict
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import chance, with_unit
+from loopcal.statistics.tolerance import Quantile, judged
+
+RARE = 1e-3
+"""p-value of a single test from which a result is not sound: several tests are made."""
+LOOSE = 0.25
+"""Chi-squared per degree of freedom of sds twice as large as the readings show."""
+NEAR_ONLY = 5.0
+"""Predicted sd in the working region over that at the measured poses from which a result is valid
+near these poses only."""
+WORSE = 1.5
+"""Rms on poses not used over rms on poses used that is called too large."""
+_CERTAIN = 2.0
+_RELATIVE = 0.41
+"""sd of an rms of N distances in space over rms / sqrt(N): sqrt(2/3) / 2."""
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a rule found: in a sentence, and the figure behind it."""
+
+    words: str
+    number: float | None = None
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One finding that speaks against a result.
+
+    passed: False where the result is not sound, None where the question stays open; finds: what
+    there is to say, None where the rule does not apply; next: what to do.
+    """
+
+    code: str
+    passed: bool | None
+    finds: Callable[[ResultDocument], Said | None]
+    next: str
+
+
+def _column_faults(document: ResultDocument) -> Said | None:
+    faults = document.column_faults or ()
+    words = "; ".join(fault.words for fault in faults)
+    return Said(f"The file is at fault: {words}.") if faults else None
+
+
+def _not_converged(document: ResultDocument) -> Said | None:
+    status = document.status
+    if status.converged:
+        return None
+    return Said(f"The fit did not converge ({status.reason}). {status.message}")
+
+
+def _noise_too_small(document: ResultDocument) -> Said | None:
+    chi = document.chi_squared
+    if chi is None or chi.p_value is None or chi.variance_factor is None or chi.p_value >= RARE:
+        return None
+    factor = significant(chi.variance_factor, 2)
+    return Said(
+        f"The corrections are larger than the stated sds allow: chi-squared per degree of freedom "
+        f"is {factor} (p = {chance(chi.p_value)}).",
+        chi.variance_factor,
+    )
+
+
+def _scatter_less(document: ResultDocument) -> Said | None:
+    chi = document.chi_squared
+    if chi is None or not chi.too_small or chi.variance_factor is None:
+        return None
+    return Said(
+        "The readings scatter less than the stated sds: chi-squared per degree of freedom is "
+        f"{significant(chi.variance_factor, 2)}.",
+        chi.variance_factor,
+    )
+
+
+def _noise_too_large(document: ResultDocument) -> Said | None:
+    said = _scatter_less(document)
+    return said if said is not None and (said.number or 0.0) < LOOSE else None
+
+
+def _noise_generous(document: ResultDocument) -> Said | None:
+    said = _scatter_less(document)
+    return said if said is not None and (said.number or 0.0) >= LOOSE else None
+
+
+def _prior_tension(document: ResultDocument) -> Said | None:
+    """|value - nominal| over the sd of that difference, prior_sd^2 - sd^2 in the Gaussian case."""
+    found = []
+    for p in () if document.sensors_exact else document.parameters:
+        if p.fixed or not p.prior_sd or p.sd is None:
+            continue
+        variance = p.prior_sd**2 - p.sd**2
+        if variance > 0.0:
+            found.append((abs(p.value - p.nominal) / math.sqrt(variance), p))
+    if not found:
+        return None
+    z, p = max(found, key=lambda one: one[0])
+    if len(found) * math.erfc(z / math.sqrt(2.0)) >= RARE:
+        return None
+    off, known = with_unit(p.value - p.nominal, p.unit), with_unit(p.prior_sd, p.unit)
+    return Said(
+        f"{p.name} is {off} off its nominal value, which was known to {known} "
+        f"({significant(z, 2)} sds).",
+        z,
+    )
+
+
+def _spatial(document: ResultDocument) -> Said | None:
+    depends = document.dependence
+    if depends is None or not depends.spatial:
+        return None
+    worst = depends.spatial[0]
+    assert worst.spatial is not None
+    correlation = significant(worst.spatial.correlation, 2)
+    return Said(
+        f"Residuals of {worst.instrument!r} are alike in neighbouring poses (correlation "
+        f"{correlation}): the machine model lacks a term.",
+        worst.spatial.correlation,
+    )
+
+
+def _serial(document: ResultDocument) -> Said | None:
+    depends = document.dependence
+    if depends is None or not depends.serial:
+        return None
+    worst = depends.serial[0]
+    assert worst.serial is not None
+    return Said(
+        f"Residuals of {worst.instrument!r} depend on the pose order (correlation "
+        f"{significant(worst.serial.correlation, 2)}). The stated sds allow for a drift.",
+        worst.serial.correlation,
+    )
+
+
+def _coverage(document: ResultDocument) -> Said | None:
+    held = document.validation and document.validation.coverage
+    if not held or not held.poses:
+        return None
+    spread = math.sqrt(held.level * (1.0 - held.level) / held.poses)
+    if held.level - held.share <= max(4.0 * spread, 0.05):
+        return None
+    return Said(
+        f"Stated {held.level:.0%} regions hold only {held.share:.0%} of the poses not used.",
+        held.share,
+    )
+
+
+def _model_error(document: ResultDocument) -> Said | None:
+    entries = [e for e in document.noise if e.role == "disturbance" and e.sd]
+    if not entries:
+        return None
+    sd = with_unit(entries[0].sd, entries[0].unit)
+    return Said(
+        f"Besides the sensors, the machine model has an error with an sd of {sd}, taken as "
+        "independent from pose to pose.",
+        entries[0].sd,
+    )
+
+
+def _overfitted(document: ResultDocument) -> Said | None:
+    accuracy, validation = document.accuracy, document.validation
+    unseen = None if validation is None else validation.accuracy
+    if accuracy is None or unseen is None or unseen.rms <= WORSE * accuracy.after.rms:
+        return None
+    ratio = unseen.rms / accuracy.after.rms
+    return Said(
+        f"Poses not used are predicted much worse than those used ({significant(ratio, 2)} times "
+        "the rms).",
+        ratio,
+    )
+
+
+def _outliers(document: ResultDocument) -> Said | None:
+    poses = list(dict.fromkeys(entry.pose for entry in document.outliers or ()))
+    if not poses:
+        return None
+    named = ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")
+    count = f"{len(poses)} poses do" if len(poses) > 1 else "1 pose does"
+    return Said(f"{count} not fit the others ({named}).", float(len(poses)))
+
+
+def _optima(document: ResultDocument) -> Said | None:
+    others = document.other_optima or ()
+    return Said(f"{others[0].words[0].upper()}{others[0].words[1:]}.") if others else None
+
+
+def _undetermined(document: ResultDocument) -> Said | None:
+    loose = sorted(document.identifiability.loose)
+    if not loose:
+        return None
+    return Said(f"These poses do not determine {', '.join(loose)}.", float(len(loose)))
+
+
+def _no_test(document: ResultDocument) -> Said | None:
+    if document.sensors_exact:
+        return Said("Least squares states no sds of sensors, so nothing tests them.")
+    chi = document.chi_squared
+    if chi is not None and chi.degrees_of_freedom <= 0:
+        return Said("There are no more equations than parameters, so nothing tests the fit.")
+    return None
+
+
+_COLUMNS = "Correct the file, or its columns in the project, and calibrate again."
+_MODEL = "Check the sds of the sensors. If they are right, allow for a model error."
+SOUND: tuple[Rule, ...] = (
+    Rule("column-fault", False, _column_faults, _COLUMNS),
+    Rule("not-converged", False, _not_converged, "Follow the advice of the message."),
+    Rule(
+        "prior-tension",
+        False,
+        _prior_tension,
+        "Check units, signs and joint directions of the columns, and the drawing.",
+    ),
+    Rule("sds-too-small", False, _noise_too_small, _MODEL),
+    Rule(
+        "model-incomplete",
+        False,
+        _spatial,
+        "Add effects (sag, gears), or fit with a structured model error.",
+    ),
+    Rule("regions-too-small", False, _coverage, _MODEL),
+    Rule(
+        "sds-too-large",
+        False,
+        _noise_too_large,
+        "Check the units of the sds, state smaller ones, or estimate them.",
+    ),
+    Rule("sds-generous", None, _noise_generous, "State smaller sds, or estimate them."),
+    Rule("serial-dependence", None, _serial, "Look for shifts, or measure in random order."),
+    Rule("overfitted", None, _overfitted, "Measure more poses, or estimate fewer parameters."),
+    Rule(
+        "white-model-error",
+        None,
+        _model_error,
+        "Check for missing effects (compliance, eccentric gears, drift).",
+    ),
+    Rule("outliers", None, _outliers, "Inspect these poses; correct or exclude them."),
+    Rule("other-optimum", None, _optima, "State priors from the drawing."),
+    Rule(
+        "not-identifiable",
+        None,
+        _undetermined,
+        "Fix these parameters, give them a prior, or measure other poses.",
+    ),
+    Rule("untested", None, _no_test, "State or estimate the sds of the sensors."),
+)
+"""Findings that speak against a result, the gravest first."""
+
+
+def refuses(question: str, answer: Answer) -> bool:
+    """Whether an answer stops a run that requires this question: "sound" where it fails, the
+    others unless they pass."""
+    return answer.passed is False if question == "sound" else answer.passed is not True
+
+
+def verdict_of(document: ResultDocument, tolerance: float | None = None) -> Verdict:
+    """The verdict on a result. tolerance: distance [SI] that 95 % of poses shall keep."""
+    sound = _sound(document)
+    valid, better = _valid(document), _better(document)
+    good = _good_enough(document, tolerance)
+    return Verdict(sound, valid, better, good, _headline((sound, valid, better, good)))
+
+
+def _sound(document: ResultDocument) -> Answer:
+    found = [(rule, said) for rule in SOUND if (said := rule.finds(document))]
+    # the gravest first: sorting is stable
+    found.sort(key=lambda one: one[0].passed is None)
+    if not found:
+        words = "The fit converged; sensors, poses and machine model are consistent."
+        return Answer(True, "sound", None, words, None)
+    rule, said = found[0]
+    words = " ".join(other.words for _, other in found)
+    return Answer(rule.passed, rule.code, said.number, words, rule.next)
+
+
+def _valid(document: ResultDocument) -> Answer:
+    region = None if document.prediction is None else document.prediction.region
+    if region is None:
+        words = "Nothing says how far the machine works: its working region is unknown."
+        return Answer(None, "region-unknown", None, words, "State the region ([verdict] region).")
+    sources = {one.source for one in region.ranges}
+    where = "the working region"
+    if sources == {"readings"}:
+        where = "the box of the measured readings (no limits are known)"
+    elif "turn" in sources:
+        where = "the working region (half a turn either way where no limits are stated)"
+    here = with_unit(region.sd_at_poses, region.unit, 2)
+    if region.sd is None or region.ratio is None:
+        words = f"The data leave a direction open that moves the end point in {where}."
+        return Answer(False, "near-poses-only", None, words, "Measure poses all over the region.")
+    there, ratio = with_unit(region.sd, region.unit, 2), significant(region.ratio, 2)
+    both = f"the predicted sd is {there} in {where} and {here} at the measured poses"
+    if region.ratio > NEAR_ONLY:
+        words = f"Valid near the measured poses only: {both}, {ratio} times as large."
+        remedy = "Measure poses all over the region, or state the region in which you work."
+        return Answer(False, "near-poses-only", region.ratio, words, remedy)
+    words = f"Valid: {both}."
+    return Answer(True, "valid-in-region", region.ratio, words, None)
+
+
+def _better(document: ResultDocument) -> Answer:
+    accuracy, validation = document.accuracy, document.validation
+    if accuracy is None:
+        words = "The accuracy is unknown: the mechanism has no measured outputs."
+        return Answer(None, "no-outputs", None, words, None)
+    unseen = None if validation is None else validation.accuracy
+    if unseen is None:
+        words = "Not validated: in-sample accuracy only; expect worse on other poses."
+        return Answer(None, "not-validated", None, words, "Validate on other poses (--folds 10).")
+    rivals = _rivals(document, unseen)
+    unit = accuracy.unit
+    mine = with_unit(unseen.rms, unit)
+    for name, difference, sd in sorted(rivals, key=lambda r: r[1]):
+        if difference < -_CERTAIN * sd:
+            words = (
+                f"Worse than {name} on poses not used: {mine} rms instead of "
+                f"{with_unit(unseen.rms + difference, unit)}."
+            )
+            remedy = "Use the better one, or measure more poses."
+            return Answer(False, "worse", difference, words, remedy)
+    name, difference, sd = rivals[0]
+    both = f"{mine} rms on poses not used instead of {with_unit(unseen.rms + difference, unit)}"
+    figures = f"{both} (sd of the difference {with_unit(sd, unit, 2)})"
+    if difference > _CERTAIN * sd:
+        return Answer(True, "better", difference, f"Better than {name}: {figures}.", None)
+    words = f"About as good as {name}: {figures}."
+    return Answer(None, "no-better", difference, words, "Measure more poses to decide.")
+
+
+def _rivals(document: ResultDocument, unseen: Distances) -> list[tuple[str, float, float]]:
+    """Name, difference of rms and its sd, of what the result is compared with; nominal first."""
+    if document.chosen is not None:
+        paired = [
+            (c.name, c.difference, c.sd)
+            for c in document.chosen.over[1:]
+            if c.difference is not None and c.sd is not None
+        ]
+        if paired:
+            return sorted(paired, key=lambda r: not r[0].startswith("nominal"))
+    assert document.accuracy is not None
+    drawn = document.accuracy.nominal or document.accuracy.before
+    n = max(unseen.poses or document.data.used, 1)
+    sd = _RELATIVE * math.hypot(drawn.rms, unseen.rms) / math.sqrt(n)
+    return [("the nominal machine", drawn.rms - unseen.rms, sd)]
+
+
+def _good_enough(document: ResultDocument, tolerance: float | None) -> Answer:
+    accuracy, validation = document.accuracy, document.validation
+    unit = "m" if accuracy is None else accuracy.unit
+    unseen = None if validation is None else (validation.blocked or validation).accuracy
+    quantile = None
+    if unseen is not None:
+        quantile = Quantile.of_summary(unseen.p95, unseen.poses or document.data.used)
+        quantile = quantile and quantile.widened(_beyond(document))
+    return judged(quantile, tolerance, unit, "in the working region")
+
+
+def _beyond(document: ResultDocument) -> float:
+    """95 % of the error that the parameters add in the working region to that at the poses."""
+    region = None if document.prediction is None else document.prediction.region
+    if region is None or region.sd is None:
+        return 0.0 if region is None else math.inf
+    more = max(region.sd**2 - region.sd_at_poses**2, 0.0)
+    return math.sqrt(more * chi_squared.quantile(0.05, 3) / 3.0)
+
+
+_HEADS = {
+    "sound": "Do not use this result",
+    "valid": "Use it near the measured poses only",
+    "better": "Do not use this result",
+    "tolerance": "Not good enough",
+}
+
+
+def _headline(answers: Sequence[Answer]) -> str:
+    """The worst of the answers in one sentence."""
+    named = list(zip(_HEADS, answers, strict=True))
+    for name, answer in named:
+        if answer.passed is False:
+            return f"{_HEADS[name]}: {_first(answer.words)}"
+    for _, answer in named:
+        if answer.passed is None and answer.code != "no-tolerance":
+            return f"Use it with care: {_first(answer.words)}"
+    return "Sound, valid in the working region, and better than the nominal machine."
+
+
+def _first(words: str) -> str:
+    """The first sentence, to follow a colon."""
+    sentence = words.split(". ")[0].rstrip(".") + "."
+    return sentence[0].lower() + sentence[1:] if sentence.split()[0].isalpha() else sentence

@@ -1,0 +1,135 @@
+"""A file that is at fault as a whole is named before any fit, and a good one never."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from analyses.file_faults import FAULTS, GOOD, ROUGH, draw
+from analyses.instruments import setup
+from loopcal.estimation.calibrate import started
+from loopcal.estimation.faults.misfit import misfit
+from loopcal.estimation.faults.search import column_faults, suspicious
+from loopcal.mechanisms.instruments.pose import pose
+from loopcal.mechanisms.machine import assemble
+from loopcal.statistics.verdict import verdict_of
+from tests.reference.robots import urdf_of
+
+SPATIAL = {
+    "left-handed frame": "six-axis point",
+    "quaternion x, y, z, w": "six-axis pose",
+    "inverse pose": "six-axis pose",
+    "three joints reversed": "six-axis draw-wire",
+    "last joint reversed": "six-axis point",
+    "z constant": "six-axis point",
+}
+"""Faults that take more than a planar arm."""
+
+
+@pytest.mark.parametrize("fault", [f for f in FAULTS if f != "two joints exchanged"])
+def test_a_fault_of_the_whole_file_is_named(fault: str) -> None:
+    found = draw(setup(SPATIAL.get(fault, "two-link point")), fault, 3)
+    assert {*found.codes} & {*FAULTS[fault].codes}, found.words
+
+
+@pytest.mark.parametrize("name", ["six-axis draw-wire", "six-axis pose", "two-link point"])
+@pytest.mark.parametrize("drawing", [GOOD, ROUGH])
+def test_a_good_file_is_not_blamed_even_beside_a_rough_drawing(name: str, drawing: str) -> None:
+    assert draw(setup(name), drawing, 1).codes == ()
+
+
+def test_a_search_on_good_readings_finds_nothing() -> None:
+    """The suspicion is not what keeps good files safe."""
+    given = setup("six-axis draw-wire")
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=4, start=given.start)
+    nominal = given.nominal(4)
+    held = nominal.with_parameters(nominal.parameters.with_fixed(given.held))
+    problem = started(held, made.dataset, given.noise, "auto")
+    assert not suspicious(problem)
+    assert column_faults(problem) == ()
+
+
+def test_a_misfit_has_no_unit_of_length() -> None:
+    """Machine and readings a thousand times smaller: the same share."""
+    given = setup("two-link point")
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1)
+    small = {p.name: p.nominal * (1e-3 if p.unit == "m" else 1.0) for p in given.truth.parameters}
+    readings = {
+        q: v * (1e-3 if given.truth.quantities[q] == "m" else 1.0)
+        for q, v in made.dataset.readings.items()
+    }
+    nominal = given.nominal(1)
+    far = {n: nominal.parameters[n].nominal - given.truth.parameters[n].nominal for n in small}
+    shrunk = given.truth.with_nominal(
+        {
+            n: v + far[n] * (1e-3 if given.truth.parameters[n].unit == "m" else 1.0)
+            for n, v in small.items()
+        }
+    )
+    one = misfit(started(nominal, made.dataset, given.noise, "auto")).share
+    other = misfit(started(shrunk, lc.Dataset.from_arrays(readings), given.noise, "auto")).share
+    assert other == pytest.approx(one, rel=1e-3)
+
+
+def test_learnt_sds_are_not_sought_in_a_file_at_fault_and_every_face_says_so() -> None:
+    given = setup("two-link point")
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=2)
+    readings = dict(made.dataset.readings)
+    readings |= {q: np.roll(readings[q], 1) for q in ("x", "y")}
+    noise = lc.Noise({"phi?": 5e-5, "xy": 2e-5}, estimate={"phi?": "group", "xy": "group"})
+    result = lc.calibrate(given.nominal(2), readings, noise=noise)
+    assert result.estimate is None
+    assert result.status.iterations <= 3
+    assert [fault.code for fault in result.faults] == ["rows-shifted"]
+    assert lc.find_outliers(result).columns == result.faults
+    assert str(result).splitlines()[2].startswith("FILE AT FAULT")
+    assert verdict_of(result.document).grade == "bad"
+
+
+def test_the_measured_grid_displaced_or_in_another_unit_is_named(
+    shared_data: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = shared_data("motoman_ma1400_leica/left_arm_grid.csv")
+    monkeypatch.setenv("LOOPCAL_DATA", str(path.parents[1]))
+    read = lc.read_project("examples/motoman/left_arm_grid.toml")
+    data = lc.load_dataset(read)
+    readings = dict(data.dataset.readings)
+    readings |= {q: np.roll(readings[q], 1) for q in "xyz"}
+    moved = replace(data.dataset, readings=readings)
+    problem = started(read.mechanism, moved, data.noise, "auto")
+    assert suspicious(problem)
+    assert [fault.code for fault in column_faults(problem)] == ["rows-shifted"]
+    scaled = dict(data.dataset.readings) | {q: 1e-3 * data.dataset.readings[q] for q in "xyz"}
+    problem = started(read.mechanism, replace(data.dataset, readings=scaled), data.noise, "auto")
+    assert [fault.code for fault in column_faults(problem)] == ["unit"]
+
+
+@pytest.mark.parametrize(
+    ("fault", "code"),
+    [
+        (GOOD, None),
+        ("quaternion x, y, z, w", "orientation"),
+        ("inverse pose", "pose-inverted"),
+    ],
+)
+def test_poses_of_a_measured_camera_whose_mounting_is_unknown(
+    shared_data: Callable[[str], Path], fault: str, code: str | None
+) -> None:
+    path = shared_data("franka_camera/poses.csv")
+    machine = lc.machines.urdf(urdf_of("Panda"), "panda_link0", "panda_link8")
+    arm = lc.fix_redundant(assemble(machine, [pose("camera", target="camera")]))
+    joints = [f"panda_joint{i}" for i in range(1, 8)]
+    named = {joint: f"q{i}" for i, joint in enumerate(joints, 1)}
+    named |= {name: name for name in ("x", "y", "z", "qw", "qx", "qy", "qz")}
+    readings = dict(lc.read_dataset(path, named, pose="pose").readings)
+    if fault in FAULTS:
+        FAULTS[fault].change(readings, joints, np.random.default_rng(0))
+    noise = lc.Noise({"panda_joint*": 1e-4, "xyz": 1e-3, "camera_w*": 2e-3})
+    problem = started(arm, lc.Dataset.from_arrays(readings), noise, "auto")
+    faults = column_faults(problem) if suspicious(problem) else ()
+    assert [f.code for f in faults] == ([] if code is None else [code])

@@ -1,0 +1,203 @@
+"""The verdict: every finding has its answer, a small region is named, clean data stay green."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from loopcal.document.accuracy import Coverage
+from loopcal.document.choice import Candidate, Chosen
+from loopcal.document.dependence import Dependence, InstrumentDependence, Likeness
+from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, Undetermined
+from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.result_document import ResultDocument
+from loopcal.mechanisms.limits import joint_limits
+from loopcal.statistics.verdict import SOUND, verdict_of
+from tests.conftest import ROOT
+from tests.reference.machines import dh_arm
+from tests.reference.simulated import arm_at, planar_arm
+
+SDS = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3}
+
+
+@cache
+def clean() -> ResultDocument:
+    """A planar arm 2 mm off its drawing, validated."""
+    arm = planar_arm(60)
+    off, noise = arm.off(2e-3, 2e-3, seed=3), lc.Noise(SDS)
+    data = arm.read(SDS, 1)
+    result = lc.calibrate(off, data, noise=noise, start="nominal")
+    validation = lc.validate(off, data, noise=noise, full=result, folds=5, start="nominal")
+    return validation.added_to(lc.findings(result).added_to(result.document))
+
+
+def changed(value: Any, path: str, new: Any) -> Any:
+    name, _, rest = path.partition(".")
+    return replace(value, **{name: changed(getattr(value, name), rest, new) if rest else new})
+
+
+def likeness(p: float) -> Likeness:
+    return Likeness(0.8, p)
+
+
+def depends(serial: float, spatial: float) -> Dependence:
+    return Dependence((InstrumentDependence("T", likeness(serial), likeness(spatial)),), 0.01)
+
+
+OUTLIER = Outlier("17", None, 30.0, 1e-6, 30.0, None, None)
+FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
+    "column-fault": ("column_faults", (ColumnFault(("xP",), "xP is in mm", 1.0, 0.0),), False),
+    "not-converged": ("status.converged", False, False),
+    "sds-too-small": ("chi_squared", ChiSquared.of(400.0, 114), False),
+    "sds-too-large": ("chi_squared", ChiSquared.of(11.0, 114), False),
+    "sds-generous": ("chi_squared", ChiSquared.of(57.0, 114), None),
+    "model-incomplete": ("dependence", depends(1.0, 1e-9), False),
+    "serial-dependence": ("dependence", depends(1e-9, 1.0), None),
+    "regions-too-small": ("validation.coverage", Coverage(0.95, 0.6, 60), False),
+    "overfitted": ("accuracy.after.rms", 1e-4, None),
+    "outliers": ("outliers", (OUTLIER,), None),
+    "other-optimum": (
+        "other_optima",
+        (OtherOptimum({"l2": 0.6}, 250.0, "another optimum: l2 600 mm"),),
+        None,
+    ),
+    "not-identifiable": (
+        "identifiability.not_identifiable",
+        (Undetermined({"l2": 1.0}, "l2"),),
+        None,
+    ),
+    "untested": ("noise", (), None),
+}
+
+
+def test_clean_data_are_sound_valid_and_better_than_the_drawing() -> None:
+    found = verdict_of(clean())
+    assert [a.passed for a in found.answers.values()] == [True, True, True, None]
+    assert found.tolerance.code == "no-tolerance"
+    assert found.grade == "good"
+    assert found.headline.startswith("Sound")
+
+
+@pytest.mark.parametrize("code", FINDINGS)
+def test_every_finding_has_its_answer(code: str) -> None:
+    path, value, passed = FINDINGS[code]
+    found = verdict_of(changed(clean(), path, value))
+    assert found.sound.code == code
+    assert found.sound.passed is passed
+    assert found.sound.next
+    assert found.grade == ("bad" if passed is False else "care")
+
+
+def test_a_prior_that_the_data_contradict_is_named() -> None:
+    document = clean()
+    entry = document.parameters[2]
+    assert entry.sd is not None
+    tense = replace(entry, prior_sd=5 * entry.sd, value=entry.nominal + 40 * entry.sd)
+    parameters = (*document.parameters[:2], tense, *document.parameters[3:])
+    found = verdict_of(replace(document, parameters=parameters))
+    assert found.sound.code == "prior-tension"
+    assert entry.name in found.sound.words
+    # as far off as the prior allows
+    usual = replace(tense, value=entry.nominal + 5 * entry.sd)
+    parameters = (*document.parameters[:2], usual, *document.parameters[3:])
+    assert verdict_of(replace(document, parameters=parameters)).sound.passed
+
+
+def test_an_error_of_the_machine_model_leaves_the_question_open() -> None:
+    document = clean()
+    sensor = replace(document.noise[0], quantities=("model_x",), unit="m", sd=1.37e-3)
+    model = replace(sensor, role="disturbance")
+    found = verdict_of(replace(document, noise=(*document.noise, model)))
+    assert found.sound.code == "white-model-error"
+    assert "1.37 mm" in found.sound.words
+    nothing = replace(model, sd=0.0)
+    assert verdict_of(replace(document, noise=(*document.noise, nothing))) == verdict_of(document)
+
+
+def test_the_gravest_finding_answers_and_the_others_are_told() -> None:
+    document = changed(clean(), "outliers", (OUTLIER,))
+    found = verdict_of(changed(document, "status.converged", False))
+    assert found.sound.code == "not-converged"
+    assert "1 pose does not fit the others (17)" in found.sound.words
+    assert found.headline.startswith("Do not use this result")
+
+
+def corner(poses: int = 40) -> lc.Result:
+    arm = planar_arm(poses)
+    near = np.random.default_rng(2).uniform(0.0, 0.15, (2, poses))
+    data = arm_at(arm.truth, near).read(SDS, 1)
+    return lc.calibrate(arm.truth, data, noise=lc.Noise(SDS), start="nominal")
+
+
+def test_poses_in_a_corner_are_valid_there_only_and_both_sds_are_named() -> None:
+    result = corner()
+    narrow = lc.verdict(result, region={"phi2": (-2.5, 2.5), "phi3": (-2.5, 2.5)})
+    assert narrow.valid.code == "near-poses-only"
+    assert narrow.valid.number is not None
+    assert narrow.valid.number > 5
+    assert len(re.findall(r"[\d.]+ mm", narrow.valid.words)) == 2
+    assert narrow.headline.startswith("Use it near the measured poses only")
+    inside = lc.verdict(result, region={"phi2": (0.0, 0.15), "phi3": (0.0, 0.15)})
+    assert inside.valid.passed
+    assert inside.valid.number == pytest.approx(1.0, abs=0.3)
+
+
+def test_joints_of_an_arm_may_turn_half_a_turn_where_nobody_states_limits() -> None:
+    limits = joint_limits(dh_arm())
+    assert len(limits) == 6
+    assert {(one.low, one.high, one.source) for one in limits.values()} == {(-np.pi, np.pi, "turn")}
+
+
+def test_a_tolerance_is_judged_with_its_guard_band() -> None:
+    p95 = clean().validation.accuracy.p95  # type: ignore[union-attr]
+    for factor, passed in ((0.5, False), (1.02, None), (3.0, True)):
+        assert verdict_of(clean(), factor * p95).tolerance.passed is passed
+
+
+def candidates(difference: float) -> Chosen:
+    document = clean()
+    assert document.validation is not None
+    seen = document.validation.accuracy
+    over = tuple(
+        Candidate(name, seen, None, d, 1e-5)
+        for name, d in (("auto", 0.0), ("nominal", 1e-3), ("least squares", difference))
+    )
+    return Chosen("reweighted", (), "", over)
+
+
+def test_never_silently_worse_than_a_rival() -> None:
+    better = verdict_of(replace(clean(), chosen=candidates(1e-6)))
+    assert better.better.code == "better"
+    worse = verdict_of(replace(clean(), chosen=candidates(-1e-4)))
+    assert worse.better.code == "worse"
+    assert "least squares" in worse.better.words
+    assert verdict_of(replace(clean(), validation=None)).better.code == "not-validated"
+
+
+def test_false_alarms_over_clean_draws_are_rare() -> None:
+    arm = planar_arm(40)
+    found = []
+    for seed in range(40):
+        result = lc.calibrate(arm.truth, arm.read(SDS, seed), noise=lc.Noise(SDS), start="nominal")
+        found.append(lc.verdict(result).sound.passed)
+    assert found.count(False) <= 2
+
+
+def test_every_code_is_described() -> None:
+    text = (ROOT / "docs" / "explanation" / "verdict.md").read_text("utf-8")
+    described = set(re.findall(r"^\| `([a-z-]+)` \|", text, re.MULTILINE))
+    assert {rule.code for rule in SOUND} <= described
+    source = "".join(
+        Path(ROOT / "src" / "loopcal" / "statistics" / name).read_text("utf-8")
+        for name in ("verdict.py", "tolerance.py", "verified.py")
+    )
+    given = set(re.findall(r"Answer\(\s*(?:True|False|None),\s*\"([a-z-]+)\"", source))
+    assert given <= described
+    assert described - {"sound"} <= given | {rule.code for rule in SOUND} | {"sound"}
