@@ -37,6 +37,12 @@ class Bodies:
     rotations: Array
     origins: Array
 
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(N,) whether all joints were read."""
+        there: NDArray[np.bool_] = np.asarray(np.isfinite(self.origins).all(axis=1))
+        return there
+
     def at(self, targets: Array) -> Array:
         """(N, 3) the points of the body at one place on it, (3,)."""
         moved: Array = self.origins + self.rotations @ targets
@@ -90,7 +96,7 @@ def see_points(bodies: Bodies, measured: Array) -> Mounted:
     Raises InputError where the points do not determine where the instrument stands.
     """
     targets = np.zeros((len(measured), 3))
-    good = np.isfinite(measured).all(axis=(0, 2))
+    good = np.isfinite(measured).all(axis=(0, 2)) & bodies.known
     for _ in range(_ROUNDS):
         targets, away = _points(bodies, measured, targets, good)
         good = _better(away)
@@ -128,7 +134,7 @@ def _points(
 def see_poses(bodies: Bodies, measured: Array, turns: Array) -> Mounted:
     """A frame on the body, seen as positions (N, 3) [m] and rotations M (N, 3, 3)."""
     spread = _spread(measured)
-    good = np.isfinite(measured).all(axis=1) & np.isfinite(turns).all(axis=(1, 2))
+    good = np.isfinite(measured).all(axis=1) & np.isfinite(turns).all(axis=(1, 2)) & bodies.known
     u = np.zeros(3)
     for _ in range(_ROUNDS):
         S, X = _hand_eye(bodies.rotations[good], turns[good])
@@ -177,7 +183,7 @@ def see_lengths(bodies: Bodies, measured: Array) -> Mounted:
 
     Begins where it is linear: l^2 - o^2 = -2 o A + 2 l c + (A^2 - c^2).
     """
-    good = np.isfinite(measured)
+    good = np.isfinite(measured) & bodies.known
     o = bodies.origins
     A, c, u = np.zeros(3), 0.0, np.zeros(3)
     middle = np.median(measured[good])
@@ -247,7 +253,6 @@ def own_coordinates(bodies: Bodies, measured: Array) -> float:
     Near zero for what a controller computed; an instrument stands elsewhere.
     """
     return _rms(np.sqrt(np.square(bodies.origins - measured).sum(axis=1)))
-
 
 
 def bodies_of(frame: Frame, count: int) -> Bodies:

@@ -26,3 +26,11 @@ def expanded(path: str, folder: Path, place: Place) -> Path:
                 remedy=f"set it to the folder: export {name}=/path/to/folder",
             )
     return folder / Path(_VARIABLE.sub(lambda match: os.environ[match[1]], path))
+
+
+def relative(path: str | Path, folder: str | Path) -> str:
+    """A path as a file in a folder states it; absolute where no relative one leads there."""
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:  # another drive
+        return Path(path).resolve().as_posix()

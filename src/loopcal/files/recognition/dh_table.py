@@ -19,7 +19,9 @@ _KEYS = {
     **dict.fromkeys(("a", "r", "a_i", "ai", "length", "link_length"), "a"),
     **dict.fromkeys(("d", "d_i", "di", "offset_d", "link_offset"), "d"),
     **dict.fromkeys(("alpha", "alpha_i", "alphai", "twist", "al"), "alpha"),
-    **dict.fromkeys(("theta", "offset", "theta_offset", "theta0", "theta_0", "theta_i", "th"), "offset"),
+    **dict.fromkeys(
+        ("theta", "offset", "theta_offset", "theta0", "theta_0", "theta_i", "th"), "offset"
+    ),
     **dict.fromkeys(("joint", "name", "axis", "i", "link", "id", "no", "nr"), "name"),
     **dict.fromkeys(("type", "kind", "joint_type"), "kind"),
     **dict.fromkeys(("direction", "sign", "dir"), "direction"),

@@ -20,9 +20,8 @@ from loopcal.measurements.tables import column, column_names
 
 Array = NDArray[np.float64]
 _IDS = frozenset(
-    ("pose", "poses", "pose_id", "poseid", "pose_no", "pose_nr", "pose_number", "id", "ids", "no")
-    + ("nr", "number", "num", "index", "idx", "point", "point_id", "sample", "measurement", "name")
-    + ("n", "i", "config", "configuration", "row", "label", "punkt", "messung")
+    "pose poses pose_id poseid pose_no pose_nr pose_number id ids no nr number num index idx point "
+    "point_id sample measurement name n i config configuration row label punkt messung".split()
 )
 TIMES = frozenset(("time", "timestamp", "t", "zeit", "date", "datetime", "seconds"))
 
@@ -64,9 +63,14 @@ class Field:
     def resolution(self) -> float:
         """The step to which its values were rounded, a power of ten; 0 where there is none."""
         known = self.values[np.isfinite(self.values)]
+        largest = np.abs(known).max(initial=0.0)
         for digits in range(-3, 10):
             scaled = known * 10.0**digits
-            if np.abs(scaled - np.round(scaled)).max(initial=0.0) < 1e-6:
+            close = 1e-9 * max(largest * 10.0**digits, 1e3)
+            if (
+                np.abs(scaled).max(initial=0.0) >= 1.0
+                and (abs(scaled - scaled.round()) < close).all()
+            ):
                 return 10.0**-digits
         return 0.0
 
@@ -76,7 +80,8 @@ class Source:
     """A table as it was given.
 
     path: of its file, None for a table in memory; sheet: of a workbook; ids: one per row, None
-    where no column holds them; pose: that column's name or number; fields: its columns of numbers.
+    where no column holds them; pose: that column's name or number; fields: its columns of numbers;
+    names: its header.
     """
 
     path: Path | None
@@ -84,7 +89,7 @@ class Source:
     fields: tuple[Field, ...]
     ids: tuple[str, ...] | None
     pose: str | int | None
-    decimal: str = "."
+    names: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -187,7 +192,7 @@ def _of_file(path: Path, number: int) -> Source:
     ids = None if pose is None else table.ids(pose)
     sheet = table.part.split("'")[1] if table.part and table.part.startswith("sheet") else None
     named = None if pose is None else column_key(names, pose)
-    return _checked(Source(path, sheet, fields, ids, named, table.decimal))
+    return _checked(Source(path, sheet, fields, ids, named, tuple(names)))
 
 
 def column_key(names: Sequence[str], position: int) -> str | int:

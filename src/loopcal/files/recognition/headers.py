@@ -1,4 +1,4 @@
-"""Headers as people write them: "J1 [deg]", "X (mm)", "theta1_rad", "q1/deg" into a name and a unit."""
+"""Headers as people write them ("J1 [deg]", "X (mm)", "theta1_rad") into a name and a unit."""
 
 from __future__ import annotations
 

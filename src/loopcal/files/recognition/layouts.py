@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from loopcal.errors import InputError, listed
+from loopcal.errors import InputError
 from loopcal.files.recognition.fields import TIMES, Field, unnamed
 from loopcal.files.recognition.headers import stem
 
 _JOINT_WORDS = frozenset(
-    ("j", "joint", "jt", "jnt", "q", "theta", "th", "axis", "ax", "a", "phi", "angle", "ang", "enc")
-    + ("encoder", "motor", "achse", "gelenk", "rax", "axe", "joint_angle", "joint_position")
+    "j joint jt jnt q theta th axis ax a phi angle ang enc encoder motor achse gelenk rax axe "
+    "joint_angle joint_position".split()
 )
 _KNOWN_ARMS = (
     ("s", "l", "e", "u", "r", "b", "t"),
@@ -29,12 +29,15 @@ _LENGTH_WORDS = frozenset(
 _RANGES = ("range", "distance", "dist", "slope_distance", "r", "d")
 _AZIMUTHS = ("azimuth", "az", "hz", "horizontal", "horizontal_angle")
 _ELEVATIONS = ("elevation", "el", "vertical", "vertical_angle")
-_TURN_WORDS = frozenset(("r", "rv", "rot", "rotvec", "rvec", "w", "omega", "rotation", "e", "euler"))
+_TURN_WORDS = frozenset(
+    ("r", "rv", "rot", "rotvec", "rvec", "w", "omega", "rotation", "e", "euler")
+)
 _TURNS = (("a", "b", "c"), ("w", "p", "r"), ("roll", "pitch", "yaw"), ("rz", "ry", "rx"))
 _OTHER_WORDS = frozenset(
-    ("v", "vel", "velocity", "acc", "f", "force", "torque", "m_", "nom", "nominal", "cmd", "command")
-    + ("commanded", "ctrl", "controller", "des", "desired", "planned")
+    "v vel velocity acc f force torque nom nominal cmd command commanded ctrl controller des desired "
+    "planned".split()
 )
+"""Beginnings of three columns that are no measured point."""
 _SD_BEFORE = re.compile(r"^(?:u|sd|std|sigma|unc|uncertainty|stddev|sig)_?(?P<of>.+)$")
 _SD_AFTER = re.compile(r"^(?P<of>.+?)_?(?:sd|std|sigma|unc|uncertainty|stddev)$")
 _NUMBERED = re.compile(r"^(?P<word>.*?)_?(?P<number>\d{1,2})(?P<rest>(?:_[a-z_]+)?)$")
@@ -106,9 +109,7 @@ def _is_joint_word(word: str) -> bool:
     return word in _JOINT_WORDS or any(word.endswith(f"_{w}") for w in ("joint", "axis", "j"))
 
 
-def layouts(
-    fields: Sequence[Field], count: int, names: Sequence[str] = ()
-) -> tuple[Layout, ...]:
+def layouts(fields: Sequence[Field], count: int, names: Sequence[str] = ()) -> tuple[Layout, ...]:
     """Every way to find `count` joints and an instrument in the columns, by names where possible.
 
     names: of the machine's joints. Raises InputError listing the columns where there is none.
@@ -127,7 +128,7 @@ def layouts(
             f"the columns {unnamed(usual)} look like {len(usual)} joints, but the machine has "
             f"{count} moving joints",
             code="missing-column",
-            remedy=f"name the machine's other links (--base, --tip), or rename the column of {more}",
+            remedy=f"name other links of the machine (--base, --tip), or rename the column of {more}",
         )
     return _by_order(fields, count)
 
@@ -151,8 +152,8 @@ def _with_joints(
         if rest
         else "every column is a joint; no instrument is recognised",
         code="missing-column",
-        remedy='name them "x", "y", "z" (a point), add "qw", "qx", "qy", "qz" (a pose), or "length" '
-        "(a wire)",
+        remedy='name them "x", "y", "z" (a point), add "qw", "qx", "qy", "qz" (a pose), or name '
+        'one "length" (a wire)',
     )
 
 
@@ -246,7 +247,7 @@ def _orientation(
         return turned, "matrix", position
     for its in _quaternions(fields):
         return its, "quaternion", ()
-    triples = {word: its for word, its in _triples(fields)}
+    triples = dict(_triples(fields))
     for word in _TURN_WORDS:
         if word in triples and len(triples) > 1:
             return triples[word], "turns", ()
@@ -349,8 +350,3 @@ def _orthonormal(fields: Sequence[Field]) -> bool:
 
 def _first(by_stem: dict[str, Field], names: Iterable[str]) -> Field | None:
     return next((by_stem[n] for n in names if n in by_stem), None)
-
-
-def ignored_words(fields: Sequence[Field]) -> str:
-    """Which columns take no part, for the reader; empty if all do."""
-    return f"not used: {listed([f.heading.text if f.heading else f'column {f.position + 1}' for f in fields])}" if fields else ""  # noqa: E501
