@@ -20,10 +20,17 @@ from loopcal.measurements.tables import column, column_names
 
 Array = NDArray[np.float64]
 _IDS = frozenset(
-    "pose poses pose_id poseid pose_no pose_nr pose_number id ids no nr number num index idx point "
-    "point_id sample measurement name n i config configuration row label punkt messung".split()
+    (
+        *("pose", "poses", "pose_id", "poseid", "pose_no", "pose_nr", "pose_number", "id", "ids"),
+        *("no", "nr", "number", "num", "index", "idx", "point", "point_id", "sample", "n", "i"),
+        *("measurement", "name", "config", "configuration", "row", "label", "punkt", "messung"),
+    )
 )
 TIMES = frozenset(("time", "timestamp", "t", "zeit", "date", "datetime", "seconds"))
+
+
+STILL = 1e-3
+"""An axis whose readings span so much less than another's stands still."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +62,10 @@ class Field:
         return repr(self.heading.text) if self.heading else f"column {self.position + 1}"
 
     @property
-    def moves(self) -> bool:
-        """Whether its values differ by more than a hundredth of their size."""
+    def span(self) -> float:
+        """Largest minus smallest value."""
         known = self.values[np.isfinite(self.values)]
-        return bool(known.size and np.ptp(known) > 0.01 * np.abs(known).max())
+        return float(np.ptp(known)) if known.size else 0.0
 
     def resolution(self) -> float:
         """The step to which its values were rounded, a power of ten; 0 where there is none."""
@@ -232,6 +239,12 @@ def _checked(source: Source) -> Source:
             remedy="give a table with a row per pose and a column per reading",
         )
     return source
+
+
+def moving(fields: Sequence[Field]) -> tuple[Field, ...]:
+    """Those that do not stand still beside the others."""
+    most = max((f.span for f in fields), default=0.0)
+    return tuple(f for f in fields if f.span > STILL * most)
 
 
 def unnamed(fields: Sequence[Field]) -> str:

@@ -9,12 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.files.recognition.fields import TIMES, Field, unnamed
+from loopcal.files.recognition.fields import TIMES, Field, moving, unnamed
 from loopcal.files.recognition.headers import stem
 
 _JOINT_WORDS = frozenset(
-    "j joint jt jnt q theta th axis ax a phi angle ang enc encoder motor achse gelenk rax axe "
-    "joint_angle joint_position".split()
+    (
+        *("j", "joint", "jt", "jnt", "q", "theta", "th", "axis", "ax", "a", "phi", "angle", "ang"),
+        *("enc", "encoder", "motor", "achse", "gelenk", "rax", "axe", "joint_angle"),
+        "joint_position",
+    )
 )
 _KNOWN_ARMS = (
     ("s", "l", "e", "u", "r", "b", "t"),
@@ -34,8 +37,22 @@ _TURN_WORDS = frozenset(
 )
 _TURNS = (("a", "b", "c"), ("w", "p", "r"), ("roll", "pitch", "yaw"), ("rz", "ry", "rx"))
 _OTHER_WORDS = frozenset(
-    "v vel velocity acc f force torque nom nominal cmd command commanded ctrl controller des desired "
-    "planned".split()
+    (
+        *(
+            "v",
+            "vel",
+            "velocity",
+            "acc",
+            "f",
+            "force",
+            "torque",
+            "nom",
+            "nominal",
+            "cmd",
+            "command",
+        ),
+        *("commanded", "ctrl", "controller", "des", "desired", "planned"),
+    )
 )
 """Beginnings of three columns that are no measured point."""
 _SD_BEFORE = re.compile(r"^(?:u|sd|std|sigma|unc|uncertainty|stddev|sig)_?(?P<of>.+)$")
@@ -85,11 +102,14 @@ def named_joints(fields: Sequence[Field], names: Iterable[str]) -> dict[str, Fie
 
 
 def usual_joints(fields: Sequence[Field]) -> tuple[Field, ...]:
-    """Columns named as joints usually are (J1 ..., theta_1 ..., S L U R B T); empty if none."""
+    """Columns named as joints usually are (J1 ..., theta_1 ..., S L U R B T); empty if none.
+
+    What stands still beside the others is an external axis that did not move.
+    """
     by_stem = {f.stem: f for f in fields if f.stem}
     for arm in _KNOWN_ARMS:
         if set(arm) <= set(by_stem):
-            return tuple(by_stem[name] for name in arm)
+            return moving([by_stem[name] for name in arm])
     families: dict[tuple[str, str], list[tuple[int, Field]]] = {}
     for field in fields:
         found = _NUMBERED.match(field.stem)
@@ -118,8 +138,7 @@ def layouts(fields: Sequence[Field], count: int, names: Sequence[str] = ()) -> t
     if names and len(found) == len(names):
         return _with_joints(fields, tuple(found[n] for n in names), "by the machine's joint names")
     usual = usual_joints(fields)
-    moving = tuple(f for f in usual if f.moves)
-    for joints in (usual, moving):
+    for joints in (usual, moving(usual)):
         if len(joints) == count:
             return _with_joints(fields, joints, "by their names")
     if usual:
@@ -128,7 +147,7 @@ def layouts(fields: Sequence[Field], count: int, names: Sequence[str] = ()) -> t
             f"the columns {unnamed(usual)} look like {len(usual)} joints, but the machine has "
             f"{count} moving joints",
             code="missing-column",
-            remedy=f"name other links of the machine (--base, --tip), or rename the column of {more}",
+            remedy=f"name its other links (--base, --tip), or rename the column of {more}",
         )
     return _by_order(fields, count)
 
@@ -171,12 +190,12 @@ def _by_order(fields: Sequence[Field], count: int) -> tuple[Layout, ...]:
     taken = {id(f) for s in seen for f in (*s.position, *s.turned, *s.sds)}
     rest = [f for f in fields if id(f) not in taken and f.stem not in TIMES]
     if seen:
-        for some in (rest, [f for f in rest if f.moves]):
+        for some in (rest, moving(rest)):
             if len(some) == count:
                 return (_layout(tuple(some), seen, fields, "by the order of the columns"),)
     found: list[Layout] = []
     usable = [f for f in fields if f.stem not in TIMES]
-    for some in (usable, [f for f in usable if f.moves]):
+    for some in (usable, moving(usable)):
         for joints, others in ((some[:count], some[count:]), (some[-count:], some[:-count])):
             if len(joints) == count:
                 how = "by the order of the columns"

@@ -11,7 +11,7 @@ from typing import Any
 from loopcal.errors import InputError
 from loopcal.files.machines.urdf import Branch, branches
 from loopcal.files.recognition.dh_table import Row, chain_rows, joint_names, read_dh
-from loopcal.files.recognition.fields import Field
+from loopcal.files.recognition.fields import Field, moving
 from loopcal.files.recognition.layouts import named_joints, usual_joints
 
 _TIPS = ("tool0", "tcp", "tool", "flange", "ee_link", "ee", "hand", "link_ee", "end_effector")
@@ -49,11 +49,11 @@ def urdf_robot(
         fitting = [b for b in every if set(b.joints) == set(named)]
         why = "its moving joints are the columns' names"
     else:
-        moving = sum(f.moves for f in usual_joints(fields))
+        moves = len(moving(usual_joints(fields)))
         fitting = [b for b in every if len(b.joints) == usual] or [
-            b for b in every if len(b.joints) == moving
+            b for b in every if len(b.joints) == moves
         ]
-        why = f"it alone has as many moving joints as there are joint columns ({usual or moving})"
+        why = f"it alone has as many moving joints as there are joint columns ({usual or moves})"
         if not usual:
             most = max((len(b.joints) for b in every), default=0)
             fitting = [b for b in every if len(b.joints) == most]
@@ -108,8 +108,8 @@ def dh_robot(path: Path, fields: Sequence[Field]) -> Robot:
     """
     table = read_dh(path)
     before, rows = chain_rows(table)
-    moving = table.moving
-    if not moving:
+    count = table.moving
+    if not count:
         raise InputError(
             "no row of the table moves",
             code="missing-key",
@@ -127,15 +127,15 @@ def dh_robot(path: Path, fields: Sequence[Field]) -> Robot:
             where = joints[-1].setdefault("after", {}) if joints else ahead
             _append(where, {k: v for k, v in motions.items() if v}, path.name)
             continue
-        joints.append(_joint(names[len(joints)], row, last=len(joints) == moving - 1, ahead=ahead))
+        joints.append(_joint(names[len(joints)], row, last=len(joints) == count - 1, ahead=ahead))
         ahead = {}
     remarks = list(table.remarks)
     if table.modified:
         remarks.append(f"{path.name} is of the modified convention, written here in the classical")
     own = tuple(row.name for row in rows if row.kind != "fixed")
-    stated = own if len(named_joints(fields, own)) == moving else ()
+    stated = own if len(named_joints(fields, own)) == count else ()
     made = {"type": "serial", "units": {"length": "mm", "angle": "deg"}, "fix_redundant": True}
-    return Robot({**made, "joint": joints}, moving, stated, tuple(remarks))
+    return Robot({**made, "joint": joints}, count, stated, tuple(remarks))
 
 
 def _append(where: dict[str, float], motions: Mapping[str, float], name: str) -> None:

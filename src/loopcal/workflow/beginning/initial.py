@@ -253,8 +253,8 @@ def _weakest(project: Project, dataset: Dataset) -> str:
         limit = DRAWN.get(kinds[parameter.name])
         if sd is not None and limit is not None and sd > worst * limit:
             worst = sd / limit
-            size = with_unit(sd, parameter.unit, 2) if np.isfinite(sd) else "unknown"
-            words = f"{parameter.name}: expected sd {size}"
+            size = with_unit(sd, parameter.unit, 2) if sd < 1.0 else "unknown"
+            words = f"sd of {parameter.name}: {size}"
     return words
 
 
