@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 NOMINAL = np.array(  # a [m], d [m], alpha [rad], theta [rad]
     [
@@ -90,22 +93,26 @@ def dh_table() -> str:
 def urdf() -> str:
     """The same arm as a URDF, with a camera's frame and a gripper behind its flange."""
     lines = ['<robot name="arm">', '  <link name="base_link"/>']
-    parent, before = "base_link", (0.0, 0.0, 0.0)
+    parent, twist = "base_link", 0.0
     xyz = (0.0, 0.0, 0.0)
     for i, (a, d, alpha, theta) in enumerate(NOMINAL, 1):
-        turned = f"{before[0]:.17g} 0 {theta:.17g}"
         # the link's frame lies at the joint's axis; Tz(d) Tx(a) Rx(alpha) begins the next origin
+        R = pose(0, 0, twist, 0)[:3, :3] @ pose(0, 0, 0, theta)[:3, :3]
+        with warnings.catch_warnings():  # of gimbal lock, where any of the angles will do
+            warnings.simplefilter("ignore")
+            angles = Rotation.from_matrix(R).as_euler("xyz")
+        turned = " ".join(f"{angle:.17g}" for angle in angles)
         lines += [
             f'  <link name="link_{i}"/>',
             f'  <joint name="J{i}" type="revolute"><parent link="{parent}"/>'
             f'<child link="link_{i}"/><origin xyz="{xyz[0]} 0 {xyz[2]}" rpy="{turned}"/>'
             '<axis xyz="0 0 1"/><limit lower="-3.2" upper="3.2" effort="0" velocity="1"/></joint>',
         ]
-        parent, before, xyz = f"link_{i}", (alpha, 0.0, 0.0), (a, 0.0, d)
+        parent, twist, xyz = f"link_{i}", alpha, (a, 0.0, d)
     lines += [
         '  <link name="tool0"/><link name="camera"/><link name="finger"/>',
         f'  <joint name="flange" type="fixed"><parent link="{parent}"/><child link="tool0"/>'
-        f'<origin xyz="{xyz[0]} 0 {xyz[2]}" rpy="{before[0]} 0 0"/></joint>',
+        f'<origin xyz="{xyz[0]} 0 {xyz[2]}" rpy="{twist} 0 0"/></joint>',
         '  <joint name="mount" type="fixed"><parent link="tool0"/><child link="camera"/></joint>',
         '  <joint name="grip" type="prismatic"><parent link="tool0"/><child link="finger"/>'
         '<axis xyz="0 1 0"/><limit lower="0" upper="0.1" effort="0" velocity="1"/></joint>',

@@ -90,14 +90,14 @@ def _rms(away: Array) -> float:
     return float(np.sqrt(np.square(known[: max(int(KEPT * known.size), 1)]).mean()))
 
 
-def see_points(bodies: Bodies, measured: Array) -> Mounted:
+def see_points(bodies: Bodies, measured: Array, rounds: int = _ROUNDS) -> Mounted:
     """Targets (K of them) on one body, seen as points (K, N, 3) [m] from one station.
 
     Raises InputError where the points do not determine where the instrument stands.
     """
     targets = np.zeros((len(measured), 3))
     good = np.isfinite(measured).all(axis=(0, 2)) & bodies.known
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         targets, away = _points(bodies, measured, targets, good)
         good = _better(away)
     return Mounted(away, _spread(measured[0]), targets)
@@ -131,12 +131,12 @@ def _points(
     return targets, np.sqrt(np.square(off).sum(axis=(0, 2)))
 
 
-def see_poses(bodies: Bodies, measured: Array, turns: Array) -> Mounted:
+def see_poses(bodies: Bodies, measured: Array, turns: Array, rounds: int = _ROUNDS) -> Mounted:
     """A frame on the body, seen as positions (N, 3) [m] and rotations M (N, 3, 3)."""
     spread = _spread(measured)
     good = np.isfinite(measured).all(axis=1) & np.isfinite(turns).all(axis=(1, 2)) & bodies.known
     u = np.zeros(3)
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         S, X = _hand_eye(bodies.rotations[good], turns[good])
         n = int(good.sum())
         J = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), S @ bodies.rotations[good]], axis=2)
@@ -153,20 +153,22 @@ def see_poses(bodies: Bodies, measured: Array, turns: Array) -> Mounted:
 
 
 def _hand_eye(R: Array, M: Array) -> tuple[Array, Array]:
-    """The rotations S and X for which S R = M X^T holds best, for R and M (N, 3, 3).
+    """The rotations S and X for which S R X = M holds best, for R and M (N, 3, 3).
 
-    Linear in both at first (the right singular vector of least singular value), then each in turn
-    by singular values. Source: Shah (2013).
+    At first the matrices S and X^T of given length that agree best (singular vectors of the sum of
+    the products of M and R), then each in turn as a rotation. Source: Shah (2013).
     """
-    A = np.einsum("nkj,il->nijlk", R, np.eye(3)).reshape(-1, 9)  # S[l, k] R[k, j], l = i
-    B = np.einsum("nik,jl->nijkl", M, np.eye(3)).reshape(-1, 9)  # M[i, k] Y[k, l], l = j
-    _, _, Vt = np.linalg.svd(np.hstack([A, -B]), full_matrices=False)
-    S, Y = Vt[-1][:9].reshape(3, 3), Vt[-1][9:].reshape(3, 3)
+    both = np.einsum("nij,nlk->iljk", M, R)
+    U, _, Vt = np.linalg.svd(both.reshape(9, 9))
+    S, Y = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
     sign = np.sign(np.linalg.det(S)) or 1.0
     S, X = _rotation(sign * S), _rotation(sign * Y).T
     for _ in range(30):
-        S = _rotation(np.einsum("nij,kj,nlk->il", M, X, R))
-        X = _rotation(np.einsum("nji,kj,nkl->il", R, S, M))
+        before = X
+        S = _rotation(np.einsum("iljk,kj->il", both, X))
+        X = _rotation(np.einsum("iljk,il->kj", both, S))
+        if np.abs(X - before).max() < 1e-12:
+            break
     return S, X
 
 

@@ -278,7 +278,8 @@ def test_nothing_is_overwritten(tmp_path: Path, arm: Any) -> None:
 
 def test_too_many_joint_columns_are_listed(tmp_path: Path, arm: Any) -> None:
     joints, points = arm
-    columns = {**of(joints, NAMES), "J7": joints[:, 0], **of(points, "xyz")}
+    names = [f"q{i}" for i in range(1, 8)]
+    columns = {**of(np.hstack([joints, joints[:, :1]]), names), **of(points, "xyz")}
     path = dh(tmp_path)
     with refused("missing-column"):
         lc.init(columns, dh=path)

@@ -101,7 +101,7 @@ class Source:
     @property
     def name(self) -> str:
         """How messages call it."""
-        return self.path.name if self.path else "the table"
+        return self.path.name if self.path else f"table {self.fields[0].table + 1}"
 
     def __len__(self) -> int:
         return len(self.fields[0].values)
@@ -158,7 +158,7 @@ def joined(sources: Sequence[Source]) -> Fields:
         if common:
             return _by_ids(sources, common)
     lengths = {s.name: len(s) for s in sources}
-    if len(set(lengths.values())) > 1:
+    if len({len(s) for s in sources}) > 1:
         counts = ", ".join(f"{name} has {length} rows" for name, length in lengths.items())
         raise InputError(
             f"the files cannot be joined: {counts}, and they share no column of pose ids",

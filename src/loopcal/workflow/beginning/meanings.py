@@ -61,17 +61,22 @@ class Meaning:
         """The misfit of the nominal machine, as a share of the spread of the readings."""
         return self.fit.share if self.fit else float("inf")
 
-    def fitted(self, bodies: Bodies, index: NDArray[np.intp] | slice = slice(None)) -> Meaning:
-        """With its fit on some poses of the nominal machine; infinite where there is none."""
+    def fitted(
+        self, bodies: Bodies, index: NDArray[np.intp] | slice = slice(None), rounds: int = 4
+    ) -> Meaning:
+        """With its fit on some poses of the nominal machine; infinite where there is none.
+
+        rounds: how often the better poses are found anew.
+        """
         some = Bodies(bodies.rotations[index], bodies.origins[index])
         position = self.position[index]
         try:
             if self.seen.kind == "length":
                 fit = see_lengths(some, position)
             elif self.turns is not None:
-                fit = see_poses(some, position, self.turns[index])
+                fit = see_poses(some, position, self.turns[index], rounds)
             else:
-                fit = see_points(some, position[None])
+                fit = see_points(some, position[None], rounds)
         except (InputError, np.linalg.LinAlgError):
             return replace(self, fit=None)
         return replace(self, fit=fit)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,9 @@ CLEARLY = 3.0
 """A meaning is decided if every other one leaves so many times its misfit."""
 COMPUTED = 0.02
 """Points that lie so near the machine's own nominal coordinates were computed from its joints."""
-_SAMPLE, _SHIFTS = 120, (1, -1, 2, -2, 3, -3)
+FAR = 10.0
+"""A meaning that fits so many times worse on a few poses is not tried on more."""
+_SAMPLE, _FEW, _SHIFTS = 120, 40, (1, -1, 2, -2, 3, -3)
 
 Ask = Callable[[str, Sequence[str]], int]
 """Asks which of several answers holds, and gives its number from 0."""
@@ -96,14 +98,21 @@ def understood(
     found = sorted(_every(machine, layouts), key=lambda u: u.share)
     if not found or not found[0].share <= PLAUSIBLE:
         _refuse_stated(machine, layouts, found)
+    if not found:
+        raise InputError(
+            "the readings determine no place of the instrument in any of all units and orders",
+            code="too-few-poses",
+            remedy="measure at least 5 poses that differ in every joint",
+        )
     best = found[0]
+    if fields.by_order or not best.share <= NOTHING:
+        for meaning in found if not best.share <= NOTHING else found[:1]:
+            _refuse_shifted(meaning)
     if not best.share <= NOTHING:
         raise _fits_nothing(best)
     rivals = [u for u in found[1:] if u.share < CLEARLY * best.share]
     if rivals and best.share > 1e-9:
         best = _asked([best, *rivals], ask)
-    if fields.by_order:
-        _refuse_shifted(best)
     return _told(best)
 
 
@@ -115,7 +124,10 @@ def _every(
     found = []
     for layout in layouts:
         count = len(layout.joints[0].values)
-        some = np.unique(np.linspace(0, count - 1, min(count, _SAMPLE)).astype(np.intp))
+        some, few = (
+            np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
+            for most in (_SAMPLE, _FEW)
+        )
         for units in joint_units(layout.joints, machine.units, as_stated=as_stated):
             joints = {
                 name: to_si(f.values, f.unit if f.unit and as_stated else units[si])
@@ -124,8 +136,9 @@ def _every(
             bodies = machine.bodies(joints)
             options = []
             for seen in layout.seen:
-                tried = [m.fitted(bodies, some) for m in meanings(seen, as_stated=as_stated)]
-                tried = sorted((m for m in tried if m.fit is not None), key=lambda m: m.share)
+                tried = _fitting(meanings(seen, as_stated=as_stated), bodies, few, 1)
+                near = [m for m in tried if m.share < FAR * tried[0].share + 1e-12]
+                tried = _fitting(near, bodies, some, 4)
                 options.append([m for m in tried if m.share < CLEARLY * tried[0].share + 1e-12])
             if not all(options):
                 continue
@@ -136,6 +149,14 @@ def _every(
                     seen_so = (*first.seen[:i], other, *first.seen[i + 1 :])
                     found.append(replace(first, seen=seen_so))
     return found
+
+
+def _fitting(
+    some: Iterable[Meaning], bodies: Bodies, index: NDArray[np.intp], rounds: int
+) -> list[Meaning]:
+    """Those that have a fit, the best first."""
+    tried = (m.fitted(bodies, index, rounds) for m in some)
+    return sorted((m for m in tried if m.fit is not None), key=lambda m: m.share)
 
 
 def _asked(rivals: Sequence[Understood], ask: Ask | None) -> Understood:
@@ -182,7 +203,7 @@ def _refuse_stated(
 def _fits_nothing(best: Understood) -> InputError:
     return InputError(
         "the nominal machine does not describe these readings: in the best of all units and orders "
-        f"half of a machine remains ({significant(100.0 * best.share, 2)} % of their spread)",
+        f"it misses them by {significant(100.0 * best.share, 2)} % of their spread",
         code="implausible-readings",
         remedy="check the robot (URDF, Denavit-Hartenberg table and its convention), the signs and "
         "zeros of the joints, and that joints and instrument are of the same poses",
@@ -205,7 +226,7 @@ def _refuse_shifted(best: Understood) -> None:
             turns = None if meaning.turns is None else meaning.turns[moved]
             displaced = replace(meaning, position=meaning.position[moved], turns=turns)
             share = displaced.fitted(bodies).share
-            if CLEARLY * share < whole:
+            if CLEARLY * share < whole and share < NOTHING:
                 where = "late" if shift > 0 else "early"
                 plural = "s" if abs(shift) > 1 else ""
                 raise InputError(
