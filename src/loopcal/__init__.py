@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from loopcal import effects, instruments, machines
+    from loopcal.document.change_points import ChangePoint
+    from loopcal.document.dependence import Dependence
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
     from loopcal.document.fit import NoiseEntry
     from loopcal.document.goodness_of_fit import ChiSquared
@@ -17,7 +19,6 @@ if TYPE_CHECKING:
     from loopcal.document.verdict import Answer, Verdict
     from loopcal.errors import InputError, LoopcalError
     from loopcal.estimation.accuracy import Accuracy, InstrumentAccuracy
-    from loopcal.estimation.calibrate import calibrate
     from loopcal.estimation.fit import Fit
     from loopcal.estimation.residuals import Closure
     from loopcal.estimation.result import Result
@@ -48,6 +49,8 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.terms import Term
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation, simulate
+    from loopcal.statistics.calibrate import calibrate
+    from loopcal.statistics.change_points import Shifts, find_shifts
     from loopcal.statistics.check import Check, check
     from loopcal.statistics.compared import Compared
     from loopcal.statistics.comparison import compare
@@ -58,12 +61,9 @@ if TYPE_CHECKING:
     from loopcal.statistics.outliers import Outliers, find_outliers
     from loopcal.statistics.prediction import Prediction, predict
     from loopcal.statistics.repeats import Repeats, repeated_readings
-    from loopcal.statistics.validation import (
-        MethodComparison,
-        Validation,
-        compare_methods,
-        validate,
-    )
+    from loopcal.statistics.shifted import Shifted, with_shifts
+    from loopcal.statistics.validate import MethodComparison, compare_methods, validate
+    from loopcal.statistics.validation import Validation
     from loopcal.statistics.verification import verify
     from loopcal.statistics.verified import Verification
     from loopcal.workflow.beginning.initial import InitialProject, init
@@ -71,13 +71,14 @@ if TYPE_CHECKING:
 
 _HOME = {
     "document.goodness_of_fit": ("ChiSquared",),
+    "document.change_points": ("ChangePoint",),
+    "document.dependence": ("Dependence",),
     "document.findings": ("ColumnFault", "Identifiability", "Outlier", "Undetermined"),
     "document.fit": ("NoiseEntry",),
     "document.result_document": ("ResultDocument",),
     "errors": ("InputError", "LoopcalError"),
     "estimation.accuracy": ("Accuracy", "InstrumentAccuracy"),
     "estimation.residuals": ("Closure",),
-    "estimation.calibrate": ("calibrate",),
     "estimation.fit": ("Fit",),
     "estimation.result": ("Result",),
     "estimation.solve.status": ("Status",),
@@ -109,17 +110,21 @@ _HOME = {
     "mechanisms.terms": ("Term",),
     "simulation.poses": ("grid_poses", "random_poses"),
     "simulation.simulate": ("Simulation", "simulate"),
+    "statistics.calibrate": ("calibrate",),
     "statistics.check": ("Check", "check"),
     "statistics.compared": ("Compared",),
     "statistics.comparison": ("compare",),
     "statistics.intervals": ("Interval", "intervals"),
-    "statistics.validation": ("MethodComparison", "Validation", "compare_methods", "validate"),
+    "statistics.validate": ("MethodComparison", "compare_methods", "validate"),
+    "statistics.validation": ("Validation",),
     "document.verdict": ("Answer", "Verdict"),
     "statistics.judging": ("verdict",),
     "statistics.verification": ("verify",),
     "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
+    "statistics.change_points": ("Shifts", "find_shifts"),
     "statistics.outliers": ("Outliers", "find_outliers"),
+    "statistics.shifted": ("Shifted", "with_shifts"),
     "statistics.findings": ("Findings", "findings"),
     "statistics.prediction": ("Prediction", "predict"),
     "statistics.repeats": ("Repeats", "repeated_readings"),
@@ -132,6 +137,7 @@ _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name
 __all__ = [
     "Accuracy",
     "Answer",
+    "ChangePoint",
     "Check",
     "ChiSquared",
     "Closure",
@@ -140,6 +146,7 @@ __all__ = [
     "Compared",
     "ComparedModel",
     "Dataset",
+    "Dependence",
     "Findings",
     "Fit",
     "Identifiability",
@@ -169,6 +176,8 @@ __all__ = [
     "Repeats",
     "Result",
     "ResultDocument",
+    "Shifted",
+    "Shifts",
     "Simulation",
     "Status",
     "Term",
@@ -192,6 +201,7 @@ __all__ = [
     "effects",
     "encoder_sd",
     "find_outliers",
+    "find_shifts",
     "findings",
     "fix_redundant",
     "grid_poses",
@@ -223,6 +233,7 @@ __all__ = [
     "verdict",
     "verify",
     "with_effects",
+    "with_shifts",
     "write_result",
 ]
 

@@ -35,7 +35,7 @@ from loopcal.mechanisms.parallel.three_rrr import three_rrr
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.planar import planar_machine, planar_two_link
 from loopcal.mechanisms.serial import Joint, serial_machine
-from loopcal.mechanisms.structure.smooth import harmonics
+from loopcal.mechanisms.structure.smooth import FEATURES, harmonics
 from loopcal.mechanisms.structure.structured import structured, unstated_mountings
 from tests.reference.machines import MA1400_TOOL
 from tests.reference.plain_tape import loop_values
@@ -466,3 +466,10 @@ def test_how_an_arm_stands_does_not_change_how_it_sags() -> None:
             there = loops(made, x, **moved, **errors) - loops(made, x, **moved)
             assert np.abs(here).max() > 1e-7
             assert there == pytest.approx(R @ here, abs=1e-12)
+
+
+def test_features_without_weight_are_left_out() -> None:
+    for scales in ((1.0,), (1.0, 1.0), (3.0,)):
+        found = harmonics(scales)
+        assert 0 < len(found) <= FEATURES
+        assert sum(h.amplitude**2 for h in found) == pytest.approx(1.0)

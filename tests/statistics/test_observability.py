@@ -79,7 +79,7 @@ def test_neither_units_nor_the_size_of_all_sds_matter() -> None:
 
 def test_repeating_every_pose_changes_only_the_first_index() -> None:
     data = linear()
-    twice = {q: np.tile(v, 2) for q, v in data.items()}
+    twice = lc.Dataset.from_arrays(data).take(np.tile(np.arange(40), 2))
     one, two = (
         lc.findings(lc.calibrate(LINEAR, d, noise=NOISE)).observability for d in (data, twice)
     )

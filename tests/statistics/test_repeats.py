@@ -7,9 +7,9 @@ import pytest
 
 import loopcal as lc
 from loopcal.errors import InputError
+from loopcal.measurements.resolution import grid
 from loopcal.statistics.repeats import FEWEST
 from loopcal.statistics.repeats_summary import noise_table, sentence, summary
-from loopcal.statistics.resolution import grid
 from tests.refusals import refused
 
 DRAWS = 800

@@ -12,10 +12,11 @@ from scipy.stats import multivariate_normal
 
 import loopcal as lc
 from loopcal.errors import Code, InputError
+from loopcal.estimation.calibrate import calibrate
 from loopcal.statistics import validation
 from loopcal.statistics.blocks import blocks
 from loopcal.statistics.folds import folds, grouped, held_out, repeated
-from loopcal.statistics.validation import compare_methods, validate
+from loopcal.statistics.validate import compare_methods, validate
 from tests.reference.simulated import arm_at, planar_arm
 from tests.refusals import refused
 
@@ -310,7 +311,7 @@ def test_a_fold_that_fails_is_reported_and_the_others_count(
     def failing(mechanism: lc.Mechanism, data: lc.Dataset, **how: Any) -> lc.Result:
         if not gone & set(data.poses):
             raise InputError("these poses do not close")
-        return lc.calibrate(mechanism, data, **how)
+        return calibrate(mechanism, data, **how)
 
     whole = validate(ARM.truth, DATA, noise=NOISE, folds=5)
     monkeypatch.setattr(validation, "calibrate", failing)

@@ -181,6 +181,23 @@ def test_never_silently_worse_than_a_rival() -> None:
     assert verdict_of(replace(clean(), validation=None)).better.code == "not-validated"
 
 
+def test_a_result_knows_its_verdict_and_files_hold_the_same(tmp_path: Path) -> None:
+    result = corner()
+    assert result.verdict == lc.verdict(result)
+    lc.write_result(result, tmp_path)
+    assert lc.read_result(tmp_path / "result.json").verdict == result.verdict
+
+
+def test_a_chosen_result_is_judged_by_its_validation_and_candidates() -> None:
+    arm = planar_arm(40)
+    result = lc.calibrate(arm.truth, arm.read(SDS, 1), noise=lc.Noise(SDS), method="auto")
+    assert result.verdict is not None
+    assert result.chosen is not None
+    rival = next(c for c in result.chosen.over if c.name == "nominal")
+    assert result.verdict.better.number == rival.difference
+    assert "sd of the difference" in result.verdict.better.words
+
+
 def test_false_alarms_over_clean_draws_are_rare() -> None:
     arm = planar_arm(40)
     found = []
@@ -188,6 +205,31 @@ def test_false_alarms_over_clean_draws_are_rare() -> None:
         result = lc.calibrate(arm.truth, arm.read(SDS, seed), noise=lc.Noise(SDS), start="nominal")
         found.append(lc.verdict(result).sound.passed)
     assert found.count(False) <= 2
+
+
+@pytest.mark.parametrize(("change", "names"), [("far", True), ("shrunk", True), ("near", False)])
+def test_no_machine_is_that_far_from_its_drawing(change: str, names: bool) -> None:
+    document = clean()
+
+    def moved(p):
+        if p.unit != "m" or p.fixed:
+            return p
+        value = {"far": p.nominal + 100.0, "shrunk": 1e-14, "near": 1.5 * p.nominal}[change]
+        return replace(p, value=value)
+
+    judged = verdict_of(replace(document, parameters=tuple(map(moved, document.parameters))))
+    assert (judged.sound.code == "far-from-nominal") is names
+    assert judged.sound.passed is not names
+
+
+def test_a_hundred_prior_sds_are_too_far_for_every_method() -> None:
+    document = clean()
+    first = next(p for p in document.parameters if not p.fixed)
+    for sds, code in ((101.0, "far-from-nominal"), (90.0, "prior-tension")):
+        off = replace(first, prior_sd=1e-5, value=first.nominal + sds * 1e-5)
+        parameters = tuple(off if p is first else p for p in document.parameters)
+        found = verdict_of(replace(document, parameters=parameters)).sound
+        assert (found.code, found.passed) == (code, False)
 
 
 def test_every_code_is_described() -> None:

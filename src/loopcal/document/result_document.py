@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
 from loopcal.document.bounds import Count, Size
+from loopcal.document.change_points import ChangePoints
 from loopcal.document.choice import Chosen
 from loopcal.document.dependence import Dependence
 from loopcal.document.findings import (
@@ -71,6 +72,17 @@ class DataEntry:
     """Quantities that were read."""
     joined: tuple[JoinedFile, ...] = ()
     """Further files of the same poses, joined by pose id."""
+    copied: tuple[str, ...] = ()
+    """Ids of the poses left out because their rows copy others in every column."""
+
+    def warnings(self) -> tuple[str, ...]:
+        """What the reader must know of the rows."""
+        number = len(self.copied)
+        if not number:
+            return ()
+        named = ", ".join(self.copied[:5]) + (", ..." if number > 5 else "")
+        rows = f"{number} rows copy others" if number > 1 else "1 row copies another"
+        return (f"{rows} in every column (pose {named}): each measurement counts once.",)
 
 
 @dataclass(frozen=True)
@@ -161,6 +173,8 @@ class ResultDocument:
     """Models that were compared; null: none were."""
     dependence: Dependence | None = None
     """Whether residuals depend on pose order or place; null: not tested."""
+    change_points: ChangePoints | None = None
+    """What moved along the run; null: not sought."""
     identifiability: Identifiability
     observability: Observability | None
     """Null: not computed."""
@@ -226,6 +240,8 @@ def _state(document: ResultDocument) -> list[str]:
     )
     lines = [f"FILE AT FAULT  {fault}" for fault in document.column_faults or ()]
     lines.append(f"{head} in {steps} on {poses}")
+    if document.chosen is not None:
+        lines.append(f"chosen: {document.chosen.words}")
     if not status.converged:
         lines.append(f"  {status.message}")
     chi = document.chi_squared

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Unpack
 
+import numpy as np
+
 from loopcal.document.findings import ColumnFault
 from loopcal.errors import InputError
 from loopcal.estimation.faults.search import column_faults, suspicious
@@ -15,6 +17,7 @@ from loopcal.estimation.noise.learning import components, with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
 from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.problem.size import refuse_collapse
 from loopcal.estimation.problem.unreachable import refuse_unreachable
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.fallback import solve_or_fall_back
@@ -22,6 +25,7 @@ from loopcal.estimation.solve.robust import solve_robust
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import Progress
+from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
@@ -40,43 +44,22 @@ def calibrate(
     noise: NoiseLike | None = None,
     fit: Fit | None = None,
     progress: Progress | None = None,
+    near: bool = False,
     **options: Unpack[FitOptions],
 ) -> Result:
-    """Calibrate a mechanism from readings.
+    """Calibrate a mechanism by one stated method.
 
-    data: a Dataset, or a dict of (N,) arrays or any DataFrame of readings in SI units; noise: a
-    Noise, or a dict of sds [SI] by quantity, which every method needs that is not exact; fit: the
-    settings, or as keyword arguments prior, method, loss, start, max_iterations and tolerance,
-    which override it; progress: called at every iteration. Angles are rad, lengths m throughout.
-
-    method "implicit-loop" (default) finds the parameters of maximum likelihood while every loop
-    closes: minimise sum_i c_i^T Sigma^-1 c_i + (p - nominal)^T Sigma_p^-1 (p - nominal) over
-    parameters p and corrections c_i subject to f(reading_i + c_i, p) = 0 (Wampler, Hollerbach and
-    Arai 1995; thesis 3.7 to 3.30). "least-squares" takes the readings as exact and minimises the
-    sum of squared loop values (thesis 3.1 to 3.6), without noise or prior. "reweighted" weights
-    the loop values at the readings by their propagated noise J_x Sigma J_x^T, and lets that noise
-    say nothing about the parameters: the robust choice where poses are alike and sds guessed.
-    "implicit-loop-undamped" is the iteration of the thesis, for study.
-
-    loss "huber" or "student-t" lets poses that do not fit count less
-    (`loopcal.estimation.solve.loss`); the covariance is then valid without normal errors, and
-    there is no chi-squared. It needs "implicit-loop" or "reweighted" and stated sds.
-
-    start "nominal"; "align" moves the nominal machine rigidly to where the instrument sees it;
-    "auto" (default) aligns a machine whose placement parameters are free with flat priors; or
-    parameter values [SI] by name.
-
-    A file that is at fault as a whole (columns in another unit, reversed or exchanged, rows shifted
-    or shuffled, readings of another machine) is recognised before the fit where it begins at the
-    nominal machine. The fit is then cut short, no sd is estimated, and `Result.faults` names them.
-
-    Raises InputError for input that cannot be used. A fit that does not converge is returned, with
-    the reason in its status.
+    As `loopcal.statistics.calibrate.calibrate`, which also chooses the method. near: the fit begins
+    where one of nearly the same readings ended, so a misfit is no reason to try other starts.
     """
     fit, stated = Fit.of(fit, options), Noise.of(noise)
     refuse_noise(fit, stated)
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
+    copied = copies(data, [*mechanism.quantities, *mechanism.known], mechanism.outputs)
+    if copied.size:
+        kept = np.delete(np.arange(len(data)), copied)
+        data, stated = data.without_copies(copied), stated and stated.take(kept)
     mechanism = modelled(fit, fit.with_prior(mechanism), len(data))
     told = noise_told(fit, mechanism, data, stated)
     refuse_learning(fit, mechanism, told)
@@ -97,7 +80,7 @@ def calibrate(
         return fit.solver.solve(problem, **limits)
 
     learns = told is not None and bool(told.estimate or mechanism.terms)
-    judged = not (fit.solver.exact or fit.robust_loss or learns)
+    judged = not (near or fit.solver.exact or fit.robust_loss or learns)
 
     own = (fit.tolerance or LEARNT) if told is not None and mechanism.terms else fit.tolerance
 
@@ -110,8 +93,14 @@ def calibrate(
             return once(problem)
         return solve_or_fall_back(problem, once, fit.max_iterations, judged=judged)
 
+    if learns:
+        import scipy.linalg  # noqa: F401  before the limit, which then holds for its threads too
+
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)
+        if fit.solver.exact or fit.solver.at_readings:
+            arrays = problem.readings, problem.known, problem.uncertainty.sd
+            refuse_collapse(problem.mechanism, *arrays, priors=not fit.solver.exact)
         faults: tuple[ColumnFault, ...] = ()
         if isinstance(fit.start, str) and suspicious(problem):
             faults = column_faults(problem)
@@ -135,7 +124,7 @@ def calibrate(
 
 def refuse_noise(fit: Fit, noise: Noise | None) -> None:
     """Raise InputError where these settings need a noise, or cannot learn from this one."""
-    if noise is None and not fit.method.exact:
+    if noise is None and not fit.method.exact and not fit.method.choice:
         raise InputError(
             f"the method {fit.method.name!r} needs the sds of the readings",
             code="missing-sd",

@@ -11,6 +11,8 @@ from loopcal.errors import InputError, nearest
 from loopcal.estimation.methods.method import Method
 from loopcal.estimation.methods.registry import DEFAULT, method_named, names_where
 from loopcal.estimation.solve.loss import Loss, loss_named
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.prior import Prior, PriorLike
 
@@ -129,6 +131,20 @@ class Fit:
             **options,
         }
         return Fit(**every)
+
+    def among(self, data: Dataset, noise: Noise | None) -> tuple[Method, ...]:
+        """The methods that its own chooses among and that these readings allow; itself if none.
+
+        Without any sd only those that take the readings as exact; under a loss only those that
+        have one.
+        """
+        stated = bool(data.sds) or (noise is not None and bool(noise.entries or noise.estimate))
+        lossless = self.robust_loss is None
+        return tuple(
+            m
+            for m in self.method.choice or (self.method,)
+            if not self.method.choice or ((stated or m.exact) and (lossless or m.robust))
+        )
 
     @property
     def solver(self) -> Method:

@@ -37,7 +37,7 @@ def noise_told(fit: Fit, mechanism: Mechanism, data: Dataset, noise: Noise | Non
         return noise
     begin = None if noise is None else noise.begin
     if fit.method.exact:
-        noise = _of_instruments(mechanism, data)
+        noise = instrument_noise(mechanism, data)
     elif noise is not None and _isotropic(mechanism) and MODEL not in noise.entries:
         estimate = {**noise.estimate, MODEL: "group"}
         noise = Noise({**noise.entries, MODEL: BEGIN}, estimate=estimate)
@@ -70,8 +70,11 @@ def _isotropic(mechanism: Mechanism) -> bool:
     return len({mechanism.quantities[q] for q in mechanism.outputs}) <= 1
 
 
-def _of_instruments(mechanism: Mechanism, data: Dataset) -> Noise:
-    """All readings exact but those of instruments, which have one learnt sd in each unit."""
+def instrument_noise(mechanism: Mechanism, data: Dataset) -> Noise:
+    """All readings exact but those of instruments, which have one learnt sd in each unit.
+
+    Raises InputError for a loop without any of these.
+    """
     entries: dict[str, float] = {}
     groups: dict[tuple[str, str], list[str]] = {}
     forms = {q: f.form for f in mechanism.families if f.form != "closure" for q in f.readings}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.document.choice import Chosen
 from loopcal.document.dependence import Dependence
 from loopcal.document.findings import ColumnFault, Identifiability
 from loopcal.document.fit import ClosureEntry, NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.plain import known
-from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
+from loopcal.document.result_document import SCHEMA, DataEntry, MechanismEntry, ResultDocument
 from loopcal.document.terms import TermEntry
+from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
 from loopcal.estimation.dependence.dependence import Depending, dependence
@@ -51,6 +53,8 @@ if TYPE_CHECKING:
     from loopcal.estimation.noise.kenward_roger import LearntParameters
 
 Array = NDArray[np.float64]
+Addition = Callable[[ResultDocument], ResultDocument]
+"""Adds to the document of a result what was found beside the fit."""
 
 
 @dataclass(frozen=True)
@@ -82,11 +86,15 @@ class Result:
     estimate: NoiseEstimate | None = None
     all_poses: AllPoses | None = None
     notes: tuple[str, ...] = ()
+    additions: tuple[Addition, ...] = ()
+    """What the document gains beyond the fit: a choice of method, a validation, a verdict."""
     variance_factor_applied: bool = False
     """Whether covariance and sds were multiplied by the variance factor, on request."""
     errors: Mapping[str, float] | None = None
     """True minus estimated value of the parameters whose truth is known."""
     faults: tuple[ColumnFault, ...] = ()
+    judge: Callable[[Result], Verdict] | None = None
+    """What judges the result when its verdict is first asked for."""
 
     @property
     def method(self) -> str:
@@ -140,9 +148,25 @@ class Result:
         """Of the estimated parameters, and how sure it is itself: sds that were learnt are not
         known, and those of least squares come from its residuals. It allows for serial dependence
         where there is any."""
-        loss, method = self.fit.robust_loss, self.fit.solver
         if self._depending is not None and self._depending.covariance is not None:
             return LearntCovariance.known(self._depending.covariance)
+        return self._independent
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the covariance allows for serial dependence."""
+        return self._depending is not None and self._depending.covariance is not None
+
+    @property
+    def covariance_if_independent(self) -> Array:
+        """(n, n) of the estimated parameters, were no residuals dependent. It tests nothing."""
+        if self._learnt is not None and not self.variance_factor_applied:
+            return self._learnt.matrix
+        return self._independent.matrix
+
+    @cached_property
+    def _independent(self) -> LearntCovariance:
+        loss, method = self.fit.robust_loss, self.fit.solver
         if loss is not None:
             sums = self.robust_sums if self.all_poses is None else self.all_poses.robust
             return LearntCovariance.known(sums.covariance(self.spectrum, self.problem.prior_sd))
@@ -359,7 +383,7 @@ class Result:
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What the reader must know before using the result."""
-        found = [*self.identifiability.warnings()]
+        found = [*self._data.warnings(), *self.identifiability.warnings()]
         if self.status.converged and self.status.note:
             found.insert(0, self.status.note)
         if self.mechanism.placement is not None:
@@ -419,9 +443,39 @@ class Result:
         """The mechanism with the calibrated values as its nominal ones."""
         return self.mechanism.with_nominal(self.value)
 
+    @property
+    def _data(self) -> DataEntry:
+        return data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities])
+
+    def adding(self, *additions: Addition) -> Result:
+        """The same result with a document that gains these."""
+        return replace(self, additions=(*self.additions, *additions))
+
+    @property
+    def chosen(self) -> Chosen | None:
+        """What the method "auto" chose; None: the method was stated."""
+        return self.document.chosen
+
+    @cached_property
+    def verdict(self) -> Verdict | None:
+        """Whether the result can be used, and for what; None: nothing was there to judge it.
+
+        With the validation and the candidates of a choice of method. It takes as long as the search
+        for outliers, change points and other optima.
+        """
+        return None if self.judge is None else self.judge(self)
+
     @cached_property
     def document(self) -> ResultDocument:
-        """The result as result.json holds it, without what further statistics add."""
+        """The result as result.json holds it, with what was added to it."""
+        with one_blas_thread():
+            document = self._document
+            for addition in self.additions:
+                document = addition(document)
+            return document
+
+    @property
+    def _document(self) -> ResultDocument:
         errors = self.errors or {}
         loose = self.identifiability.loose
         return ResultDocument(
@@ -457,7 +511,7 @@ class Result:
             prediction=None,
             outliers=None,
             column_faults=self.faults or None,
-            data=data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities]),
+            data=self._data,
             warnings=self.warnings,
             inputs={},
             versions={},

@@ -132,7 +132,10 @@ class Dataset:
         return self.source.place(index, self.poses[index], quantity, sd=sd)
 
     def take(self, which: ArrayLike | slice) -> Dataset:
-        """The poses at these positions (from 0), in this order; a boolean mask (N,) or a slice."""
+        """The poses at these positions (from 0), in this order; a boolean mask (N,) or a slice.
+
+        A position may come several times: its pose then counts as often.
+        """
         index = np.arange(len(self), dtype=np.int64)[
             which if isinstance(which, slice) else np.asarray(which)
         ]
@@ -161,6 +164,13 @@ class Dataset:
         source = replace(self.source, excluded=(*self.source.excluded, *names))
         kept = np.delete(np.arange(len(self)), gone)
         return replace(self, source=source).take(kept)
+
+    def without_copies(self, copied: NDArray[np.intp]) -> Dataset:
+        """All poses but those at these positions, whose rows copy others; the source lists them."""
+        names = tuple(self.poses[i] for i in copied)
+        source = replace(self.source, copied=(*self.source.copied, *names))
+        source = replace(source, rows_read=source.rows_read or len(self))
+        return replace(self, source=source).take(np.delete(np.arange(len(self)), copied))
 
     def thin(self, every: int) -> Dataset:
         """The 1st, (every + 1)th, ... pose; InputError unless `every` is 1 or more."""

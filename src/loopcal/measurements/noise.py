@@ -100,6 +100,15 @@ class Noise:
         begun.begin = dict(factors)
         return begun
 
+    def take(self, index: NDArray[np.intp]) -> Noise:
+        """The noise of the poses at these positions."""
+        part = copy(self)
+        part.entries = {
+            key: value[index] if _by_pose(key, value) else value
+            for key, value in self.entries.items()
+        }
+        return part
+
     def __repr__(self) -> str:
         def text(value: Any) -> str:
             if isinstance(value, Tracker):
@@ -121,6 +130,10 @@ class Noise:
         )
 
     __hash__ = None  # type: ignore[assignment]
+
+
+def _by_pose(key: object, value: object) -> bool:
+    return isinstance(value, np.ndarray) and value.ndim == (3 if isinstance(key, tuple) else 1)
 
 
 NoiseLike = Noise | Entries

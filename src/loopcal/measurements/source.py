@@ -23,6 +23,10 @@ class Source:
     """Poses that were there before any was left out."""
     excluded: tuple[str, ...] = ()
     """Ids of poses left out on request."""
+    copied: tuple[str, ...] = ()
+    """Ids of poses left out because their rows copy others."""
+    drawn: bool = False
+    """Whether some poses were taken several times, on purpose."""
     every: int = 1
     """Thinning: the 1st, (every + 1)th, ... row was kept."""
     rows: NDArray[np.int64] | None = None
@@ -48,7 +52,9 @@ class Source:
     def take(self, index: NDArray[np.int64]) -> Source:
         """The source of those poses alone."""
         rows = None if self.rows is None else self.rows[index]
-        return replace(self, rows=rows, joined=tuple(part.take(index) for part in self.joined))
+        drawn = self.drawn or len(np.unique(index)) < len(index)
+        joined = tuple(part.take(index) for part in self.joined)
+        return replace(self, rows=rows, joined=joined, drawn=drawn)
 
     def place(self, index: int, pose: str, quantity: str | None = None, *, sd: bool = False) -> str:
         """How messages call one value: "left.csv, row 14, column 'S'", or its pose and quantity."""

@@ -43,7 +43,7 @@ def blocks(mechanism: Mechanism, data: Dataset, groups: Index, number: int) -> t
 
 def blocks_of(scheme: Scheme, mechanism: Mechanism, data: Dataset, groups: Index) -> Parts:
     """The regions that a scheme leaves out one by one."""
-    indices = blocks(mechanism, data, groups, scheme.blocks)
+    indices = blocks(mechanism, data, groups, scheme.blocks or 0)
     words = f"{scheme.blocks} regions of the joint space of {len(data)} poses"
     return Parts(indices, {"blocks": scheme.blocks}, words)
 

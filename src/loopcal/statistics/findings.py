@@ -6,35 +6,60 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from loopcal.document.accuracy import Distances
+from loopcal.document.change_points import ChangePoints
 from loopcal.document.findings import Observability, OtherOptimum, RegionEntry
 from loopcal.document.result_document import ResultDocument
+from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.statistics.candidates import nominal_case
+from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, find_shifts
 from loopcal.statistics.identifiability import WhatDataSay, calibration_index, what_data_say
+from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.observability import data_spectrum, observability
 from loopcal.statistics.optima import other_optima
 from loopcal.statistics.outliers import Outliers, find_outliers
 from loopcal.statistics.predictor import Predictor, predictor, usual_words
 from loopcal.statistics.region import Span, region_of
+from loopcal.statistics.shifted import with_shifts
+from loopcal.statistics.validation import Case
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
     """identifiability: data beside prior; observability: of the poses; predictor: or None;
-    outliers: what does not fit; optima: others that fit about as well; region: where the machine
-    works, and the sd there."""
+    outliers: what does not fit; shifts: what moved along the run, toml: the lines that model it;
+    optima: others that fit about as well; region: where the machine works, and the sd there;
+    nominal: accuracy of the nominal machine, placed and mounted; noise_floor: what the noise of the
+    readings alone causes.
+
+    Poses that fit with the shifts modelled are not outliers.
+    """
 
     identifiability: WhatDataSay
     observability: Observability
     predictor: Predictor | None
     outliers: Outliers
+    shifts: Shifts
+    toml: str
     optima: tuple[OtherOptimum, ...]
     region: RegionEntry | None = None
+    nominal: Distances | None = None
+    noise_floor: float | None = None
 
     def added_to(self, document: ResultDocument) -> ResultDocument:
         """The document of the result with these figures."""
+        shifts, accuracy = self.shifts, document.accuracy
+        moved = ChangePoints(shifts.found, shifts.level, shifts.tested, self.toml)
+        if accuracy is not None:
+            nominal = accuracy.nominal or self.nominal
+            accuracy = replace(accuracy, nominal=nominal, noise_floor=self.noise_floor)
         return replace(
             document,
+            accuracy=accuracy,
+            change_points=moved,
+            warnings=(*document.warnings, *moved.warnings()),
             identifiability=self.identifiability.added_to(document.identifiability),
             observability=self.observability,
             prediction=None
@@ -54,7 +79,7 @@ class Findings:
                 f"prediction: {words} at 95 % of these poses"
                 for words in usual_words(self.predictor.usual)
             ]
-        lines += self.identifiability.words() + self.outliers.lines()
+        lines += self.identifiability.words() + self.outliers.lines() + self.shifts.lines()
         return "\n".join(lines + [str(optimum) for optimum in self.optima])
 
 
@@ -63,9 +88,13 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
 
     region: quantity -> range [SI] in which the machine works, where not its joints' limits.
     """
-    solution = result.solution
+    solution, chosen = result.solution, result.chosen is not None
     with one_blas_thread():
         known = predictor(result)
+        outliers = find_outliers(result)
+        searched = result.status.converged and not outliers.columns
+        shifts = find_shifts(result) if searched else NOT_SEARCHED
+        apart = tuple(o for o in outliers.found if o.pose not in shifts.explained)
         return Findings(
             what_data_say(
                 result.problem,
@@ -76,9 +105,13 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
             ),
             observability(result.information, solution.poses),
             known,
-            find_outliers(result),
+            replace(outliers, found=apart),
+            shifts,
+            with_shifts(result.mechanism, result.dataset, shifts.found).toml,
             () if result.all_poses is not None else other_optima(result),
             None if known is None else region_of(result, known, region),
+            None if result.all_poses is not None or chosen else nominal_distances(result),
+            None if result.all_poses is not None else noise_floor(result),
         )
 
 
@@ -87,3 +120,15 @@ def _unit_sd(result: Result) -> float | None:
     freedom = result.solution.equations - data_spectrum(result.information).rank
     variance = result.fit.solver.unit_variance(result.information.chi_squared, freedom)
     return None if variance is None else math.sqrt(variance)
+
+
+def nominal_distances(result: Result) -> Distances | None:
+    """Accuracy of the nominal machine, placed and mounted, on the poses of a result."""
+    if not result.mechanism.outputs:
+        return None
+    try:
+        case = Case(result.mechanism, result.dataset, None, replace(result.fit, prior=None))
+        found = nominal_case(case).calibrated().accuracy_after
+    except (InputError, NoTrustworthyResult):
+        return None  # nothing can be placed, or not by these readings
+    return None if found is None else found.distances

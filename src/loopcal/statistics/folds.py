@@ -30,7 +30,7 @@ class SchemeOptions(TypedDict, total=False):
     """The fields of `Scheme` as keyword arguments."""
 
     folds: int
-    blocks: int
+    blocks: int | None
     hold_out: float | None
     other: Dataset | None
     other_noise: NoiseLike | None
@@ -43,14 +43,14 @@ class Scheme:
     """Which poses take no part in a fit and are predicted by it.
 
     folds: in how many parts the poses are cut, each left out once; blocks: in how many regions of
-    the joint space, left out one by one besides, 0 for none; hold_out: instead leave out this
-    share once; other: instead calibrate on all and predict these readings (other_noise:
-    their noise where it is not the same); seed: of the choice; groups: one per pose, never split,
-    by default poses with the same driven readings.
+    the joint space, left out one by one besides, 0 for none, None for none but 5 with a method that
+    chooses; hold_out: instead leave out this share once; other: instead calibrate on all and
+    predict these readings (other_noise: their noise where it is not the same); seed: of the choice;
+    groups: one per pose, never split, by default poses with the same driven readings.
     """
 
     folds: int = 10
-    blocks: int = 0
+    blocks: int | None = None
     hold_out: float | None = None
     other: Dataset | None = None
     other_noise: NoiseLike | None = None

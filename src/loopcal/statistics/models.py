@@ -36,6 +36,7 @@ from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.effects.model import Model, with_only
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.folds import Scheme, grouped, stated_sds
+from loopcal.statistics.judging import verdict
 from loopcal.statistics.validation import Asked, Case, Validation, ValidationOptions, validated
 
 Array = NDArray[np.float64]
@@ -151,9 +152,10 @@ def compare_models(
         )
     if GEOMETRIC not in models:
         models = {GEOMETRIC: Model(), **models}
-    asked = Asked.of(fit, options)
+    asked, told = Asked.of(fit, options), Noise.of(noise)
     mechanism = asked.fit.with_prior(mechanism)
-    shared = Case(mechanism, data, Noise.of(noise), replace(asked.fit, prior=None))
+    by_one = asked.fit.changed(method=asked.fit.among(data, told)[0], prior=None)
+    shared = Case(mechanism, data, told, by_one)
     fits: dict[str, Result] = {}
     errors: list[InputError] = []
     found: list[ComparedModel] = []
@@ -173,7 +175,9 @@ def compare_models(
         raise errors[0]
     judged = _judged(found, _groups(shared, asked.scheme))
     chosen = recommended(judged)
-    return ModelComparison(tuple(judged), chosen, fits[chosen])
+    validation = next(m.validation for m in judged if m.name == chosen)
+    result = replace(fits[chosen], judge=partial(verdict, validation=validation))
+    return ModelComparison(tuple(judged), chosen, result)
 
 
 def _validated(one: ComparedModel, fit: Result, run: Callable[[], Validation]) -> ComparedModel:

@@ -11,7 +11,6 @@ knows no Sigma; its residual variance, the same for every loop equation, stands 
 from __future__ import annotations
 
 import math
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,17 +48,7 @@ class Held:
 
 def taken(noise: Noise | None, index: NDArray[np.intp] | None) -> Noise | None:
     """The noise of the poses at these positions."""
-    if noise is None or index is None:
-        return noise
-    part = copy(noise)
-    part.entries = {
-        key: value[index] if _by_pose(key, value) else value for key, value in noise.entries.items()
-    }
-    return part
-
-
-def _by_pose(key: object, value: object) -> bool:
-    return isinstance(value, np.ndarray) and value.ndim == (3 if isinstance(key, tuple) else 1)
+    return noise if noise is None or index is None else noise.take(index)
 
 
 def held_problem(fit: Result, data: Dataset, noise: Noise | None) -> Held:
@@ -124,9 +113,13 @@ class Predictive:
         return np.where(self.loops > 0, held, np.nan)
 
 
-def predictive(fit: Result, held: Held) -> Predictive | None:
-    """What the fit stated of these poses; None where their misclosures have no density."""
+def predictive(fit: Result, held: Held, covariance: Array | None = None) -> Predictive | None:
+    """What the fit stated of these poses; None where their misclosures have no density.
+
+    covariance: (n, n) of its parameters, by default its own.
+    """
     problem = held.problem
+    covariance = fit.covariance if covariance is None else covariance
     model = linear_model(problem, problem.start, held.corrections, ())
     own = 0.0
     if fit.fit.solver.exact:
@@ -141,7 +134,7 @@ def predictive(fit: Result, held: Held) -> Predictive | None:
     density, squares = np.zeros((2, len(problem.poses)))
     loops = np.zeros(len(problem.poses), dtype=np.intp)
     for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):
-        found = _densities(block, own, fit.covariance, free, limit / scale)
+        found = _densities(block, own, covariance, free, limit / scale)
         if found is None:
             return None
         density[poses], squares[poses] = found

@@ -18,7 +18,7 @@ from loopcal.errors import InputError
 from loopcal.measurements.checks import lost_rows, refuse_lost
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
-from loopcal.statistics.resolution import Grid, grid
+from loopcal.measurements.resolution import Grid, grid
 from loopcal.statistics.separation import Separation
 from loopcal.units import from_si, unit
 

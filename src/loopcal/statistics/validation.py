@@ -5,7 +5,8 @@ estimated anew, where they are estimated at all), and the outputs of the poses l
 computed from their other readings. Stone (1974), cross-validatory choice and assessment of
 statistical predictions. The refits begin at the solution of all poses, which saves iterations
 and gives nothing away: the optimum does not depend on where the search began. Where a part
-leaves a direction undetermined, it would; there the refit begins where the first fit did.
+leaves a direction undetermined, it would; there the refit begins where the first fit did. Whether
+residuals of neighbouring poses depend is asked of all poses once, not of each part again.
 """
 
 from __future__ import annotations
@@ -13,14 +14,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Unpack, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.accuracy import Coverage, FailedPart, ValidationEntry
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.tables import validation_table
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import Accuracy, accuracy, by_pose, deviations
 from loopcal.estimation.calibrate import calibrate
@@ -30,7 +30,7 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.measurements.dataset import Dataset
-from loopcal.measurements.noise import Noise, NoiseLike
+from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.blocks import blocks_of
 from loopcal.statistics.folds import (
@@ -42,9 +42,11 @@ from loopcal.statistics.folds import (
     parts_of,
     stated_sds,
 )
-from loopcal.statistics.predictive import LEVEL, Predictive, held_problem, predictive, taken
+from loopcal.statistics.predictive import LEVEL, Held, Predictive, held_problem, predictive, taken
 
 Array = NDArray[np.float64]
+NEARLY = 1e-3
+"""Where sds of terms are learnt, refits converge to so many sds: far less than these are known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,40 +122,6 @@ class ValidationOptions(FitOptions, SchemeOptions, total=False):
     """The fields of `Fit` and of `Scheme` as keyword arguments."""
 
 
-def validate(
-    mechanism: Mechanism,
-    data: Dataset | Any,
-    *,
-    noise: NoiseLike | None = None,
-    fit: Fit | None = None,
-    full: Result | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-    **options: Unpack[ValidationOptions],
-) -> Validation:
-    """How well this calibration predicts poses that it has not seen.
-
-    noise, fit: as in `calibrate`, with its keyword arguments; full: the calibration of all poses,
-    if it is at hand; executor: who does the refits, this process one by one if it is None, which
-    changes no value; progress: called with how many refits are done.
-
-    folds: in how many parts the poses are cut, each left out once (default 10); blocks: in how many
-    regions of the joint space, left out one by one besides (default none); hold_out: instead leave
-    out this share once; other: instead calibrate on all and predict these readings
-    (other_noise: their noise where it is not the same); seed: of the choice; groups: one per pose,
-    never split, by default poses with the same driven readings.
-
-    A part whose fit fails is reported (`Validation.failed`), and the others count. Raises
-    InputError as `calibrate` does and for a choice that cannot be made, and NoTrustworthyResult
-    where every refit fails.
-    """
-    if not isinstance(data, Dataset):
-        data = Dataset.from_arrays(data)
-    asked = Asked.of(fit, options)
-    case = Case(mechanism, data, Noise.of(noise), asked.fit)
-    return validated(case, full or case.calibrated(), asked.scheme, executor, progress)
-
-
 def validated(
     case: Case,
     whole: Result,
@@ -161,27 +129,76 @@ def validated(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Validation:
-    """`validate` for a case whose calibration of all poses is at hand."""
+    """The validation of a case whose calibration of all poses is at hand.
+
+    executor: who does the refits, this process one by one if it is None; progress: called with how
+    many refits are done. Raises as `loopcal.statistics.validate.validate`.
+    """
     if scheme.other is not None:
         other = scheme.other
         known = case.noise if scheme.other_noise is None else Noise.of(scheme.other_noise)
         name = other.source.name or "other readings"
-        part = _predicted(whole, other, known, np.arange(len(other)))
+        held = held_problem(whole, other, known)
+        part = _predicted(whole, held, np.arange(len(other)), whole.covariance)
         words = f"{len(other)} poses of {name}"
         return _pooled(whole, [part], Parts((), {"file": name}, words), other)
+    plan = planned(case, scheme)
+    made = left_out(case, whole, plan.indices, executor, progress)
+    return pooled(whole, made, plan, case.data)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Which poses of a case are left out together: at random, and by regions where asked for.
+
+    groups: (N,) of poses that are never split.
+    """
+
+    random: Parts
+    blocked: Parts | None
+    groups: Index
+
+    @property
+    def indices(self) -> tuple[Index, ...]:
+        """All parts, those at random first."""
+        return (*self.random.indices, *(self.blocked.indices if self.blocked else ()))
+
+
+def planned(case: Case, scheme: Scheme) -> Plan:
+    """The parts that a scheme leaves out of the readings of a case.
+
+    Raises InputError for a choice that cannot be made.
+    """
     sds = stated_sds(case.noise, case.mechanism, case.data)
     groups = grouped(case.mechanism, case.data, scheme.groups, sds)
-    parts = [parts_of(scheme, case.data, groups)]
-    if scheme.blocks:
-        parts.append(blocks_of(scheme, case.mechanism, case.data, groups))
-    begun = _Begun.at(case, whole)
-    indices = [index for part in parts for index in part.indices]
-    made = gathered(executor, _left_out, begun, indices, progress)
-    count = len(parts[0].indices)
-    found = _pooled(whole, made[:count], parts[0], case.data)
-    if len(parts) == 1:
+    blocked = blocks_of(scheme, case.mechanism, case.data, groups) if scheme.blocks else None
+    return Plan(parts_of(scheme, case.data, groups), blocked, groups)
+
+
+def left_out(
+    case: Case,
+    whole: Result,
+    indices: Sequence[Index],
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> list[Outcome]:
+    """Each part predicted by a fit of all other poses, in their order."""
+    return gathered(executor, _left_out, _Begun.at(case, whole), indices, progress)
+
+
+def pooled(whole: Result, made: Sequence[Outcome], plan: Plan, data: Dataset) -> Validation:
+    """The parts of a plan together.
+
+    Raises NoTrustworthyResult where no part at random could be predicted.
+    """
+    count = len(plan.random.indices)
+    found = _pooled(whole, made[:count], plan.random, data)
+    if plan.blocked is None:
         return found
-    return replace(found, blocked=_pooled(whole, made[count:], parts[1], case.data))
+    try:
+        return replace(found, blocked=_pooled(whole, made[count:], plan.blocked, data))
+    except NoTrustworthyResult:
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +217,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class _Predicted:
+class Predicted:
     """Poses that a fit has not seen, n of them, at these positions.
 
     measured, differences (c, n) [SI]: what is compared, and computed minus measured ones; stated:
@@ -214,11 +231,15 @@ class _Predicted:
 
 
 @dataclass(frozen=True)
-class _Failed:
+class Failed:
     """Poses at these positions that could not be predicted, and why."""
 
     index: Index
     reason: str
+
+
+Outcome = Predicted | Failed
+"""What became of a part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,19 +250,26 @@ class Case:
     data: Dataset
     noise: Noise | None
     fit: Fit
+    near: bool = False
+    """Whether it begins where a fit of nearly the same readings ended."""
 
     def calibrated(self, index: Index | None = None) -> Result:
         """The calibration of these poses, by default of all."""
         data = self.data if index is None else self.data.take(index)
-        return calibrate(self.mechanism, data, noise=taken(self.noise, index), fit=self.fit)
+        noise = taken(self.noise, index)
+        return calibrate(self.mechanism, data, noise=noise, fit=self.fit, near=self.near)
 
 
 @dataclass(frozen=True)
 class _Begun:
-    """What the fits of all parts share: the calibration, and where that of all poses ended."""
+    """What the fits of all parts share: the calibration, and where that of all poses ended.
+
+    drifts: whether all poses show serial dependence.
+    """
 
     case: Case
     near: Case
+    drifts: bool
 
     @classmethod
     def at(cls, case: Case, whole: Result) -> _Begun:
@@ -251,7 +279,10 @@ class _Begun:
             noise = (noise or Noise({})).begun_at(learnt.factors)
         # the mechanism of the calibration has the prior already
         fit = replace(case.fit, start=dict(whole.value), prior=None)
-        return cls(case, Case(whole.mechanism, case.data, noise, fit))
+        if whole.mechanism.terms:
+            fit = replace(fit, tolerance=fit.tolerance or NEARLY)
+        near = Case(whole.mechanism, case.data, noise, fit, near=True)
+        return cls(case, near, whole.drifts)
 
     def calibrated(self, index: Index) -> Result:
         """The calibration of these poses, begun where that of all poses ended."""
@@ -261,7 +292,7 @@ class _Begun:
         return found
 
 
-def _left_out(begun: _Begun, index: Index) -> _Predicted | _Failed:
+def _left_out(begun: _Begun, index: Index) -> Outcome:
     """The poses at these positions, predicted by a fit of the others."""
     case = begun.case
     rest = np.setdiff1d(np.arange(len(case.data)), index)
@@ -269,22 +300,24 @@ def _left_out(begun: _Begun, index: Index) -> _Predicted | _Failed:
         try:
             found = begun.calibrated(rest)
             if not found.status.converged:
-                return _Failed(index, f"the fit did not converge ({found.status.reason})")
-            return _predicted(found, case.data.take(index), taken(case.noise, index), index)
+                return Failed(index, f"the fit did not converge ({found.status.reason})")
+            covariance = found.covariance if begun.drifts else found.covariance_if_independent
+            held = held_problem(found, case.data.take(index), taken(case.noise, index))
+            return _predicted(found, held, index, covariance)
         except (InputError, NoTrustworthyResult) as error:
-            return _Failed(index, error.message)
+            return Failed(index, error.message)
 
 
-def _predicted(fit: Result, data: Dataset, noise: Noise | None, index: Index) -> _Predicted:
-    held = held_problem(fit, data, noise)
+def _predicted(fit: Result, held: Held, index: Index, covariance: Array) -> Predicted:
     rows = [fit.mechanism.tape.quantities.index(q) for q in fit.mechanism.compared]
     differences = output_differences(held.problem, held.problem.start, held.corrections)
-    return _Predicted(index, held.problem.readings[rows], differences, predictive(fit, held))
+    stated = predictive(fit, held, covariance)
+    return Predicted(index, held.problem.readings[rows], differences, stated)
 
 
 def _pooled(
     whole: Result,
-    made: Sequence[_Predicted | _Failed],
+    made: Sequence[Outcome],
     parts_left: Parts,
     data: Dataset,
 ) -> Validation:
@@ -292,9 +325,9 @@ def _pooled(
     failed = tuple(
         FailedPart(number, len(part.index), part.reason)
         for number, part in enumerate(made, 1)
-        if isinstance(part, _Failed)
+        if isinstance(part, Failed)
     )
-    parts = [part for part in made if isinstance(part, _Predicted)]
+    parts = [part for part in made if isinstance(part, Predicted)]
     if not parts:
         raise NoTrustworthyResult(
             f"no part could be predicted ({words}): {failed[0].reason}",
@@ -328,39 +361,3 @@ def _pooled(
         failed,
         inside[predicted] if judged else None,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class MethodComparison:
-    """Several ways to calibrate, each validated on the very same poses, by name."""
-
-    validations: Mapping[str, Validation]
-
-    def __str__(self) -> str:
-        units = [v.accuracy.unit for v in self.validations.values() if v.accuracy is not None]
-        entries = {name: found.entry for name, found in self.validations.items()}
-        return "\n".join(validation_table(entries, units[0] if units else ""))
-
-
-def compare_methods(
-    mechanism: Mechanism,
-    data: Dataset | Any,
-    methods: Mapping[str, Mapping[str, Any]],
-    **validation: Any,
-) -> MethodComparison:
-    """Several methods, noises or priors validated on the same folds.
-
-    methods: a name for each, with its keyword arguments of `validate`, such as
-    {"robust": {"noise": noise, "loss": "huber"}, "plain": {"noise": noise}}; validation: folds,
-    hold_out, other, seed, groups, executor, the same for all.
-
-    Raises InputError as `validate` does, and without any method.
-    """
-    if not methods:
-        raise InputError(
-            "no method is given to compare", code="missing-key", remedy="name one or more"
-        )
-    if not isinstance(data, Dataset):
-        data = Dataset.from_arrays(data)
-    found = {name: validate(mechanism, data, **how, **validation) for name, how in methods.items()}
-    return MethodComparison(MappingProxyType(found))

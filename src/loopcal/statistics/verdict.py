@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from loopcal import chi_squared
 from loopcal.document.accuracy import Distances
+from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Answer, Verdict
 from loopcal.presentation.rounding import significant
@@ -28,6 +29,12 @@ NEAR_ONLY = 5.0
 near these poses only."""
 WORSE = 1.5
 """Rms on poses not used over rms on poses used that is called too large."""
+FAR = 10.0
+"""A length that ends this many times the machine's size away from its nominal value is none."""
+BEYOND = 100.0
+"""The same of prior sds."""
+SHRUNK = 0.1
+"""A fit whose lengths add up to less than this share of the nominal ones has collapsed."""
 _CERTAIN = 2.0
 _RELATIVE = 0.41
 """sd of an rms of N distances in space over rms / sqrt(N): sqrt(2/3) / 2."""
@@ -102,16 +109,11 @@ def _noise_generous(document: ResultDocument) -> Said | None:
 
 
 def _prior_tension(document: ResultDocument) -> Said | None:
-    """|value - nominal| over the sd of that difference, prior_sd^2 - sd^2 in the Gaussian case."""
-    found = []
-    for p in () if document.sensors_exact else document.parameters:
-        if p.fixed or not p.prior_sd or p.sd is None:
-            continue
-        variance = p.prior_sd**2 - p.sd**2
-        if variance > 0.0:
-            found.append((abs(p.value - p.nominal) / math.sqrt(variance), p))
-    if not found:
+    """|value - nominal| over the prior sd, which the sd of that difference never exceeds."""
+    estimated = [p for p in document.parameters if p.prior_sd and not p.fixed]
+    if document.sensors_exact or not estimated:
         return None
+    found = [(abs(p.value - p.nominal) / (p.prior_sd or math.inf), p) for p in estimated]
     z, p = max(found, key=lambda one: one[0])
     if len(found) * math.erfc(z / math.sqrt(2.0)) >= RARE:
         return None
@@ -121,6 +123,44 @@ def _prior_tension(document: ResultDocument) -> Said | None:
         f"({significant(z, 2)} sds).",
         z,
     )
+
+
+def _far_from_nominal(document: ResultDocument) -> Said | None:
+    """Where a fit ends that lost its way: beyond the machine, beyond its prior, or shrunk to a
+    fraction of the machine."""
+    estimated = [p for p in document.parameters if not p.fixed]
+    lengths = [p for p in estimated if p.unit == "m"]
+    size = sum(abs(p.nominal) for p in document.parameters if p.unit == "m") + _farthest(document)
+    far = [(abs(p.value - p.nominal) / (FAR * size), p) for p in lengths if size > 0.0]
+    far += [(abs(p.value - p.nominal) / (BEYOND * p.prior_sd), p) for p in estimated if p.prior_sd]
+    worst, p = max(far, key=lambda one: one[0], default=(0.0, None))
+    if p is not None and worst > 1.0:
+        off, nominal = with_unit(p.value - p.nominal, p.unit), with_unit(p.nominal, p.unit)
+        return Said(
+            f"{p.name} ended {off} away from its nominal value, {nominal}: no machine is so far "
+            "from its drawing.",
+            worst,
+        )
+    drawn, found = (sum(map(abs, v)) for v in ([p.nominal for p in lengths], _values(lengths)))
+    if drawn > 0.0 and found < SHRUNK * drawn:
+        return Said(
+            f"The estimated lengths shrank to {significant(found / drawn, 2)} of the nominal ones.",
+            found / drawn,
+        )
+    return None
+
+
+def _values(parameters: Sequence[ParameterEntry]) -> list[float]:
+    return [p.value for p in parameters]
+
+
+def _farthest(document: ResultDocument) -> float:
+    """The largest typical length [m] that was read: how far away instruments stand."""
+    if document.prediction is None or document.mechanism is None:
+        return 0.0
+    units = document.mechanism.quantities
+    read = [abs(v) for q, v in document.prediction.typical.items() if units.get(q) == "m"]
+    return max(read, default=0.0)
 
 
 def _spatial(document: ResultDocument) -> Said | None:
@@ -209,6 +249,11 @@ def _undetermined(document: ResultDocument) -> Said | None:
     return Said(f"These poses do not determine {', '.join(loose)}.", float(len(loose)))
 
 
+def _rows_copied(document: ResultDocument) -> Said | None:
+    said = document.data.warnings()
+    return Said(said[0], float(len(document.data.copied))) if said else None
+
+
 def _no_test(document: ResultDocument) -> Said | None:
     if document.sensors_exact:
         return Said("Least squares states no sds of sensors, so nothing tests them.")
@@ -223,6 +268,12 @@ _MODEL = "Check the sds of the sensors. If they are right, allow for a model err
 SOUND: tuple[Rule, ...] = (
     Rule("column-fault", False, _column_faults, _COLUMNS),
     Rule("not-converged", False, _not_converged, "Follow the advice of the message."),
+    Rule(
+        "far-from-nominal",
+        False,
+        _far_from_nominal,
+        "Check units and columns. State priors from the drawing, or measure other poses.",
+    ),
     Rule(
         "prior-tension",
         False,
@@ -253,6 +304,7 @@ SOUND: tuple[Rule, ...] = (
         "Check for missing effects (compliance, eccentric gears, drift).",
     ),
     Rule("outliers", None, _outliers, "Inspect these poses; correct or exclude them."),
+    Rule("rows-copied", None, _rows_copied, "Check how the file was made; delete the copies."),
     Rule("other-optimum", None, _optima, "State priors from the drawing."),
     Rule(
         "not-identifiable",

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import DomainError, NoTrustworthyResult
-from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
@@ -24,6 +23,7 @@ from loopcal.files.study.study_file import Scenario, StudyMethod
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.simulation.simulate import Simulation, simulate
+from loopcal.statistics.calibrate import calibrate
 
 Array = NDArray[np.float64]
 Columns = dict[str, list[str] | NDArray[np.float64]]

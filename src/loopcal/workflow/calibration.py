@@ -12,7 +12,6 @@ from typing import Any
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import QUESTIONS
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
-from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.estimation.result import Result
@@ -29,7 +28,10 @@ from loopcal.files.result.result_file import WrittenResult
 from loopcal.files.result.truth_file import read_truth
 from loopcal.files.versions import versions as known_versions
 from loopcal.measurements.checks import DataWarning
+from loopcal.statistics.calibrate import calibrate
 from loopcal.statistics.findings import Findings, findings
+from loopcal.statistics.folds import Scheme
+from loopcal.statistics.validation import Case
 from loopcal.statistics.verdict import refuses, verdict_of
 from loopcal.workflow.projects import named_project
 
@@ -128,7 +130,7 @@ def run_calibration(
             )
     run = _Run(named_project(project, function), request, out, executor, listeners)
     stream = project_stream(run.project)
-    folded = run.validation is not None and run.validation.folds
+    folded = run.fit.method.choice or (run.validation is not None and run.validation.folds)
     if executor and not (folded or stream or run.patterns or request.compare):
         raise UsageError(
             "a single fit in memory cannot use --workers or --cluster",
@@ -248,7 +250,20 @@ class _Run:
         pieces = self.listeners.pieces
         return {"executor": self.executor, "progress": pieces and partial(pieces, what)}
 
+    def _chosen(self, loaded: LoadedData) -> _Done:
+        """The calibration by the method that poses not used choose, validated thereby."""
+        from loopcal.statistics.choice import choose
+
+        case = Case(self.project.mechanism, loaded.dataset, loaded.noise, self.fit)
+        scheme = None
+        if self.validation is not None:
+            poses = loaded.dataset.poses
+            scheme = Scheme(**validation_arguments(self.project, self.validation, poses))
+        return _Done(choose(case, scheme, **self._shared("fits")).calibrated)
+
     def _calibrated(self, loaded: LoadedData) -> _Done:
+        if self.fit.method.choice:
+            return self._chosen(loaded)
         result = calibrate(
             self.project.mechanism,
             loaded.dataset,
@@ -264,7 +279,7 @@ class _Run:
 
     def _validated(self, result: Result, loaded: LoadedData) -> _Done:
         """The calibration of all poses, with its validation."""
-        from loopcal.statistics.validation import validate
+        from loopcal.statistics.validate import validate
 
         assert self.validation is not None
         given: dict[str, Any] = {"noise": loaded.noise, "fit": self.fit}
@@ -312,7 +327,8 @@ class _Run:
         document = told.added_to(result.document)
         for addition in done.add:
             document = addition(document)
-        document = replace(document, verdict=verdict_of(document, asked.tolerance))
+        judged = verdict_of(document, asked.tolerance)
+        document = replace(document, verdict=judged)
         words = tuple(str(warning) for warning in warnings)
         written = write_result(
             result,
@@ -323,6 +339,7 @@ class _Run:
             document=document,
             report=self.request.report,
         )
+        result = replace(result, judge=lambda _: judged)
         return Calibration(result, told, written, words, self._objection(written.document))
 
     def _objection(self, document: ResultDocument) -> str | None:

@@ -104,15 +104,21 @@ def _whole(
     return Whole(DD, DE, EE, P, root.T @ pull, square, count)
 
 
-def _spatial(problem: Problem, order: NDArray[np.intp]) -> Pairs:
-    """The neighbours in joint space, of what no instrument reads: angles on the circle, lengths by
-    their spread."""
+def joint_rows(problem: Problem) -> list[int]:
+    """The quantities by which a pose is a place: measured, but not by an instrument."""
     mechanism = problem.mechanism
     read = {q for f in mechanism.families for q in f.readings} | {*mechanism.outputs}
     aside = read | {*mechanism.disturbances}
     hidden = set(np.flatnonzero(np.isinf(problem.uncertainty.sd).any(axis=1)).tolist())
     names = mechanism.tape.quantities
-    rows = [i for i, q in enumerate(names) if q not in aside and i not in hidden]
+    return [i for i, q in enumerate(names) if q not in aside and i not in hidden]
+
+
+def _spatial(problem: Problem, order: NDArray[np.intp]) -> Pairs:
+    """The neighbours in joint space, of what no instrument reads: angles on the circle, lengths by
+    their spread."""
+    mechanism, names = problem.mechanism, problem.mechanism.tape.quantities
+    rows = joint_rows(problem)
     if not rows:
         return np.zeros((2, 0), dtype=np.intp)
     order = order[:: -(-len(order) // MOST_NEIGHBOURS)]

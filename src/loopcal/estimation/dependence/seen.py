@@ -58,7 +58,7 @@ def seen(
     rows = [problem.mechanism.tape.quantities.index(q) for q in readings]
     N, q, k = len(problem.poses), len(rows), root.shape[1]
     found = Seen(np.zeros((N, q)), np.zeros((N, q, k)), np.zeros((N, q, q)))
-    units = _units(problem, rows)
+    units = units_of(problem, rows)
     missing = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[rows])
     for block in equations:
         X = block.X[:, :, rows] * units * ~missing.T[block.poses][:, None, :]
@@ -69,7 +69,7 @@ def seen(
     return found
 
 
-def _units(problem: Problem, rows: Sequence[int]) -> Array:
+def units_of(problem: Problem, rows: Sequence[int]) -> Array:
     """(q,) the usual sd of each reading [SI]; 1 where they are taken as exact."""
     sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[list(rows)]
     known = np.isfinite(sd) & (sd > 0.0)

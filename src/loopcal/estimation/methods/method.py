@@ -37,7 +37,8 @@ class Method:
     corrected to; likelihood: minimises one function of the parameters, whose profile is an
     interval; robust: accepts a loss other than the gaussian one; streamable: needs only sums over
     the poses, so they may come in chunks; damped: the method with the same optimum whose steps are
-    damped, None where its own are.
+    damped, None where its own are; choice: the methods that it chooses among by poses not used,
+    none where it is one by itself.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Method:
     robust: bool = False
     streamable: bool = False
     damped: Method | None = None
+    choice: tuple[Method, ...] = ()
 
     @property
     def safe(self) -> Method:

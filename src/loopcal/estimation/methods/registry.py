@@ -16,6 +16,7 @@ METHODS = {
     "least-squares": "least_squares",
     "reweighted": "reweighted",
     "implicit-loop-undamped": "undamped",
+    "auto": "auto",
 }
 """Name -> module in this folder, which defines METHOD. The first is the default."""
 DEFAULT = next(iter(METHODS))

@@ -55,9 +55,10 @@ _FAR = 100.0
 """A variance so many times the stated one, or less than it by as much, is checked again."""
 _ROUGHLY, _SLOWLY = 0.1, 100.0
 """Variance ratios that change less than this are roughly right; early ones fall no faster."""
-NEAR, ROUGH = 1e-3, 1e-2
+NEAR, NEARBY, ROUGH = 1e-3, 1e-2, 1e-2
 """With terms, logarithms of variances still change by so much in the last round, far less than
-their uncertainty; the first fit ends so many sds near the optimum."""
+their uncertainty, the second where the search begins at those of nearly the same readings; the
+first fit ends so many sds near the optimum, the third."""
 _FAILURES = 1
 """So many fits in succession may end without converging."""
 _HOPELESS = 1e5
@@ -302,7 +303,7 @@ class _Search:
                 change = max(change, _change(np.square(scales), np.square(found.terms.scales)))
             ended = change <= _SETTLED or abs(before - found.criterion) <= _BETTER
             if found.terms is not None:
-                ended = change <= NEAR
+                ended = change <= (NEARBY if near else NEAR)
             if ended and vanish and not failed and rough is None:
                 return _Round(present, solution, found, found.converged, iterations)
             if failed > _FAILURES or _hopeless(solution):

@@ -67,12 +67,15 @@ def calibrate_stream(
     if not stream.count:
         raise InputError("the stream has no poses", code="no-data", remedy="give at least one pose")
     first, fit = stream.chunk(0), fit or Fit()
+    fit = fit.changed(method=fit.among(first.data, first.noise)[0])
     refuse_unstreamable(fit)
     _refuse_estimates(fit, first.noise)
     mechanism = modelled(fit, fit.with_prior(mechanism), stream.poses)
     exact, told = fit.solver.exact, first.noise
     learns = bool(mechanism.terms) and not exact
     if learns:
+        import scipy.linalg  # noqa: F401  before the limit on threads of linear algebra
+
         refuse_learning(fit, mechanism, told)
         stream = weighed = Weighed(fit, mechanism, stream)
         told = weighed.told(first)

@@ -28,7 +28,7 @@ def validation_arguments(
     """
     found: dict[str, Any] = {
         "folds": asked.folds or 0,
-        "blocks": asked.blocks or 0,
+        "blocks": asked.blocks,
         "hold_out": asked.hold_out,
     }
     if asked.file is not None:

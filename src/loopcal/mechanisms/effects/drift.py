@@ -1,4 +1,4 @@
-"""Parameters that do not stay: an instrument that drifts, a reflector that was set anew."""
+"""What does not stay: an instrument that drifts, a reflector that was set anew, a joint's zero."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.mechanisms.effects.effect import Changing, Name, meant
+from loopcal.mechanisms.effects.effect import Name, meant
 from loopcal.mechanisms.frame import Values
 from loopcal.mechanisms.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism
@@ -20,6 +20,9 @@ from loopcal.units import difference_to_si, to_si, unit
 DRIFT_SD, SHIFT_SD = 1e-3, 1e-2
 """Prior sds [m or rad]: 1 mm or 1 mrad over a drift's span, 10 mm or 10 mrad at a shift."""
 
+Moving = Annotated[
+    tuple[str, ...], Key("Parameters by names or globs, and readings by name.", least=1)
+]
 Column = Annotated[str, Key("Name of the known constant, such as a time or a temperature.")]
 Since = Annotated[float, Key("Value of the known constant at which the drift is zero.")]
 Over = Annotated[float, Key("Span in which the drift grows to P_drift.", positive=True)]
@@ -29,14 +32,15 @@ Over = Annotated[float, Key("Span in which the drift grows to P_drift.", positiv
 class Drift:
     """Parameters linear in a known constant t: p' = p + P_drift (t - since) / over.
 
-    changing: parameters by names or globs, such as base_* for the place of an instrument; column:
-    the known constant t; unit: of since and over, such as "s", "K" or "1"; since, over: where the
-    drift is zero, and the span in which it grows to P_drift [m or rad].
+    changing: parameters by names or globs, such as base_* for the place of an instrument, or
+    readings, whose zeros drift: x' = x - x_drift (t - since) / over; column: the known constant t;
+    unit: of since and over, such as "s", "K" or "1"; since, over: where the drift is zero, and the
+    span in which it grows to P_drift [m or rad].
 
     Raises InputError for a span that is not a positive number.
     """
 
-    changing: Changing = ("base_*",)
+    changing: Moving = ("base_*",)
     column: Column = "t"
     unit: Annotated[str, Key("Unit of since and over.", is_unit=True)] = "1"
     since: Since = 0.0
@@ -54,8 +58,8 @@ class Drift:
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """P_drift of each parameter, in its unit."""
         return {
-            f"{p.name}_drift": Parameter(f"{p.name}_drift", 0.0, p.unit, DRIFT_SD)
-            for p in meant(mechanism, self.changing)
+            f"{name}_drift": Parameter(f"{name}_drift", 0.0, its, DRIFT_SD)
+            for name, its in _units(mechanism, self.changing).items()
         }
 
     def known(self, mechanism: Mechanism) -> dict[str, str]:
@@ -63,11 +67,13 @@ class Drift:
         return {self.column: unit(self.unit).si}
 
     def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
-        """The parameters as they are at t."""
+        """The parameters as they are at t, and the readings without their drift."""
         since, over = to_si(self.since, self.unit), difference_to_si(self.over, self.unit)
         share = (x[self.column] - since) * (1.0 / over)
-        names = [parameter.name for parameter in meant(mechanism, self.changing)]
-        return {name: p[name] + p[f"{name}_drift"] * share for name in names}
+        return {
+            name: _moved(name, p[f"{name}_drift"] * share, x, p)
+            for name in _units(mechanism, self.changing)
+        }
 
 
 @dataclass(frozen=True)
@@ -75,14 +81,16 @@ class Shift:
     """Parameters that change at once, until they do again: p' = p + P_fromA for A <= t.
 
     For a reflector knocked in its seat, a tracker that was moved, a machine set up anew between
-    the poses. changing: parameters by names or globs; column: a known constant t that grows, such
-    as the number of the pose; unit: of at; at: values of t at which a new segment begins, rising.
+    the poses. changing: parameters by names or globs, or readings, whose zeros change, as of a
+    joint whose encoder was mastered anew: x' = x - x_fromA; column: a known constant t that grows,
+    such as the number of the pose; unit: of at; at: values of t at which a new segment begins,
+    rising.
     Before the first, P itself holds; each segment adds its own P_fromA [m or rad], A in SI.
 
     Raises InputError where no change is stated, or they do not rise.
     """
 
-    changing: Changing
+    changing: Moving
     at: Annotated[tuple[float, ...], Key("Where each new segment begins, rising.", least=1)]
     column: Annotated[str, Key("Name of the known constant, such as the number of the pose.")] = (
         "pose"
@@ -101,8 +109,8 @@ class Shift:
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """P_fromA of each parameter and segment, in the parameter's unit."""
         return {
-            (own := _from_name(p.name, a)): Parameter(own, 0.0, p.unit, SHIFT_SD)
-            for p in meant(mechanism, self.changing)
+            (own := _from_name(name, a)): Parameter(own, 0.0, its, SHIFT_SD)
+            for name, its in _units(mechanism, self.changing).items()
             for a in self._at
         }
 
@@ -111,19 +119,36 @@ class Shift:
         return {self.column: unit(self.unit).si}
 
     def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
-        """The parameters of the segment that t lies in."""
+        """The parameters and readings of the segment that t lies in."""
         reached = [_from(a, x[self.column]) for a in self._at]
         within = [here - after for here, after in pairwise([*reached, 0.0])]
         return {
-            name: p[name]
-            + sum(p[_from_name(name, a)] * share for a, share in zip(self._at, within, strict=True))
-            for name in (parameter.name for parameter in meant(mechanism, self.changing))
+            name: _moved(
+                name,
+                sum(p[_from_name(name, a)] * s for a, s in zip(self._at, within, strict=True)),
+                x,
+                p,
+            )
+            for name in _units(mechanism, self.changing)
         }
 
     @property
     def _at(self) -> list[float]:
         """Beginnings of the segments [SI]."""
         return [to_si(a, self.unit) for a in self.at]
+
+
+def _units(mechanism: Mechanism, patterns: tuple[str, ...]) -> dict[str, str]:
+    """The SI units of the parameters that names or globs stand for, and of readings by name."""
+    read = {v.name for v in mechanism.variables if v.role == "reading"}
+    names = [p for p in patterns if p in read and p not in mechanism.parameters.names]
+    found = {p.name: p.unit for p in meant(mechanism, [n for n in patterns if n not in names])}
+    return found | {name: mechanism.quantities[name] for name in names}
+
+
+def _moved(name: str, change: Any, x: Values, p: Values) -> Any:
+    """A parameter with its change; a reading without that of its zero."""
+    return p[name] + change if name in p else x[name] - change
 
 
 def _from_name(parameter: str, begin: float) -> str:

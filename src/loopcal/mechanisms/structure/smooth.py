@@ -26,6 +26,7 @@ import numpy as np
 from loopcal.mechanisms.frame import Values
 
 FEATURES = 30
+_ROUNDED = 1e-14
 NEAR, FAR = 1.0, 3.0
 """Length scales [rad] of the first three turning joints, and of the others."""
 RANGE = 1.0
@@ -73,8 +74,12 @@ class Smooth:
 
 
 def harmonics(scales: Sequence[float], count: int = FEATURES) -> tuple[Harmonic, ...]:
-    """The vectors k of largest weight for these length scales, the largest first."""
-    found = list(itertools.islice(_by_weight(scales), count))
+    """The vectors k of largest weight for these length scales, the largest first.
+
+    Fewer where the others have no weight beside rounding, as with a single joint.
+    """
+    largest = itertools.islice(_by_weight(scales), count)
+    found = [(k, weight) for k, weight in largest if weight > _ROUNDED]
     total = sum(weight for _, weight in found)
     return tuple(Harmonic(k, math.sqrt(weight / total)) for k, weight in found)
 

@@ -1,0 +1,92 @@
+"""Change points: what moved between two poses, by how much, and the lines that model it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from loopcal.document.bounds import Count, Probability, Size
+from loopcal.presentation.shown import with_unit
+
+Moved = Literal["target", "station", "joint", "reading"]
+_WORDS = {
+    "target": "the target {names} moved on the body",
+    "station": "the instrument or the machine's base moved ({names})",
+    "joint": "the zero of the joint {names} changed",
+    "reading": "the zero of {names} changed",
+}
+
+
+@dataclass(frozen=True)
+class Change:
+    """By how much one parameter or reading changed."""
+
+    size: float
+    """[unit]"""
+    sd: Size
+    unit: str
+
+
+@dataclass(frozen=True)
+class ChangePoint:
+    """Something changed between two poses that follow each other, and stayed so."""
+
+    shape: Literal["step", "ramp"]
+    """Whether it changed at once, or all along the run in proportion to the number of the pose."""
+    pose: str
+    """The first pose after the change; of a ramp the first of all."""
+    after: str
+    """The last pose before it; of a ramp the last of all."""
+    number: Count
+    """Of that first pose in the order of the poses, from 1."""
+    moved: Moved
+    changes: Mapping[str, Change]
+    """Parameter or reading -> its change."""
+    gain: Size
+    """What chi-squared falls by, in units of the scatter of the residuals."""
+    p_value: Probability
+    """Of a gain at least so large in independent errors, corrected for the search."""
+    alternatives: tuple[str, ...] = ()
+    """Parameters or readings whose change would explain it about as well."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What changed: parameters or readings."""
+        return tuple(self.changes)
+
+    def __str__(self) -> str:
+        clear = {n: c for n, c in self.changes.items() if abs(c.size) >= 3.0 * c.sd}
+        sizes = ", ".join(
+            f"{name} by {with_unit(c.size, c.unit)}" for name, c in (clear or self.changes).items()
+        )
+        text = _WORDS[self.moved].format(names=", ".join(self.names))
+        if self.alternatives:
+            text += f" (or else {'; '.join(self.alternatives)})"
+        when = f"from pose {self.pose} on" if self.shape == "step" else "over the whole run"
+        return f"{when} {text}: {sizes}, p = {self.p_value:.2g}"
+
+
+@dataclass(frozen=True)
+class ChangePoints:
+    """What a search for change points found."""
+
+    found: tuple[ChangePoint, ...]
+    """In the order of the poses."""
+    level: Probability
+    """Of finding any in independent errors."""
+    poses: Count
+    """Poses that were searched; 0: too many or too few."""
+    toml: str = ""
+    """The lines of a project or mechanism file that model them."""
+
+    def warnings(self) -> tuple[str, ...]:
+        """One sentence for each, and the remedy."""
+        if not self.found:
+            return ()
+        words = "; ".join(str(point) for point in self.found)
+        return (
+            f"The residuals show {len(self.found)} change"
+            f"{'s' if len(self.found) > 1 else ''} along the run: {words}. Correct the setup, or "
+            f"model the changes with the effects that change_points of result.json lists.",
+        )

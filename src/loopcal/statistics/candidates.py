@@ -1,0 +1,60 @@
+"""The candidates of a choice: the methods, with a model error and without, and the drawing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from loopcal.estimation.methods import implicit_loop
+from loopcal.estimation.model_error import instrument_noise, modelled
+from loopcal.estimation.nominal import nominal_machine
+from loopcal.statistics.validation import Case
+
+NOMINAL = "nominal"
+
+
+@dataclass(frozen=True, eq=False)
+class Entrant:
+    """One way to calibrate.
+
+    name: for the reader; case: what to calibrate, and how; structured: with terms for the model
+    error; drawn: nothing but placement and mounting is estimated.
+    """
+
+    name: str
+    case: Case
+    structured: bool = False
+    drawn: bool = False
+
+    @property
+    def cheap(self) -> bool:
+        """Whether it is what every calibration is compared with: the nominal machine, or exact."""
+        return self.drawn or (self.case.fit.method.exact and not self.structured)
+
+
+def entrants(case: Case) -> Iterator[Entrant]:
+    """All that compete for a case: those with a model error first, the nominal machine last."""
+    fit, lossless = case.fit, case.fit.robust_loss is None
+    methods = fit.among(case.data, case.noise)
+    for method in methods if lossless else ():
+        if method.at_readings:
+            continue  # the noise of the model error says nothing about the parameters anyway
+        with_error = fit.changed(method=method, model_error="structured")
+        own = with_error.with_prior(case.mechanism)
+        if len(modelled(with_error, own, len(case.data)).terms) > len(own.terms):
+            yield Entrant(f"{method.name} with model error", replace(case, fit=with_error), True)
+    for method in methods:
+        plain = fit.changed(method=method, model_error="none")
+        yield Entrant(method.name, replace(case, fit=plain))
+    if case.mechanism.outputs:
+        yield Entrant(NOMINAL, nominal_case(case), drawn=True)
+
+
+def nominal_case(case: Case) -> Case:
+    """The nominal machine, placed and mounted by readings of instruments weighted alike."""
+    mechanism = nominal_machine(case.fit.with_prior(case.mechanism))
+    noise = instrument_noise(mechanism, case.data)
+    fit = case.fit.changed(
+        method=implicit_loop.METHOD, loss="gaussian", prior=None, model_error="none"
+    )
+    return Case(mechanism, replace(case.data, sds={}), noise, fit)

@@ -1,0 +1,301 @@
+"""Change points: where in the order of the poses something moved, and what.
+
+A reflector slips, a tracker is knocked, a wire is zeroed anew: from a pose t on some constants have
+other values. For each candidate, with columns C_i (r, d) in the whitened equations of pose i,
+
+    gain(t) = u^T (Q - U H^-1 U^T)^-1 u,    u = sum_i>=t C_i^T e_i,  Q = sum_i>=t C_i^T C_i,
+                                            U = sum_i>=t C_i^T Z_i,  H = Z^T Z + P
+
+is what chi-squared falls by if the candidate changes at t and all else, Z, is fitted anew (Andrews
+1993): what the parameters can absorb counts for nothing. The most significant one joins Z, all are
+placed anew, and the search goes on while the next is significant after Bonferroni's correction for
+all poses and candidates. A candidate may also change all along the run, in proportion to the number
+of the pose.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.chi_squared import tail
+from loopcal.document.change_points import Change, ChangePoint, Moved
+from loopcal.errors import InputError
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.result import Result
+from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
+
+Array = NDArray[np.float64]
+MOST_POSES = 5000
+"""More poses are not searched: parts of a long run can be."""
+LEAST = 5
+"""Poses between two changes, and before the first and after the last."""
+UNREMARKABLE = 1e-3
+"""A pose that is at least so probable fits."""
+_WAVES, _EDGE = 6, 1e-3
+"""A step is kept if its edge stands out of so many slow cosines over the run at this level."""
+_RARE = 10.0
+"""By so much must the log p-value of a joint's zero be lower: a target that moves about the axis of
+the last joint does the same, and does it more often."""
+_ALIKE = 7.0
+"""An alternative whose log p is within this of the best explains the change about as well."""
+
+
+@dataclass(frozen=True)
+class Shifts:
+    """What find_shifts found.
+
+    found: change points in order; level: probability of finding any in independent errors; tested:
+    poses that were searched, 0 where there are too many or too few; explained: ids of the poses
+    that fit once the shifts are modelled, empty where none was found.
+    """
+
+    found: tuple[ChangePoint, ...]
+    level: float
+    tested: int
+    explained: frozenset[str] = frozenset()
+
+    def __len__(self) -> int:
+        return len(self.found)
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def lines(self) -> list[str]:
+        """In words."""
+        if not self.tested:
+            return ["shifts: not searched (too few or too many poses)"]
+        rule = f"{self.tested} poses in order, family-wise level {100 * self.level:g} %"
+        if not self.found:
+            return [f"shifts: none ({rule})"]
+        return [f"shifts: {len(self.found)} ({rule})", *(f"  {point}" for point in self.found)]
+
+
+NOT_SEARCHED = Shifts((), 0.01, 0)
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """Something that may move: parameters or readings, and its columns (N, R, d).
+
+    steps, ramps: whether it may change at once, and all along the run.
+    """
+
+    moved: Moved
+    names: tuple[str, ...]
+    columns: Array
+    steps: bool
+    ramps: bool
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A candidate that changes at position `at` in order, or all along the run."""
+
+    candidate: int
+    at: int
+    ramp: bool = False
+
+
+def find_shifts(result: Result, *, level: float = 0.01, most: int = 8) -> Shifts:
+    """The change points of a calibration: rows, what moved, size and significance.
+
+    Candidates are each target on the body, each instrument's place, each joint's zero and each
+    instrument's own zero. level: probability of finding any where errors are independent; most:
+    change points to find. Smooth functions of the joints take part with a learnt variance, so that
+    an arm that bends does not look like steps where poses are measured region by region.
+
+    Not searched are streams, and sets of fewer than 20 or more than 5,000 poses. Raises InputError
+    for a level outside (0, 1).
+    """
+    if not 0.0 < level < 1.0:
+        raise InputError(
+            f"the level of a test is a probability, not {level:g}", code="invalid-value"
+        )
+    count = len(result.problem.poses)
+    if result.all_poses is not None or not 4 * LEAST <= count <= MOST_POSES:
+        return replace(NOT_SEARCHED, level=level)
+    with one_blas_thread():
+        return _Search(result, level).run(most)
+
+
+class _Search:
+    """Forward selection of steps, each placed anew when another joins."""
+
+    def __init__(self, result: Result, level: float) -> None:
+        self.problem, self.level = result.problem, level
+        self.system = ordered_system(result)
+        self.candidates = _candidates(self.problem, self.system)
+        steps = len(self.system.E) * sum(c.steps for c in self.candidates)
+        ramps = sum(c.ramps for c in self.candidates)
+        self.tests = {False: 2.0 * max(steps, 1), True: 2.0 * max(ramps, 1)}
+
+    def run(self, most: int) -> Shifts:
+        """The change points in order."""
+        steps: list[_Step] = []
+        while len(steps) < most:
+            best, log_p = self._best(self._fitted(steps), steps, range(len(self.candidates)))
+            if best is None or log_p > math.log(self.level):
+                break
+            steps.append(best)
+        sharp = [i for i in range(len(steps)) if self._sharp(steps, i)]
+        steps = [steps[i] for i in sharp]
+        found = []
+        for i, step in enumerate(steps):
+            others = [*steps[:i], *steps[i + 1 :]]
+            rest = self._fitted(others)
+            if not step.ramp:
+                steps[i] = self._best(rest, others, [step.candidate], ramps=False)[0] or step
+            found.append(self._point(rest, steps[i]))
+        order = self.system.order
+        fits = self._fitted(steps).p_values >= UNREMARKABLE if steps else np.zeros(0, dtype=bool)
+        return Shifts(
+            tuple(sorted(found, key=lambda point: point.number)),
+            self.level,
+            len(order),
+            frozenset(self.problem.poses[i] for i in order[np.flatnonzero(fits)].tolist()),
+        )
+
+    def _sharp(self, steps: Sequence[_Step], i: int) -> bool:
+        """Whether a step is there beside slow changes over the run, which leave only its edge."""
+        if steps[i].ramp:
+            return True
+        rest = self._fitted([*steps[:i], *steps[i + 1 :]], self.system.waves(_WAVES))
+        return self._log_p(rest, steps[i]) < math.log(_EDGE)
+
+    def _point(self, rest: Fitted, step: _Step) -> ChangePoint:
+        """One step beside all others, with its size."""
+        own, log_p = self.candidates[step.candidate], self._log_p(rest, step)
+        others = [
+            i
+            for i, c in enumerate(self.candidates)
+            if (c.ramps if step.ramp else c.steps) and not set(c.names) & set(own.names)
+        ]
+        found = rest.step(self._columns(step))
+        sds = np.sqrt(np.diag(found.covariance)).tolist()
+        poses, order = self.problem.poses, self.system.order
+        return ChangePoint(
+            "ramp" if step.ramp else "step",
+            poses[order[step.at]],
+            poses[order[step.at - 1]],
+            step.at + 1,
+            own.moved,
+            {
+                name: Change(size, sd, _unit(self.problem, name))
+                for name, size, sd in zip(own.names, found.size.tolist(), sds, strict=True)
+            },
+            found.gain,
+            min(1.0, math.exp(log_p) * self.tests[step.ramp]),
+            tuple(
+                ", ".join(self.candidates[i].names)
+                for i in others
+                if self._log_p(rest, replace(step, candidate=i)) - log_p < _ALIKE
+            ),
+        )
+
+    def _columns(self, step: _Step) -> Array:
+        """(N, R, d) the columns of a step."""
+        columns = self.candidates[step.candidate].columns
+        N = len(columns)
+        rows = np.arange(N) / (N - 1.0) if step.ramp else 1.0 * (np.arange(N) >= step.at)
+        return rows[:, None, None] * columns
+
+    def _fitted(self, steps: Sequence[_Step], waves: Sequence[Array] = ()) -> Fitted:
+        """The system with these steps among its columns."""
+        return self.system.fitted_with([*waves, *(self._columns(step) for step in steps)])
+
+    def _best(
+        self,
+        fitted: Fitted,
+        steps: Sequence[_Step],
+        candidates: Sequence[int],
+        *,
+        ramps: bool = True,
+    ) -> tuple[_Step | None, float]:
+        """The most significant further step, and the log of its corrected p-value."""
+        N = len(self.system.E)
+        free = np.zeros(N, dtype=bool)
+        free[LEAST : N - LEAST + 1] = True
+        for step in steps:
+            if not step.ramp:
+                free[max(step.at - LEAST + 1, 0) : step.at + LEAST] = False
+        found: list[tuple[float, float, _Step]] = []
+        for c in candidates:
+            own = self.candidates[c]
+            rare = _RARE if own.moved == "joint" else 0.0
+            gains, ranks = fitted.gains(own.columns) if own.steps else (free, 0 * free)
+            for rank in np.unique(ranks[free & (ranks > 0)]).tolist():
+                at = int(np.argmax(np.where(free & (ranks == rank), gains, -1.0)))
+                log_p = _log_tail(float(gains[at]), rank) + math.log(self.tests[False])
+                found.append((log_p + rare, log_p, _Step(c, at)))
+            ramp = _Step(c, 0, ramp=True)
+            if ramps and own.ramps and ramp not in steps:
+                log_p = self._log_p(fitted, ramp) + math.log(self.tests[True])
+                found.append((log_p, log_p, ramp))
+        if not found:
+            return None, 0.0
+        _, log_p, best = min(found, key=lambda one: one[0])
+        return best, log_p
+
+    def _log_p(self, fitted: Fitted, step: _Step) -> float:
+        found = fitted.step(self._columns(step))
+        return _log_tail(found.gain, found.rank)
+
+
+def _log_tail(gain: float, rank: int) -> float:
+    """Log of the probability of a chi-squared above the gain, also where it underflows."""
+    if not rank:
+        return 0.0
+    p = float(tail(np.array([gain]), np.array([rank]))[0])
+    if p > 1e-280:
+        return math.log(p)
+    half = 0.5 * rank  # the leading term of the asymptotic series
+    return -0.5 * gain + (half - 1.0) * math.log(0.5 * gain) - math.lgamma(half)
+
+
+def _unit(problem: Problem, name: str) -> str:
+    mechanism = problem.mechanism
+    if name in mechanism.quantities:
+        return mechanism.quantities[name]
+    return mechanism.parameters[name].unit
+
+
+def _candidates(problem: Problem, system: OrderedSystem) -> list[_Candidate]:
+    """What may move: targets, stations, joints and the instruments' own zeros."""
+    mechanism = problem.mechanism
+    found: list[tuple[Moved, tuple[str, ...]]] = []
+    if mechanism.body is not None:
+        found += [("target", names) for names in mechanism.body.mounted]
+    placed = [mechanism.placement, *(f.placement for f in mechanism.families)]
+    found += [("station", p.parameters) for p in placed if p is not None]
+    read = {q for f in mechanism.families for q in f.readings} | {*mechanism.outputs}
+    aside = {*mechanism.disturbances, *mechanism.turns}
+    missing = np.isinf(problem.uncertainty.sd).max(axis=1).tolist()
+    names = mechanism.tape.quantities
+    found += [
+        ("joint", (q,))
+        for q, gone in zip(names, missing, strict=True)
+        if q not in read | aside and not gone
+    ]
+    groups = [f.readings for f in mechanism.families if f.form != "closure"]
+    own = [[q for q in its if q not in aside] for its in groups or [mechanism.outputs]]
+    found += [
+        ("reading", tuple(q for q in its if mechanism.quantities[q] == unit))
+        for its in own
+        for unit in dict.fromkeys(mechanism.quantities[q] for q in its)
+    ]
+    together = {its for _, its in found}
+    found += [("reading", (q,)) for its in own for q in its]
+    candidates = []
+    for moved, its in dict.fromkeys(found):
+        free = tuple(n for n in its if n in problem.names or n in names)
+        if free:
+            ramps = len(its) == 1 if moved == "reading" else moved != "joint"
+            columns = system.columns(free)
+            candidates.append(_Candidate(moved, free, columns, its in together, ramps))
+    return candidates

@@ -1,0 +1,410 @@
+"""The choice of a method by poses that were not used: what the method "auto" does.
+
+Candidates are the nominal machine, placed and mounted, and each method that the readings allow,
+with a structured model error where the machine has one, and without. All are validated on the same
+parts: poses at random, and regions of the joint space. The risk of a candidate at a pose is its
+squared distance there, averaged over both ways to leave the pose out; without outputs it is minus
+twice the log density of its loops.
+
+The structured candidate of least risk is taken, or without one the first method, unless another is
+significantly better: lower in both, by more than the 97.5 % point of Student's t times the standard
+error of the mean difference. Errors in one region are not independent, so regions are the units of
+the second; the units of the first are poses. Against a structured candidate both must be
+significant, because poses of a narrow set cannot show what its prior is good for elsewhere; between
+plain methods one is enough.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.choice import Candidate, Chosen
+from loopcal.document.result_document import ResultDocument
+from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
+from loopcal.estimation.accuracy import by_pose, deviations
+from loopcal.estimation.result import Result
+from loopcal.execution.executor import Executor, Progress
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.presentation.shown import size, unit_shown
+from loopcal.statistics.candidates import Entrant, entrants
+from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
+from loopcal.statistics.noise_floor import noise_floor
+from loopcal.statistics.validation import (
+    Case,
+    Failed,
+    Outcome,
+    Plan,
+    Predicted,
+    Validation,
+    left_out,
+    planned,
+    pooled,
+    validated,
+)
+
+Array = NDArray[np.float64]
+FOLDS, BLOCKS, FEWEST = 10, 5, 25
+"""Parts at random, regions, and the different poses from which on regions are left out."""
+HOPELESS = 3.0
+"""A costly candidate is discarded halfway whose rms is so many times that of the best."""
+_LEAST = 0.5
+"""A candidate must predict this share of the poses."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A candidate on the parts that it predicted.
+
+    whole: its fit of all poses; made: what became of each part, in their order; failed: why it is
+    out, empty where it is not.
+    """
+
+    entrant: Entrant
+    whole: Result | None
+    made: tuple[Outcome, ...] = ()
+    failed: str = ""
+    error: LoopcalError | None = None
+
+    @property
+    def name(self) -> str:
+        """As the reader knows it."""
+        return self.entrant.name
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """What was chosen, over what, by how much; result: of the chosen candidate, which knows it."""
+
+    method: str
+    result: Result
+    chosen: Chosen
+    validation: Validation | None
+    nominal: Result | None
+
+    @property
+    def calibrated(self) -> Result:
+        """The result of the chosen candidate, which tells of the choice."""
+        return self.result.adding(self.added_to)
+
+    def added_to(self, document: ResultDocument) -> ResultDocument:
+        """The document of the chosen candidate's result, with this."""
+        accuracy = document.accuracy
+        if accuracy is not None:
+            placed = self.nominal and self.nominal.accuracy_after
+            accuracy = replace(
+                accuracy,
+                nominal=placed.distances if placed else None,
+                noise_floor=noise_floor(self.result),
+            )
+        document = replace(document, method=self.method, chosen=self.chosen, accuracy=accuracy)
+        return self.validation.added_to(document) if self.validation else document
+
+
+def choose(
+    case: Case,
+    scheme: Scheme | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> Choice:
+    """The candidate that predicts poses not used, as the head of this module says.
+
+    scheme: what is left out, by default 10 folds and 5 regions, fewer where poses are few; where it
+    names other readings, these are predicted by what was chosen by default. Where nothing can be
+    left out, the first candidate that converges is taken, unvalidated.
+
+    Raises InputError where no candidate can be fitted.
+    """
+    judged = []
+    for entrant in entrants(case):
+        judged.append(_fitted(entrant))
+        whole = judged[-1].whole
+        if whole is not None and whole.faults:  # no candidate is of use
+            words = f"{entrant.name}; nothing was compared: the file is at fault"
+            none = Chosen(entrant.name, (), words, ())
+            return Choice(case.fit.method.name, whole, none, None, None)
+    if not any(one.whole for one in judged):
+        raise next(one.error for one in judged if one.error)
+    other = scheme if scheme and scheme.other is not None else None
+    plan = _plan(case, None if other else scheme)
+    if plan is not None:
+        judged = _validated(judged, plan, executor, progress)
+    found = _choice(case, judged, plan)
+    if other is None:
+        return found
+    taken = next(one.entrant.case for one in judged if one.name == found.chosen.method)
+    return replace(found, validation=validated(taken, found.result, other))
+
+
+def _fitted(one: Entrant) -> Judged:
+    try:
+        whole = one.case.calibrated()
+    except (InputError, NoTrustworthyResult) as error:
+        return Judged(one, None, failed=error.message, error=error)
+    if not whole.status.converged:
+        return Judged(one, whole, failed=f"the fit did not converge ({whole.status.reason})")
+    return Judged(one, whole)
+
+
+def _plan(case: Case, scheme: Scheme | None) -> Plan | None:
+    """What is left out; None where there are too few different poses for any part."""
+    sds = stated_sds(case.noise, case.mechanism, case.data)
+    groups = None if scheme is None else scheme.groups
+    different = len(np.unique(grouped(case.mechanism, case.data, groups, sds)))
+    if different < 2:
+        return None
+    if scheme is None:
+        scheme = Scheme(min(FOLDS, different))
+    if scheme.blocks is None:
+        scheme = replace(scheme, blocks=BLOCKS if different >= FEWEST else 0)
+    return planned(case, scheme)
+
+
+def _validated(
+    judged: Sequence[Judged], plan: Plan, executor: Executor | None, progress: Progress | None
+) -> list[Judged]:
+    """All candidates on the parts of a plan; costly ones that are hopeless at half time go."""
+    halves = plan.indices[::2], plan.indices[1::2]
+    alive = [one for one in judged if not one.failed]
+    total, before = len(plan.indices) * len(alive), 0
+
+    def told(done: int, _: int) -> None:
+        if progress:
+            progress(before + done, total)
+
+    for half in halves:
+        found = {}
+        for one in judged:
+            if one.failed or one.whole is None:
+                found[one.name] = one
+                continue
+            made = left_out(one.entrant.case, one.whole, half, executor, told)
+            before += len(half)
+            found[one.name] = replace(one, made=(*one.made, *made))
+        judged = _without_hopeless(list(found.values())) if half is halves[0] else [*found.values()]
+    count = len(halves[0])
+    order = np.argsort([*range(0, 2 * count, 2), *range(1, 2 * len(halves[1]), 2)])
+    return [_ordered(one, order) for one in judged]
+
+
+def _ordered(one: Judged, order: Index) -> Judged:
+    """The parts in the order of the plan; a candidate that lost too many poses is out."""
+    if one.failed:
+        return one
+    made = tuple(one.made[i] for i in order)
+    lost = [part for part in made if isinstance(part, Failed)]
+    poses = sum(len(part.index) for part in made)
+    if sum(len(part.index) for part in lost) > (1.0 - _LEAST) * poses:
+        return replace(one, made=(), failed=f"most parts failed: {lost[0].reason}")
+    return replace(one, made=made)
+
+
+def _without_hopeless(judged: Sequence[Judged]) -> list[Judged]:
+    rms = {one.name: _rms(one) for one in judged if not one.failed}
+    best = min((size for size in rms.values() if math.isfinite(size)), default=math.inf)
+    kept = []
+    for one in judged:
+        times = rms.get(one.name, 0.0) / best if best > 0.0 else 0.0
+        if times > HOPELESS and not one.entrant.cheap:
+            one = replace(
+                one, made=(), failed=f"discarded halfway, at {times:.1f} times the best rms"
+            )
+        kept.append(one)
+    return kept
+
+
+def _rms(one: Judged) -> float:
+    """Root mean square distance over the parts so far; zero without outputs: all may go on."""
+    assert one.whole is not None
+    if not one.whole.mechanism.outputs:
+        return 0.0
+    parts = [_risks(one.whole.mechanism, p) for p in one.made if isinstance(p, Predicted)]
+    values = np.concatenate(parts) if parts else np.empty(0)
+    values = values[np.isfinite(values)]
+    return math.sqrt(float(values.mean())) if values.size else math.inf
+
+
+def _risks(mechanism: Mechanism, part: Predicted) -> Array:
+    """(n,) squared distances; without outputs minus twice the log densities."""
+    distances = by_pose(deviations(mechanism, part.measured, part.differences))
+    if distances is not None:
+        return np.square(distances)
+    if part.stated is None:
+        return np.full(len(part.index), np.nan)
+    return -2.0 * part.stated.log_density
+
+
+def _risk(one: Judged, plan: Plan, poses: int) -> Array:
+    """(2, N): risk where the pose was left out at random, and with its region; NaN if unknown."""
+    found = np.full((2, poses), np.nan)
+    if one.whole is not None:
+        for number, part in enumerate(one.made):
+            if isinstance(part, Predicted):
+                row = int(number >= len(plan.random.indices))
+                found[row, part.index] = _risks(one.whole.mechanism, part)
+    return found
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Mean risk of one candidate minus that of another, and its standard error by clusters."""
+
+    mean: float
+    sd: float
+    clusters: int
+
+    @classmethod
+    def of(cls, own: Array, other: Array, cluster: Index) -> Gap:
+        """From risks (N,) of both; cluster: (N,) poses whose errors belong together."""
+        both = own - other
+        there = np.isfinite(both)
+        label = np.unique(cluster[there], return_inverse=True)[1]
+        count = int(label.max(initial=-1)) + 1
+        if not count:
+            return cls(math.nan, math.inf, 0)
+        mean = float(both[there].mean())
+        if count == 1:
+            return cls(mean, math.inf, 1)
+        sums = np.bincount(label, both[there] - mean)
+        sd = math.sqrt(count / (count - 1) * float(np.square(sums).sum())) / int(there.sum())
+        return cls(mean, sd, count)
+
+    @property
+    def significant(self) -> bool:
+        """Whether the first is better than the other beyond chance."""
+        from scipy.special import stdtrit
+
+        if self.clusters < 2 or not math.isfinite(self.mean):
+            return False
+        return self.mean < -float(stdtrit(self.clusters - 1, 0.975)) * self.sd
+
+
+def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
+    nominal = next((one.whole for one in judged if one.entrant.drawn and not one.failed), None)
+    if plan is None or not any(one.made for one in judged):
+        taken = _unvalidated(judged)
+        assert taken.whole is not None
+        words = f"{taken.name}; not validated: no pose could be left out"
+        chosen = Chosen(taken.name, _terms(taken), words, tuple(map(_bare, judged)))
+        return Choice(case.fit.method.name, taken.whole, chosen, None, nominal)
+    risks = {one.name: _risk(one, plan, len(case.data)) for one in judged if one.made}
+    taken = _taken([one for one in judged if one.made], risks, plan)
+    assert taken.whole is not None
+    found = {
+        one.name: pooled(one.whole, one.made, plan, one.entrant.case.data)
+        for one in judged
+        if one.made and one.whole is not None
+    }
+    ordered = [taken, *(one for one in judged if one is not taken)]
+    best = found[taken.name].accuracy
+    over = []
+    for one in ordered:
+        own = found.get(one.name)
+        gap, scale = None, 0.0
+        if own is not None and own.accuracy is not None and best is not None:
+            gap = Gap.of(risks[one.name][0], risks[taken.name][0], plan.groups)
+            scale = own.accuracy.rms + best.rms
+        over.append(_candidate(one, own, gap, scale))
+    better = [
+        one.name
+        for one in judged
+        if one.made and _score(risks[one.name]) < _score(risks[taken.name])
+    ]
+    words = _words(over, "" if best is None else best.unit, better)
+    chosen = Chosen(taken.name, _terms(taken), words, tuple(over))
+    return Choice(case.fit.method.name, taken.whole, chosen, found[taken.name], nominal)
+
+
+def _taken(judged: Sequence[Judged], risks: Mapping[str, Array], plan: Plan) -> Judged:
+    """The candidate that the rule at the head of this module takes."""
+
+    def score(one: Judged) -> float:
+        return _score(risks[one.name])
+
+    structured = [one for one in judged if one.entrant.structured]
+    preferred = min(structured, key=score) if structured else judged[0]
+    enough = all if structured else any
+    better = [
+        one for one in judged if _better(risks[one.name], risks[preferred.name], plan, enough)
+    ]
+    return min(better, key=score) if better else preferred
+
+
+def _score(risk: Array) -> float:
+    """Mean risk over both ways to leave a pose out."""
+    rows = [row[np.isfinite(row)] for row in risk]
+    return (
+        float(np.mean([row.mean() for row in rows if row.size]))
+        if any(map(len, rows))
+        else math.inf
+    )
+
+
+def _better(own: Array, other: Array, plan: Plan, enough: Callable[[Iterable[bool]], bool]) -> bool:
+    """Whether a candidate is significantly better than another, in all or any of both ways."""
+    gaps = [Gap.of(own[0], other[0], plan.groups)]
+    if plan.blocked is not None:
+        region = np.zeros(len(plan.groups), dtype=np.intp)
+        for number, index in enumerate(plan.blocked.indices):
+            region[index] = number
+        gaps.append(Gap.of(own[1], other[1], region))
+    known = [gap for gap in gaps if gap.clusters]
+    return all(gap.mean < 0.0 for gap in known) and enough(gap.significant for gap in known)
+
+
+def _unvalidated(judged: Sequence[Judged]) -> Judged:
+    """The first that converged, the nominal machine aside; else the first that was fitted."""
+    fitted = [one for one in judged if one.whole is not None]
+    return next((one for one in fitted if not one.failed and not one.entrant.drawn), fitted[0])
+
+
+def _terms(one: Judged) -> tuple[str, ...]:
+    return () if one.whole is None else tuple(term.name for term in one.whole.mechanism.terms)
+
+
+def _bare(one: Judged) -> Candidate:
+    return Candidate(one.name, None, None, None, None, one.failed or None)
+
+
+def _candidate(one: Judged, own: Validation | None, gap: Gap | None, scale: float) -> Candidate:
+    """As a document holds it; gap: of squared distances at random parts; scale: sum of both rms."""
+    if own is None or own.accuracy is None:
+        return _bare(one)
+    blocked = own.blocked and own.blocked.accuracy
+    known = gap is not None and scale > 0.0 and math.isfinite(gap.sd)
+    return Candidate(
+        one.name,
+        own.accuracy.distances,
+        blocked.distances if blocked else None,
+        gap.mean / scale if known and gap else None,
+        gap.sd / scale if known and gap else None,
+    )
+
+
+def _words(over: Sequence[Candidate], unit: str, better: Sequence[str]) -> str:
+    """What was chosen, over what, by how much; better: those of less risk, not significantly."""
+    taken, *others = over
+    if taken.out_of_sample is None:
+        return f"{taken.name}, which predicts poses not used best or as well as any"
+    shown = unit_shown(unit)
+    words = f"{taken.name}: {size(taken.out_of_sample.rms, unit)} {shown} rms on poses not used"
+    if taken.blocked is not None:
+        words += f", {size(taken.blocked.rms, unit)} {shown} in regions not used"
+    beaten = [
+        f"{one.name} {size(one.out_of_sample.rms, unit)}"
+        + (f" and {size(one.blocked.rms, unit)}" if one.blocked and taken.blocked else "")
+        for one in others
+        if one.out_of_sample is not None
+    ]
+    if beaten:
+        words += f"; over {', '.join(beaten)} {shown}"
+    out = [one.name for one in others if one.out_of_sample is None]
+    if out:
+        words += f"; out: {', '.join(out)}"
+    if better:
+        words += f"; {' and '.join(better)} not significantly better"
+    return words

@@ -1,0 +1,82 @@
+"""The noise floor: how far computed and measured outputs are apart with the right parameters.
+
+With exact parameters the outputs computed from noisy readings still miss the measured ones, by
+
+    E |d|^2 = trace(S Sigma_x S^T + Sigma_y),   S = dy/dx.
+
+No calibration can do better on readings that are not corrected.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.accuracy import main_unit
+from loopcal.estimation.result import Result
+from loopcal.estimation.sensitivity import output_sensitivity
+from loopcal.mechanisms.outputs import POLAR, Seen, cartesian, seen_outputs
+
+Array = NDArray[np.float64]
+_STEP = 1e-20
+
+
+def noise_floor(result: Result) -> float | None:
+    """Root mean square distance [unit of the accuracy] that the noise of the readings causes.
+
+    None where no sds are known, or nothing is computed.
+    """
+    if not result.noise or not result.mechanism.outputs:
+        return None
+    mechanism, problem = result.calibrated, result.problem
+    quantities = mechanism.tape.quantities
+    unit = main_unit(result.deviations(result.differences_after))
+    sds = np.array(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape))
+    sds[[quantities.index(q) for q in mechanism.disturbances]] = 0.0
+    values = np.array([p.nominal for p in mechanism.parameters])
+    found = []
+    for pattern in problem.patterns:
+        x = problem.readings[:, pattern.poses] + result.solution.corrections[:, pattern.poses]
+        known, sd = problem.known[:, pattern.poses], sds[:, pattern.poses]
+        S = output_sensitivity(mechanism, values, (), x, known, pattern.unmeasured).by_reading
+        spread = S * np.where(np.isfinite(sd), sd, 0.0).T[:, None, :]
+        for seen in seen_outputs(mechanism):
+            its = seen.position or seen.turns
+            if (seen.unit if seen.position else "rad") == unit and set(its) <= set(
+                mechanism.outputs
+            ):
+                found.append(_squares(seen, its, mechanism.outputs, quantities, spread, x, sd))
+    squares = np.concatenate(found) if found else np.empty(0)
+    squares = squares[np.isfinite(squares)]
+    return math.sqrt(float(squares.mean())) if squares.size else None
+
+
+def _squares(
+    seen: Seen,
+    its: tuple[str, ...],
+    outputs: tuple[str, ...],
+    quantities: tuple[str, ...],
+    spread: Array,
+    x: Array,
+    sd: Array,
+) -> Array:
+    """(N,) expected squared distance of what one instrument sees; inf where it reads nothing."""
+    rows = [quantities.index(q) for q in its]
+    moved = spread[:, [outputs.index(q) for q in its]]
+    own = np.where(np.eye(len(its), dtype=bool), sd[rows].T[:, :, None], 0.0)
+    both = np.concatenate([moved, own], axis=2)
+    if seen.form in POLAR:
+        both = _turned(x[rows]) @ both
+    return np.asarray(np.square(both).sum(axis=(1, 2)), dtype=np.float64)
+
+
+def _turned(readings: Array) -> Array:
+    """(N, d, d) derivatives of Cartesian points by range and angles (d, N), by a complex step."""
+    columns = []
+    for row in range(len(readings)):
+        moved = readings.astype(complex)
+        moved[row] += 1j * _STEP
+        columns.append(cartesian(moved).imag / _STEP)
+    return np.array(columns).transpose(2, 1, 0)

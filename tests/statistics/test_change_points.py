@@ -1,0 +1,228 @@
+"""Change points: found where they are and as what they are, and not where there are none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import loopcal as lc
+from loopcal.chi_squared import tail
+from loopcal.statistics.change_points import _log_tail
+from tests.estimation.test_real_data import RIGHT, left_arm, measured
+from tests.reference.simulated import MA1400_RANGES, ma1400
+from tests.refusals import refused
+
+Array = NDArray[np.float64]
+Find = Callable[[str], Path]
+SDS = {f"theta_{i}": 2e-5 for i in range(1, 7)} | dict.fromkeys("xyz", 5e-5)
+NOISE = lc.Noise(SDS)
+ARM = ma1400(2).truth
+
+
+def joints(poses: int, seed: int, order: str = "random") -> dict[str, Array]:
+    rng = np.random.default_rng(seed)
+    low, high = 0.6 * MA1400_RANGES.T
+    values = rng.uniform(low, high, (poses, 6))
+    if order == "grid":
+        axes = [np.linspace(low[i], high[i], 5) for i in range(3)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        values = np.column_stack([grid, rng.normal(0.0, 0.2, (len(grid), 3))])
+    return {f"theta_{i}": values[:, i - 1] for i in range(1, 7)}
+
+
+def read(poses: dict[str, Array], seed: int, changes: dict[str, float] | None = None) -> lc.Dataset:
+    truth = {p.name: p.nominal + (changes or {}).get(p.name, 0.0) for p in ARM.parameters}
+    return lc.simulate(ARM, poses, noise=NOISE, seed=seed, truth=truth).dataset
+
+
+def joined(first: lc.Dataset, second: lc.Dataset, at: int) -> lc.Dataset:
+    """The readings of the first up to pose number `at`, then those of the second."""
+    later = np.arange(len(first)) >= at
+    return first.with_readings({q: np.where(later, second[q], first[q]) for q in first.readings})
+
+
+def sagging(data: lc.Dataset, compliance: float = 1e-3) -> lc.Dataset:
+    """The point lowered, as by a shoulder that gives way with the reach [rad/m]."""
+    reach = np.hypot(data["x"], data["y"])
+    turn, height = compliance * reach, data["z"] - 0.45
+    return data.with_readings(
+        {
+            "x": data["x"] + turn * height * data["x"] / reach,
+            "y": data["y"] + turn * height * data["y"] / reach,
+            "z": data["z"] - turn * reach,
+        }
+    )
+
+
+def fitted(data: lc.Dataset) -> lc.Result:
+    return lc.calibrate(ARM, data, noise=NOISE, start="nominal")
+
+
+@pytest.mark.parametrize("order", ["random", "grid"])
+@pytest.mark.parametrize("compliance", [0.0, 1e-3])
+def test_an_arm_that_only_bends_has_no_shift(order: str, compliance: float) -> None:
+    alarms = 0
+    for seed in range(10):
+        data = sagging(read(joints(100, seed, order), seed), compliance)
+        alarms += len(lc.find_shifts(fitted(data))) > 0
+    assert alarms == 0
+
+
+@pytest.mark.parametrize("compliance", [0.0, 1e-3])
+def test_a_slipped_target_is_found_with_its_pose_and_size(compliance: float) -> None:
+    for seed in range(4):
+        poses = joints(120, seed)
+        at = int(np.random.default_rng(seed).integers(15, 105))
+        slipped = {"x6B": 1e-3, "z6B": -5e-4}
+        data = joined(read(poses, seed), read(poses, seed, slipped), at)
+        (point,) = lc.find_shifts(fitted(sagging(data, compliance))).found
+        assert point.shape == "step"
+        assert point.moved == "target"
+        assert abs(point.number - 1 - at) <= 1
+        assert point.p_value < 1e-6
+        for name, size in slipped.items():
+            assert point.changes[name].size == pytest.approx(size, abs=2.5e-4)
+
+
+def test_a_moved_base_is_no_slipped_target() -> None:
+    poses = joints(120, 7)
+    data = joined(read(poses, 7), read(poses, 7, {"y0": 5e-4, "phix0": 1e-3}), 60)
+    (point,) = lc.find_shifts(fitted(data)).found
+    assert point.moved == "station"
+    assert abs(point.number - 61) <= 1
+    assert point.changes["y0"].size == pytest.approx(5e-4, abs=1e-4)
+
+
+def test_an_encoder_mastered_anew_is_the_zero_of_its_joint() -> None:
+    data = read(joints(120, 8), 8)
+    later = np.arange(120) >= 70
+    wrong = data.with_readings({"theta_3": data["theta_3"] + 2e-3 * later})
+    result = fitted(wrong)
+    (point,) = lc.find_shifts(result).found
+    assert (point.moved, point.names) == ("joint", ("theta_3",))
+    assert abs(point.number - 71) <= 1
+    assert point.changes["theta_3"].size == pytest.approx(2e-3, rel=0.1)
+    again = lc.with_shifts(ARM, wrong, [point])
+    refit = lc.calibrate(again.mechanism, again.data, noise=NOISE, start="nominal")
+    assert refit.chi_squared is not None
+    assert refit.chi_squared.variance_factor == pytest.approx(1.0, abs=0.25)
+    assert refit.value["theta_3_from71"] == pytest.approx(2e-3, rel=0.05)
+
+
+def test_two_zero_shifts_of_a_wire_are_found_and_the_refit_gives_the_noise_back() -> None:
+    arm = lc.Mechanism.from_function(
+        lambda x, p: (
+            (
+                (p.l1 * np.cos(x.a) + p.l2 * np.cos(x.a + x.b) - p.wx) ** 2
+                + (p.l1 * np.sin(x.a) + p.l2 * np.sin(x.a + x.b) - p.wy) ** 2
+            )
+            ** 0.5
+            + p.zero
+            - x.L,
+        ),
+        {"a": "rad", "b": "rad", "L": "m"},
+        {
+            "l1": (0.8, "m"),
+            "l2": (0.6, "m"),
+            "wx": (2.0, "m"),
+            "wy": (0.3, "m"),
+            "zero": (0.0, "m"),
+        },
+        outputs=("L",),
+    )
+    arm = arm.with_parameters(arm.parameters.with_fixed(["l1"]))
+    rng = np.random.default_rng(9)
+    places = {"a": rng.uniform(-2.0, 2.0, 200), "b": rng.uniform(0.3, 2.5, 200)}
+    noise = lc.Noise({"a": 1e-5, "b": 1e-5, "L": 4e-4})
+    data = lc.simulate(arm, places, noise=noise, seed=1).dataset
+    steps = 3e-3 * (np.arange(200) >= 57) - 3e-3 * (np.arange(200) >= 140)
+    wrong = data.with_readings({"L": data["L"] + steps})
+    result = lc.calibrate(arm, wrong, noise=noise)
+    found = lc.find_shifts(result).found
+    assert [p.names for p in found] == [("L",), ("L",)]
+    assert [abs(p.number - n) <= 1 for p, n in zip(found, (58, 141), strict=True)] == [True, True]
+    assert [p.changes["L"].size for p in found] == pytest.approx([3e-3, -3e-3], abs=3e-4)
+    again = lc.with_shifts(arm, wrong, found)
+    assert again.toml.count("[[mechanism.effect]]") == 1
+    refit = lc.calibrate(again.mechanism, again.data, noise=noise)
+    assert refit.chi_squared is not None
+    assert result.chi_squared is not None
+    assert result.chi_squared.variance_factor is not None
+    assert result.chi_squared.variance_factor > 5.0
+    assert refit.chi_squared.variance_factor == pytest.approx(1.0, abs=0.25)
+
+
+def test_outliers_do_not_list_the_poses_that_a_shift_explains() -> None:
+    poses = joints(120, 10)
+    data = joined(read(poses, 10, {"x6B": 4e-3, "y6B": -3e-3}), read(poses, 10), 20)
+    spoilt = data["x"].copy()
+    spoilt[90] += 5e-3
+    result = fitted(data.with_readings({"x": spoilt}))
+    found = lc.findings(result)
+    assert [p.moved for p in found.shifts.found] == ["target"]
+    assert [o.pose for o in found.outliers.found] == [data.poses[90]]
+    document = found.added_to(result.document)
+    assert document.change_points is not None
+    assert "shift" in document.change_points.toml
+    assert any("along the run" in w for w in document.warnings)
+
+
+def test_one_outlier_is_no_shift() -> None:
+    data = read(joints(100, 11), 11)
+    for row in (0, 3, 50, 99):
+        spoilt = data["y"].copy()
+        spoilt[row] += 0.02
+        assert not lc.find_shifts(fitted(data.with_readings({"y": spoilt}))).found
+
+
+def test_few_poses_are_not_searched_and_a_level_is_a_probability() -> None:
+    data = read(joints(15, 12), 12)
+    assert lc.find_shifts(fitted(data)).tested == 0
+    with refused("invalid-value"):
+        lc.find_shifts(fitted(data), level=1.5)
+
+
+def test_the_log_of_a_tail_goes_on_where_the_tail_underflows() -> None:
+    assert _log_tail(20.0, 3) == pytest.approx(np.log(tail(20.0, 3)))
+    below, above = _log_tail(1240.0, 3), _log_tail(1320.0, 3)
+    assert above - below == pytest.approx(-40.0 + 0.5 * np.log(1320 / 1240), abs=0.01)
+
+
+def test_without_shifts_mechanism_and_data_stay() -> None:
+    data = read(joints(30, 13), 13)
+    same = lc.with_shifts(ARM, data, ())
+    assert same.mechanism is ARM
+    assert same.data is data
+    assert same.toml == ""
+
+
+def test_the_reflector_of_the_workspace_set_slips_where_its_makers_say(shared_data: Find) -> None:
+    data = measured(shared_data("motoman_ma1400_leica/right_arm_workspace.csv"))
+    result = lc.calibrate(lc.motoman_ma1400(RIGHT), data, method="least-squares")
+    found = lc.findings(result)
+    slips = [p for p in found.shifts.found if p.moved == "target"]
+    for pose in (14, 86):
+        assert any(abs(int(p.pose) - pose) <= 2 and p.p_value < 1e-6 for p in slips)
+    assert any(abs(int(p.pose) - 170) <= 8 and p.p_value < 1e-6 for p in found.shifts.found)
+    assert "13" in {o.pose for o in found.outliers.found}
+
+
+def test_what_moves_during_the_left_grid_is_found_and_named(shared_data: Find) -> None:
+    data = measured(shared_data("motoman_ma1400_leica/left_arm_grid.csv"))
+    rows = np.arange(len(data))
+
+    def shifts(wrong: dict[str, Array]) -> tuple[lc.ChangePoint, ...]:
+        spoilt = data.with_readings(wrong)
+        return lc.find_shifts(lc.calibrate(left_arm(), spoilt, method="least-squares")).found
+
+    assert shifts({}) == ()
+    (step,) = shifts({"x": data["x"] + 5e-4 * (rows >= 100)})
+    assert abs(step.number - 101) <= 2
+    assert step.changes["x"].size == pytest.approx(5e-4, abs=1e-4)
+    (ramp,) = shifts({"z": data["z"] + 3e-4 * rows / len(rows)})
+    assert (ramp.shape, ramp.names) == ("ramp", ("z",))
+    assert ramp.changes["z"].size == pytest.approx(3e-4, abs=1.5e-4)

@@ -1,0 +1,137 @@
+"""The method "auto": candidates on the same poses not used, and the rule that takes one of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from loopcal.statistics.candidates import entrants
+from loopcal.statistics.choice import Gap, choose
+from loopcal.statistics.noise_floor import noise_floor
+from loopcal.statistics.validation import Case
+from tests.reference.simulated import Simulated, planar_arm
+from tests.refusals import refused
+
+SDS = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3}
+ARM = planar_arm(40)
+
+
+def noisy(poor: float = 1.0, seed: int = 1) -> lc.Dataset:
+    """Readings of the planar arm; poor: factor on the sd of the second encoder."""
+    return ARM.read(SDS | {"phi3": poor * 1e-3}, seed=seed)
+
+
+def test_without_noise_it_chooses_among_methods_that_need_none() -> None:
+    result = lc.calibrate(ARM.truth, noisy(), method="auto")
+    assert result.chosen is not None
+    assert {c.name for c in result.chosen.over} <= {
+        *("least-squares", "nominal", "least-squares with model error")
+    }
+    assert result.status.converged
+    assert result.document.method == "auto"
+
+
+def test_it_tells_what_was_chosen_over_what_and_by_how_much() -> None:
+    result = lc.calibrate(ARM.truth, noisy(), noise=SDS, method="auto")
+    document, chosen = result.document, result.chosen
+    assert chosen is not None
+    first, *others = chosen.over
+    assert first.name == chosen.method
+    assert first.difference == 0.0
+    assert first.out_of_sample is not None
+    assert document.validation is not None
+    assert first.out_of_sample == document.validation.accuracy
+    assert document.validation.blocked is not None
+    assert first.blocked == document.validation.blocked.accuracy
+    for other in others:
+        assert other.out_of_sample is not None
+        assert other.difference == pytest.approx(
+            other.out_of_sample.rms - first.out_of_sample.rms, abs=1e-12
+        )
+        assert other.sd is not None
+    assert chosen.words in str(result)
+    assert document.accuracy is not None
+    assert document.accuracy.nominal is not None
+    assert document.accuracy.noise_floor is not None
+
+
+def test_a_choice_is_the_calibration_by_the_chosen_method() -> None:
+    result = lc.calibrate(ARM.truth, noisy(), noise=SDS, method="auto")
+    assert result.chosen is not None
+    case = Case(ARM.truth, noisy(), lc.Noise(SDS), lc.Fit(method="auto"))
+    entrant = next(e for e in entrants(case) if e.name == result.chosen.method)
+    again = entrant.case.calibrated()
+    assert dict(again.value) == dict(result.value)
+    np.testing.assert_array_equal(again.covariance, result.covariance)
+    assert np.isfinite(lc.predict(result, noisy(seed=2)).covariance).all()
+
+
+def test_validate_with_auto_is_the_validation_of_the_chosen() -> None:
+    result = lc.calibrate(ARM.truth, noisy(), noise=SDS, method="auto")
+    found = lc.validate(ARM.truth, noisy(), noise=SDS, method="auto", folds=10)
+    assert result.document.validation == found.entry
+
+
+def test_stated_sds_that_are_wrong_by_far_are_not_followed() -> None:
+    """The encoder said to be the best is by far the worst: least squares predicts better."""
+    claimed = {"xP": 1e-2, "yP": 1e-6, "phi2": 1e-2, "phi3": 1e-7}
+    data = ARM.read({"xP": 1e-4, "yP": 1e-4, "phi2": 1e-5, "phi3": 3e-3}, seed=3)
+    by_noise = lc.calibrate(ARM.truth, data, noise=claimed, method="implicit-loop")
+    chosen = lc.calibrate(ARM.truth, data, noise=claimed, method="auto")
+    truth = ARM.values
+    off = [abs(r.value["l2"] - truth["l2"]) for r in (chosen, by_noise)]
+    assert off[0] <= off[1]
+
+
+def test_the_choice_is_no_worse_than_least_squares() -> None:
+    """Machines off by 2 mm and 2 mrad: in the geometric mean auto is better at fresh poses."""
+    ratios = []
+    fresh = planar_arm(300, seed=99)
+    for seed in range(8):
+        drawing = ARM.off(2e-3, 2e-3, seed=seed)
+        data = ARM.read(SDS, seed=seed)
+        least = lc.calibrate(drawing, data, method="least-squares")
+        auto = lc.calibrate(drawing, data, noise=SDS, method="auto")
+        ratios.append(_error(auto, fresh) / _error(least, fresh))
+    assert float(np.exp(np.mean(np.log(ratios)))) <= 1.0
+
+
+def _error(result: lc.Result, fresh: Simulated) -> float:
+    """Root mean square error [m] at poses without noise."""
+    data = fresh.read()
+    found = lc.predict(result, data)
+    gaps = [found.outputs[q] - data[q] for q in ("xP", "yP")]
+    return float(np.sqrt(np.square(gaps).sum(axis=0).mean()))
+
+
+def test_a_gap_counts_clusters_not_poses() -> None:
+    """Errors shared by a cluster: its standard error is that of as many values as clusters."""
+    rng = np.random.default_rng(0)
+    cluster = np.repeat(np.arange(50), 20)
+    means = []
+    for _ in range(200):
+        own = rng.normal(size=50)[cluster] + 0.1 * rng.normal(size=1000)
+        gap = Gap.of(own, np.zeros(1000), cluster)
+        means.append((gap.mean / gap.sd) ** 2)
+    assert np.mean(means) == pytest.approx(1.0, abs=0.25)
+    alone = Gap.of(np.array([1.0, np.nan]), np.zeros(2), np.array([0, 1]))
+    assert math.isinf(alone.sd)
+    assert not alone.significant
+
+
+def test_the_noise_floor_is_what_the_truth_leaves() -> None:
+    many = planar_arm(2000)
+    data = many.read(SDS, seed=5)
+    fixed = many.truth.with_parameters(many.truth.parameters.with_fixed(["xA", "yA", "l2", "l3"]))
+    result = lc.calibrate(fixed, data, noise=SDS, method="implicit-loop")
+    floor = noise_floor(result)
+    assert floor == pytest.approx(result.accuracy_after.rms, rel=0.05)  # type: ignore[union-attr]
+
+
+def test_a_case_without_any_fit_raises_what_the_first_candidate_raised() -> None:
+    data = lc.Dataset.from_arrays({q: noisy()[q][:1] for q in noisy().quantities})
+    with refused("too-few-poses"):
+        choose(Case(ARM.truth, data, lc.Noise(SDS), lc.Fit(method="auto")))
