@@ -498,6 +498,7 @@ class Result:
             noise=noise_entries(self.noise, self.chi_squared_shares),
             noise_covariances=() if self.fit.solver.exact else joint_covariances(self.problem),
             terms=self.terms,
+            sds_settled=None if self.estimate is None else self.estimate.settled,
             model_discrepancy=self.model_discrepancy,
             variance_factor_applied=self.variance_factor_applied,
             restricted_criterion=self.restricted_criterion,
