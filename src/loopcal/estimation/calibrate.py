@@ -19,6 +19,7 @@ from loopcal.estimation.noise.learning import components, with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
 from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.problem.size import refuse_collapse
 from loopcal.estimation.problem.unreachable import refuse_unreachable
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.fallback import solve_or_fall_back
@@ -48,13 +49,15 @@ def calibrate(
     fit: Fit | None = None,
     progress: Progress | None = None,
     near: Mapping[str, Array] | None = None,
+    trusted: bool = False,
     **options: Unpack[FitOptions],
 ) -> Result:
     """Calibrate a mechanism by one stated method.
 
     As `loopcal.statistics.calibrate.calibrate`, which also chooses the method. near: the fit begins
     where one of nearly the same readings ended, which found these corrections (N,) of what no
-    sensor reads, so a misfit is no reason to try other starts.
+    sensor reads, so a misfit is no reason to try other starts; trusted: no fault of the file is
+    sought.
     """
     fit, stated = Fit.of(fit, options), Noise.of(noise)
     refuse_noise(fit, stated)
@@ -104,8 +107,11 @@ def calibrate(
         problem = started(mechanism, data, told, fit.start)
         if near:
             problem = begun_near(problem, near)
+        if fit.solver.exact or fit.solver.at_readings:
+            arrays = problem.readings, problem.known, problem.uncertainty.sd
+            refuse_collapse(problem.mechanism, *arrays, priors=not fit.solver.exact)
         faults: tuple[ColumnFault, ...] = ()
-        if isinstance(fit.start, str) and suspicious(problem):
+        if not trusted and isinstance(fit.start, str) and suspicious(problem):
             faults = column_faults(problem)
         if faults:  # no fit is of use: a short one, so that there is a result to say so
             short = fitted(problem, fit.tolerance, min(fit.max_iterations, FAULTY))

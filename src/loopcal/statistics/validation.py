@@ -252,13 +252,17 @@ class Case:
     fit: Fit
     near: Mapping[str, Array] | None = None
     """Corrections (N,) of what no sensor reads, where a fit of these readings ended."""
+    trusted: bool = False
+    """Whether faults of the file were sought, and there are none."""
 
     def calibrated(self, index: Index | None = None) -> Result:
         """The calibration of these poses, by default of all."""
         data = self.data if index is None else self.data.take(index)
         noise = taken(self.noise, index)
         near = _of_poses(self.near, index)
-        return calibrate(self.mechanism, data, noise=noise, fit=self.fit, near=near)
+        return calibrate(
+            self.mechanism, data, noise=noise, fit=self.fit, near=near, trusted=self.trusted
+        )
 
 
 def _of_poses(

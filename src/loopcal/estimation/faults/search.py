@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 from loopcal.document.findings import ColumnFault
 from loopcal.document.plain import known
 from loopcal.errors import InputError
-from loopcal.estimation.faults.misfit import HALF, at_start, fit_of_all, misfit, undrawn, unread
+from loopcal.estimation.faults.misfit import (
+    HALF,
+    at_start,
+    fit_of_all,
+    misfit,
+    undrawn,
+    unread,
+)
 from loopcal.estimation.faults.repairs import Repair, repairs
 from loopcal.estimation.problem.alignment import can_be_placed, seen_points
 from loopcal.estimation.problem.problem import Problem, taken
@@ -55,7 +62,8 @@ def suspicious(problem: Problem) -> bool:
     if not undrawn(problem.mechanism) or _blind(problem):
         return False
     some = _thinned(problem, _SAMPLE)
-    return at_start(some) > NEAR and misfit(some).share > NEAR
+    limit = NEAR + mounting(some)
+    return at_start(some) > limit and misfit(some).share > limit
 
 
 def column_faults(problem: Problem) -> tuple[ColumnFault, ...]:
