@@ -22,6 +22,7 @@ from loopcal.estimation.faults.misfit import (
     at_start,
     fit_of_all,
     misfit,
+    mounting,
     undrawn,
     unread,
 )
