@@ -55,13 +55,15 @@ def covariance_entry(
     if not len(covariance.slopes):
         return CovarianceEntry(names, "SI", matrix)
     plain = tuple(map(tuple, covariance.plain.tolist()))
-    slopes = tuple(tuple(map(_short, slope)) for slope in covariance.slopes.tolist())
+    slopes = tuple(tuple(map(tuple, slope)) for slope in _short(covariance.slopes).tolist())
     return CovarianceEntry(names, "SI", matrix, plain, slopes)
 
 
-def _short(row: Sequence[float]) -> tuple[float, ...]:
+def _short(values: Array) -> Array:
     """To six digits: they say how sure variances are."""
-    return tuple(float(f"{value:.6g}") for value in row)
+    size = np.abs(values)
+    power = 10.0 ** (5.0 - np.floor(np.log10(np.where(size > 0.0, size, 1.0))))
+    return np.asarray(np.round(values * power) / power)
 
 
 def noise_entries(

@@ -8,15 +8,17 @@ squared distance there, averaged over both ways to leave the pose out; without o
 twice the log density of its loops.
 
 The structured candidate of least risk is taken, or without one the first method, unless another is
-significantly better: lower in both, and in one of them by more than the 97.5 % point of Student's t
-times the standard error of the mean difference. Errors in one region are not independent, so
-regions are the units of the second; the units of the first are poses.
+significantly better: lower in both, by more than the 97.5 % point of Student's t times the standard
+error of the mean difference. Errors in one region are not independent, so regions are the units of
+the second; the units of the first are poses. Against a structured candidate both must be
+significant, because poses of a narrow set cannot show what its prior is good for elsewhere; between
+plain methods one is enough.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -338,7 +340,9 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
         if own is not None and own.accuracy is not None and best is not None:
             gap = Gap.of(risks[one.name][0], risks[taken.name][0], plan.groups)
             scale = own.accuracy.rms + best.rms
-        over.append(_candidate(one, own, gap, scale))
+        learnt = one.whole if one.made and not taken.entrant.structured else None
+        entry = _candidate(one, own, gap, scale)
+        over.append(replace(entry, terms=() if learnt is None else learnt.terms))
     better = [
         one.name
         for one in judged
@@ -357,7 +361,10 @@ def _taken(judged: Sequence[Judged], risks: Mapping[str, Array], plan: Plan) -> 
 
     structured = [one for one in judged if one.entrant.structured]
     preferred = min(structured, key=score) if structured else judged[0]
-    better = [one for one in judged if _better(risks[one.name], risks[preferred.name], plan)]
+    enough = all if structured else any
+    better = [
+        one for one in judged if _better(risks[one.name], risks[preferred.name], plan, enough)
+    ]
     return min(better, key=score) if better else preferred
 
 
@@ -371,8 +378,8 @@ def _score(risk: Array) -> float:
     )
 
 
-def _better(own: Array, other: Array, plan: Plan) -> bool:
-    """Whether a candidate is significantly better than another."""
+def _better(own: Array, other: Array, plan: Plan, enough: Callable[[Iterable[bool]], bool]) -> bool:
+    """Whether a candidate is significantly better than another, in all or any of both ways."""
     gaps = [Gap.of(own[0], other[0], plan.groups)]
     if plan.blocked is not None:
         region = np.zeros(len(plan.groups), dtype=np.intp)
@@ -380,7 +387,7 @@ def _better(own: Array, other: Array, plan: Plan) -> bool:
             region[index] = number
         gaps.append(Gap.of(own[1], other[1], region))
     known = [gap for gap in gaps if gap.clusters]
-    return all(gap.mean < 0.0 for gap in known) and any(gap.significant for gap in known)
+    return all(gap.mean < 0.0 for gap in known) and enough(gap.significant for gap in known)
 
 
 def _unvalidated(judged: Sequence[Judged]) -> Judged:

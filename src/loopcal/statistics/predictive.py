@@ -115,9 +115,13 @@ class Predictive:
         return np.where(self.loops > 0, held, np.nan)
 
 
-def predictive(fit: Result, held: Held) -> Predictive | None:
-    """What the fit stated of these poses; None where their misclosures have no density."""
+def predictive(fit: Result, held: Held, covariance: Array | None = None) -> Predictive | None:
+    """What the fit stated of these poses; None where their misclosures have no density.
+
+    covariance: (n, n) of its parameters, by default its own.
+    """
     problem = held.problem
+    covariance = fit.covariance if covariance is None else covariance
     model = linear_model(problem, problem.start, held.corrections, ())
     own = 0.0
     if fit.fit.solver.exact:
@@ -132,7 +136,7 @@ def predictive(fit: Result, held: Held) -> Predictive | None:
     density, squares = np.zeros((2, len(problem.poses)))
     loops = np.zeros(len(problem.poses), dtype=np.intp)
     for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):
-        found = _densities(block, own, fit.covariance, free, limit / scale)
+        found = _densities(block, own, covariance, free, limit / scale)
         if found is None:
             return None
         density[poses], squares[poses] = found

@@ -5,7 +5,8 @@ estimated anew, where they are estimated at all), and the outputs of the poses l
 computed from their other readings. Stone (1974), cross-validatory choice and assessment of
 statistical predictions. The refits begin at the solution of all poses, which saves iterations
 and gives nothing away: the optimum does not depend on where the search began. Where a part
-leaves a direction undetermined, it would; there the refit begins where the first fit did.
+leaves a direction undetermined, it would; there the refit begins where the first fit did. Whether
+residuals of neighbouring poses depend is asked of all poses once, not of each part again.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from loopcal.statistics.folds import (
     parts_of,
     stated_sds,
 )
-from loopcal.statistics.predictive import LEVEL, Predictive, held_problem, predictive, taken
+from loopcal.statistics.predictive import LEVEL, Held, Predictive, held_problem, predictive, taken
 
 Array = NDArray[np.float64]
 NEARLY = 1e-3
@@ -137,7 +138,8 @@ def validated(
         other = scheme.other
         known = case.noise if scheme.other_noise is None else Noise.of(scheme.other_noise)
         name = other.source.name or "other readings"
-        part = _predicted(whole, other, known, np.arange(len(other)))
+        held = held_problem(whole, other, known)
+        part = _predicted(whole, held, np.arange(len(other)), whole.covariance)
         words = f"{len(other)} poses of {name}"
         return _pooled(whole, [part], Parts((), {"file": name}, words), other)
     plan = planned(case, scheme)
@@ -260,10 +262,14 @@ class Case:
 
 @dataclass(frozen=True)
 class _Begun:
-    """What the fits of all parts share: the calibration, and where that of all poses ended."""
+    """What the fits of all parts share: the calibration, and where that of all poses ended.
+
+    drifts: whether all poses show serial dependence.
+    """
 
     case: Case
     near: Case
+    drifts: bool
 
     @classmethod
     def at(cls, case: Case, whole: Result) -> _Begun:
@@ -275,7 +281,8 @@ class _Begun:
         fit = replace(case.fit, start=dict(whole.value), prior=None)
         if whole.mechanism.terms:
             fit = replace(fit, tolerance=fit.tolerance or NEARLY)
-        return cls(case, Case(whole.mechanism, case.data, noise, fit, near=True))
+        near = Case(whole.mechanism, case.data, noise, fit, near=True)
+        return cls(case, near, whole.drifts)
 
     def calibrated(self, index: Index) -> Result:
         """The calibration of these poses, begun where that of all poses ended."""
@@ -294,16 +301,18 @@ def _left_out(begun: _Begun, index: Index) -> Outcome:
             found = begun.calibrated(rest)
             if not found.status.converged:
                 return Failed(index, f"the fit did not converge ({found.status.reason})")
-            return _predicted(found, case.data.take(index), taken(case.noise, index), index)
+            covariance = found.covariance if begun.drifts else found.covariance_if_independent
+            held = held_problem(found, case.data.take(index), taken(case.noise, index))
+            return _predicted(found, held, index, covariance)
         except (InputError, NoTrustworthyResult) as error:
             return Failed(index, error.message)
 
 
-def _predicted(fit: Result, data: Dataset, noise: Noise | None, index: Index) -> Predicted:
-    held = held_problem(fit, data, noise)
+def _predicted(fit: Result, held: Held, index: Index, covariance: Array) -> Predicted:
     rows = [fit.mechanism.tape.quantities.index(q) for q in fit.mechanism.compared]
     differences = output_differences(held.problem, held.problem.start, held.corrections)
-    return Predicted(index, held.problem.readings[rows], differences, predictive(fit, held))
+    stated = predictive(fit, held, covariance)
+    return Predicted(index, held.problem.readings[rows], differences, stated)
 
 
 def _pooled(

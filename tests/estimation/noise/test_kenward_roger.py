@@ -82,6 +82,27 @@ def test_the_addition_is_that_of_the_dense_formula(prior: lc.Prior | None) -> No
     )
 
 
+def test_sums_and_poses_say_the_same_under_one_factor() -> None:
+    """With terms and one factor of all noise the sums of the fit give what all its rows give."""
+    machine = replace(ARM, terms=(lc.Term("lengths", ("l2", "l3"), 1e-3),))
+    machine = machine.with_parameters(machine.parameters.with_prior({"l?": 1e-3}))
+    at = lc.random_poses(BOX, 15, seed=3)
+    readings = lc.simulate(ARM, at, noise=lc.Noise(SDS), seed=4).dataset
+    result = lc.calibrate(machine, readings, noise=lc.Noise(SDS, estimate={"*": "group"}))
+    estimate = result.estimate
+    assert estimate is not None
+    variances = estimate.variances
+    assert variances.sensors is None
+    rows = replace(estimate, variances=replace(variances, sensors=estimate.found))
+    by_sums, by_rows = learnt_parameters(estimate), learnt_parameters(rows)
+    size = np.sqrt(np.diag(by_rows.matrix))
+    off = (by_sums.matrix - by_rows.matrix) / np.outer(size, size)
+    assert np.abs(off).max() < 2e-3  # the last round still moves the ratio by so much
+    np.testing.assert_allclose(
+        by_sums.covariance.freedom, by_rows.covariance.freedom, rtol=5e-3, atol=0.0
+    )
+
+
 def test_one_factor_of_all_noise_has_the_degrees_of_the_residuals() -> None:
     result = learnt({"*": "group"})
     np.testing.assert_allclose(result.learnt_covariance.matrix, result.learnt_covariance.plain)

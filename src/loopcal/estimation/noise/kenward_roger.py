@@ -14,17 +14,25 @@ are the slopes that Student's t needs (`loopcal.small_samples`).
 The rows of a term's parameters in the prior are loadings of the term's variance. W is the inverse
 of the information, ratios at zero included: there by chance, they are as unsure as others. No ratio
 is more unsure than the whole noise would be, were it all this component's.
+
+All is done in directions z, dp = root z, in which H is the identity: with Z_j = root^T M_j root and
+the products of the rows of two components, Q_jk = root^T J^T V^-1 V_j V^-1 V_k V^-1 J root,
+
+    Lambda = root (sum_jk W_jk (Q_jk - Z_j Z_k)) root^T,
+
+which no pose adds to. Where one factor is common to all noise, the sums of the fit say these too.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.noise.linear_model import WhitenedModel, whitened_model
+from loopcal.estimation.noise.linear_model import whitened_model
 from loopcal.estimation.noise.variances import owners
 from loopcal.small_samples import LearntCovariance
 
@@ -32,25 +40,43 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from loopcal.estimation.noise.estimation import NoiseEstimate
-    from loopcal.estimation.noise.variance_components import Estimate
 
 Array = NDArray[np.float64]
 _WIDEST = 3.0
 """Sd of a ratio, at most, in units of the one that would explain all noise."""
 _RIDGE = 1e-6
 _CERTAIN = 0.03
-"""A change of no variance by more than this share leaves thousands of degrees of freedom."""
+"""A change of the variances by less than this share leaves thousands of degrees of freedom."""
 
 
 @dataclass(frozen=True, eq=False)
 class LearntParameters:
-    """Covariance of the parameters, and the errors of the ratios that its slopes stand for.
+    """What learning the variances means for the parameters, in the directions of `root`.
 
-    errors: (c, a) change of each sensor's variance ratio along each of `covariance.slopes`.
+    root: (n, k), H^-1 = root root^T; errors: (c, a) change of each sensor's variance ratio along
+    each independent error; along: (a, k, k) changes of the covariance of z along these; added:
+    (k, k) of the same covariance.
     """
 
-    covariance: LearntCovariance
+    root: Array
     errors: Array
+    along: Array
+    added: Array
+
+    @cached_property
+    def plain(self) -> Array:
+        """(n, n) covariance of the parameters as if the variances were known."""
+        return np.asarray(self.root @ self.root.T)
+
+    @cached_property
+    def matrix(self) -> Array:
+        """(n, n) covariance of the parameters."""
+        return np.asarray(self.plain + 2.0 * self.root @ self.added @ self.root.T)
+
+    @cached_property
+    def covariance(self) -> LearntCovariance:
+        """The covariance of the parameters, and how sure it is itself."""
+        return LearntCovariance(self.matrix, self.plain, self.root @ self.along @ self.root.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,80 +87,99 @@ class _Term:
     precision: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Sensors:
+    """What the readings say of c sensor components, in directions z.
+
+    root: (n, k); first: (c, k, k) = Z_j; second: (c, c, k, k) = Q_jk; ratios: (c,) learnt ones;
+    information: (c, c) on them.
+    """
+
+    root: Array
+    first: Array
+    second: Array
+    ratios: Array
+    information: Array
+
+
 def learnt_parameters(estimate: NoiseEstimate) -> LearntParameters:
     """The covariance of the parameters at learnt variances of sensors and terms.
 
     Over the directions that data and prior determine.
     """
-    model, found = estimate.model, estimate.found
-    at = whitened_model(model, found.ratios)
-    assert at is not None  # the estimate was made there
-    prior = np.sqrt(model.precision)
     own, stated = owners(estimate.problem), estimate.problem.mechanism.terms
     terms = [
         _Term(np.flatnonzero(own == i), 0.25 / term.spread**2)
         for i, term in enumerate(stated)
         if (own == i).any()
     ]
-    inner = _inner(at, prior, terms, len(found.ratios))
-    errors = _errors(found, inner, terms)
-    along = np.einsum("ja,jkl->akl", errors, inner)
-    matters = np.abs(np.linalg.eigvalsh(along)).max(axis=1, initial=0.0) > _CERTAIN
-    errors, slopes = errors[:, matters], at.root @ along[matters] @ at.root.T
-    plain = at.root @ at.root.T
-    total = plain + 2.0 * _moves(at, errors, slopes, prior, terms)
-    return LearntParameters(LearntCovariance(total, plain, slopes), errors[: len(found.ratios)])
+    prior = 1.0 / estimate.problem.prior_sd
+    learnt = estimate.variances
+    by_pose = learnt.terms is None or learnt.sensors is not None
+    sensors = _by_pose(estimate) if by_pose else _by_sums(estimate, prior)
+    U = [prior[term.index, None] * sensors.root[term.index] for term in terms]
+    first = np.concatenate([sensors.first, *((u.T @ u)[None] for u in U)])
+    errors = _errors(sensors, first, terms)
+    along = np.tensordot(errors.T, first, 1)
+    matters = np.linalg.norm(along, axis=(1, 2)) > _CERTAIN
+    errors, along = errors[:, matters], along[matters]
+    c, W = len(sensors.ratios), errors @ errors.T
+    added = np.tensordot(W[:c, :c], sensors.second, 2)
+    added += np.tensordot(np.diag(W)[c:], first[c:], 1)
+    flat = along.reshape(-1, len(added))
+    return LearntParameters(sensors.root, errors[:c], along, added - flat.T @ flat)
 
 
-def _inner(at: WhitenedModel, prior: Array, terms: Sequence[_Term], components: int) -> Array:
-    """root^T M_j root of the sensors, then by the log variance of each term, (c + t, k, k)."""
-    rank = at.root.shape[1]
-    inner = np.zeros((components + len(terms), rank, rank))
+def _by_sums(estimate: NoiseEstimate, prior: Array) -> _Sensors:
+    """Of one factor of all noise, or of none: V_0 = V / s, so all is the share of the readings."""
+    system, ratios = estimate.solution.spectrum, estimate.variances.ratios
+    kept = system.kept
+    root = system.scale[:, None] * system.directions[:, kept] / system.singular_values[kept]
+    informed = prior[:, None] * root
+    share = np.eye(root.shape[1]) - informed.T @ informed
+    each = 1.0 / ratios
+    first = np.multiply.outer(each, share)
+    second = np.multiply.outer(np.outer(each, each), share)
+    count = estimate.solution.equations - 2.0 * np.trace(share) + np.square(share).sum()
+    return _Sensors(root, first, second, ratios, 0.5 * count * np.outer(each, each))
+
+
+def _by_pose(estimate: NoiseEstimate) -> _Sensors:
+    """Of any components, from the rows of all poses."""
+    found = estimate.found
+    at = whitened_model(estimate.model, found.ratios)
+    assert at is not None  # the estimate was made there
+    c, rank = len(found.ratios), at.root.shape[1]
+    first, second = np.zeros((c, rank, rank)), np.zeros((c, c, rank, rank))
     for J, W, owner in at.blocks:
         Y = W.transpose(0, 2, 1) @ (J @ at.root)
-        for j in range(components):
-            own = Y[:, owner == j].reshape(-1, rank)
-            inner[j] += own.T @ own
-    for j, term in enumerate(terms):
-        U = prior[term.index, None] * at.root[term.index]
-        inner[components + j] = U.T @ U
-    return inner
+        parts = []
+        for j in range(c):
+            own = Y[:, owner == j]
+            parts.append((W[:, :, owner == j] @ own).reshape(-1, rank))
+            flat = own.reshape(-1, rank)
+            first[j] += flat.T @ flat
+        for j in range(c):
+            for k in range(c):
+                second[j, k] += parts[j].T @ parts[k]
+    return _Sensors(at.root, first, second, found.ratios, found.at.information)
 
 
-def _errors(found: Estimate, inner: Array, terms: Sequence[_Term]) -> Array:
+def _errors(sensors: _Sensors, first: Array, terms: Sequence[_Term]) -> Array:
     """A root (c + t, c + t) of the covariance W of ratios and log variances of terms."""
-    c = len(found.ratios)
-    flat = inner.reshape(len(inner), -1)
+    c = len(sensors.ratios)
+    flat = first.reshape(len(first), -1)
     information = 0.5 * flat @ flat.T
-    information[:c, :c] = found.at.information
+    information[:c, :c] = sensors.information
     for j, term in enumerate(terms, c):
-        own = 0.5 * (len(term.index) - 2.0 * np.trace(inner[j]))
+        own = 0.5 * (len(term.index) - 2.0 * np.trace(first[j]))
         information[j, j] += own + term.precision
     size = np.sqrt(np.maximum(np.diag(information), 0.0))
     shown = size > 0.0
     scale = np.where(shown, size, 1.0)
-    widest = _WIDEST * max(float((found.ratios * size[:c]).sum()), 1.0)
+    widest = _WIDEST * max(float((sensors.ratios * size[:c]).sum()), 1.0)
     flattest = np.where(np.arange(len(size)) < c, widest**-2, 0.0)
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale) + np.diag(flattest))
     root = vectors / np.sqrt(np.maximum(values, _RIDGE))
     errors: Array = np.where(shown, 1.0 / scale, 0.0)[:, None] * root
     return errors
-
-
-def _moves(
-    at: WhitenedModel, errors: Array, slopes: Array, prior: Array, terms: Sequence[_Term]
-) -> Array:
-    """Lambda (n, n), as a sum of squares; prior: (n,) roots of its precision."""
-    n, c = len(prior), len(errors) - len(terms)
-    total = np.zeros((n, n))
-    plain = at.root @ at.root.T
-    for along, slope in zip(errors.T, slopes, strict=True):
-        rest = -prior[:, None] * slope
-        for change, term in zip(along[c:], terms, strict=True):
-            rest[term.index] += change * prior[term.index, None] * plain[term.index]
-        total += rest.T @ rest
-        for J, W, owner in at.blocks:
-            own = along[owner][:, None] * (W.transpose(0, 2, 1) @ (J @ at.root) @ at.root.T)
-            moved = (W @ own - J @ slope).reshape(-1, n)
-            total += moved.T @ moved
-    return total

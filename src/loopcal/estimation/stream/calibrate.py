@@ -74,6 +74,8 @@ def calibrate_stream(
     exact, told = fit.solver.exact, first.noise
     learns = bool(mechanism.terms) and not exact
     if learns:
+        import scipy.linalg  # noqa: F401  before the limit on threads of linear algebra
+
         refuse_learning(fit, mechanism, told)
         stream = weighed = Weighed(fit, mechanism, stream)
         told = weighed.told(first)
