@@ -521,8 +521,10 @@ def init(
     done = initial_project(files, robot, out=out, ask=ask_on_terminal())
     print_out(str(done))
     if run:
-        calibrate(str(done.written[0]))
-        open_page(done.written[0].with_name("project-result") / "report.html")
+        try:
+            calibrate(str(done.written[0]))
+        finally:  # the report is there too where the result is not sound
+            open_page(done.written[0].with_name("project-result") / "report.html")
 
 
 @app.command()

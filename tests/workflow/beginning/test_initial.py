@@ -258,6 +258,58 @@ def test_what_the_data_cannot_decide_is_asked_or_refused(tmp_path: Path) -> None
     assert np.allclose(made.dataset["J1"], joints[:, 0])
 
 
+@pytest.mark.parametrize("names", [["J2"], ["J5"], ["J1", "J4"]])
+def test_joints_that_count_the_other_way_round_are_named(
+    tmp_path: Path, arm: Any, names: list[str]
+) -> None:
+    joints, points = arm
+    columns = {**of(joints, NAMES), **of(points, "xyz")}
+    columns |= {name: -columns[name] for name in names}
+    path = dh(tmp_path)
+    with refused("implausible-readings", *names, "other way round"):
+        lc.init(columns, dh=path)
+
+
+def test_a_direction_in_the_table_of_the_robot_turns_a_joint_round(
+    tmp_path: Path, arm: Any
+) -> None:
+    joints, points = arm
+    head, *rows = dh_arm.dh_table().splitlines()
+    rows = [f"{row},{-1 if row.startswith('J3') else 1}" for row in rows]
+    (tmp_path / "dh.csv").write_text("\n".join([f"{head},direction", *rows]) + "\n", "utf-8")
+    columns = {**of(joints, NAMES), **of(points, "xyz")}
+    columns["J3"] = -columns["J3"]
+    path = table(tmp_path / "a.csv", columns)
+    lc.init(path, dh=tmp_path / "dh.csv", out=tmp_path / "out")
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
+def test_a_tracker_in_its_own_readings(tmp_path: Path, arm: Any) -> None:
+    joints, p = arm
+    r = np.linalg.norm(p, axis=1)
+    azimuth, elevation = np.arctan2(p[:, 1], p[:, 0]), np.arcsin(p[:, 2] / r)
+    seen = {"range": 1e3 * r, "az": np.degrees(azimuth), "el": np.degrees(elevation)}
+    path = table(tmp_path / "a.csv", {**of(joints, NAMES), **seen})
+    made = lc.init(path, dh=dh(tmp_path), out=tmp_path / "out")
+    assert set(made.fits) == {"tracker"}
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
+def test_two_targets_are_seen_from_one_station(tmp_path: Path, camera: Any) -> None:
+    joints, T = camera
+    other = T[:, :3, 3] + T[:, :3, :3] @ np.array([0.1, 0.02, 0.0])
+    names = ["x1", "y1", "z1", "x2", "y2", "z2"]
+    both = of(1e3 * np.hstack([T[:, :3, 3], other]), names)
+    made = lc.init({**of(joints, NAMES), **both}, dh=dh(tmp_path))
+    between = [
+        made.mechanism.parameters[f"tool_1_{a}"].nominal
+        - made.mechanism.parameters[f"tool_2_{a}"].nominal
+        for a in "xyz"
+    ]
+    assert np.linalg.norm(between) == pytest.approx(np.hypot(0.1, 0.02), abs=2e-3)
+    assert "base_x" in made.mechanism.parameters.names
+
+
 def test_another_robot_is_refused(tmp_path: Path, arm: Any) -> None:
     joints, points = arm
     shuffled = np.random.default_rng(3).permutation(points)

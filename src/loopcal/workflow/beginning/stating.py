@@ -114,8 +114,8 @@ def stated(
     remarks = {
         "mechanism": robot.remarks,
         "parameters": (
-            "Found by placing the nominal machine on the readings; where a drawing states them, "
-            "write its values.",
+            f"{', '.join(parameters)}: found by placing the nominal machine on the readings; where "
+            "a drawing states them, write its values.",
         ),
         "data": (*fields.remarks, *_inferred(found), *found.remarks, *_left_out(found)),
         "noise": tuple(guesses),
@@ -261,7 +261,12 @@ class _Instrument:
             told.append(f"The sds of {names} stand in columns of the file (sd_column above).")
         else:
             sd, source = self._guess(position)
-            noise[",".join(self.names())] = _entry(sd, "m", position, "mm" if sd > 1e-4 else "um")
+            shown = "mm" if sd > 1e-4 else "um"
+            noise[",".join(self.names())] = (
+                {"tracker": _TRACKER, "estimate": "group"}
+                if self.kind == "spherical"
+                else _entry(sd, "m", position, shown)
+            )
             told.append(source)
         if self.kind == "pose":
             turns = ",".join(f"{self.name}_{w}" for w in ("wx", "wy", "wz"))
@@ -278,7 +283,8 @@ class _Instrument:
                 f"{self.name}: a guess, {1e3 * CAMERA:g} mm and {1e3 * TURN:g} mrad, usual of "
                 "cameras; the calibration learns both."
             )
-        far = float(np.nanmedian(np.sqrt(sum(np.square(r.values) for r in position))))
+        ranges = np.sqrt(np.square(self.meaning.position).sum(axis=1))
+        far = float(np.nanmedian(ranges))
         sd = float(Tracker.of(_TRACKER).transverse.at(np.array(far)))
         figure = PRESETS[_TRACKER].transverse
         return sd, (

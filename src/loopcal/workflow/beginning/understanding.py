@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,19 +109,25 @@ def understood(
     if fields.by_order or not best.share <= NOTHING:
         for meaning in found if not best.share <= NOTHING else found[:1]:
             _refuse_shifted(meaning)
+    if not best.share <= PLAUSIBLE:
+        _refuse_reversed(machine, layouts, best.share)
     if not best.share <= NOTHING:
         raise _fits_nothing(best)
-    rivals = [u for u in found[1:] if u.share < CLEARLY * best.share]
+    rivals = [u for u in found[1:] if u.share < min(CLEARLY * best.share, NOTHING)]
     if rivals and best.share > 1e-9:
         best = _asked([best, *rivals], ask)
     return _told(best)
 
 
 def _every(
-    machine: Machine, layouts: Sequence[Layout], *, as_stated: bool = True
+    machine: Machine,
+    layouts: Sequence[Layout],
+    *,
+    as_stated: bool = True,
+    turned_round: Collection[str] = (),
 ) -> list[Understood]:
     """All combinations of meanings, judged on some of the poses; of each instrument the best and
-    those that fit about as well."""
+    those that fit about as well. turned_round: joints that are read with the other sign."""
     found = []
     for layout in layouts:
         count = len(layout.joints[0].values)
@@ -133,7 +140,8 @@ def _every(
                 name: to_si(f.values, f.unit if f.unit and as_stated else units[si])
                 for name, f, si in zip(machine.joints, layout.joints, machine.units, strict=True)
             }
-            bodies = machine.bodies(joints)
+            moved = {n: -q if n in turned_round else q for n, q in joints.items()}
+            bodies = machine.bodies(moved)
             options = []
             for seen in layout.seen:
                 tried = _fitting(meanings(seen, as_stated=as_stated), bodies, few, 1)
@@ -198,6 +206,24 @@ def _refuse_stated(
             code="wrong-unit",
             remedy="correct the unit in the header, or remove it to have it inferred",
         )
+
+
+def _refuse_reversed(machine: Machine, layouts: Sequence[Layout], share: float) -> None:
+    """Raise InputError where one or two joints count the other way round."""
+    pairs = combinations(machine.joints, 2)
+    for names in (*((name,) for name in machine.joints), *pairs):
+        found = _every(machine, layouts, turned_round=names)
+        best = min((u.share for u in found), default=float("inf"))
+        if best <= PLAUSIBLE and CLEARLY * best < share:
+            be = "counts" if len(names) == 1 else "count"
+            raise InputError(
+                f"{' and '.join(names)} {be} the other way round: with the sign reversed the "
+                f"nominal machine misses the readings by {significant(100.0 * best, 2)} % of their "
+                f"spread, as read by {significant(100.0 * share, 2)} %",
+                code="implausible-readings",
+                remedy="write -1 for it in a column direction of the robot's table, or correct "
+                "the sign in the file",
+            )
 
 
 def _fits_nothing(best: Understood) -> InputError:
