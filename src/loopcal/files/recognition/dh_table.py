@@ -116,7 +116,7 @@ def read_dh(path: str | Path) -> DhTable:
         for key in ("a", "d", "alpha", "offset")
     }
     for key in ("alpha", "offset"):
-        stated = {cell.unit for cell in cells.get(key, ()) if cell.unit}
+        stated = {cell.unit for cell in cells.get(key, []) if cell.unit}
         if stated and headings[key][1].unit is None:
             headings[key] = (headings[key][0], replace(headings[key][1], unit=stated.pop()))
     texts = {k: table.ids(headings[k][0]) for k in ("name", "kind", "form") if k in headings}
