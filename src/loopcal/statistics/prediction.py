@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
@@ -226,6 +227,7 @@ def predict(
     told = Noise.of(noise)
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     machine = known.mechanism.predicting()
+    data = with_latest(machine, data)
     names, unused = machine.tape.quantities, machine.unused
     guessed = _guessed(known, data, told)
     also = [q for q in names if q not in data.readings or q in guessed]

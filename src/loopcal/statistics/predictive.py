@@ -20,6 +20,7 @@ from loopcal.estimation.model_error import noise_told, weighed
 from loopcal.estimation.noise.estimation import scaled
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.noise.linear_model import ModelBlock, linear_model
+from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import Result
@@ -55,6 +56,7 @@ def held_problem(fit: Result, data: Dataset, noise: Noise | None) -> Held:
     """The poses of a data set at the parameters and sds that a fit of others found."""
     exact = fit.fit.solver.exact
     mechanism = fit.mechanism
+    data = with_latest(mechanism, data)
     noise = noise_told(fit.fit, mechanism, data, noise)
     if noise is not None:
         data = weighed(fit.fit, data)

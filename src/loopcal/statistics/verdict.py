@@ -302,7 +302,7 @@ def _undetermined(document: ResultDocument) -> Said | None:
 
 def _rows_copied(document: ResultDocument) -> Said | None:
     said = document.data.warnings()
-    return Said(said[0], float(len(document.data.copied))) if said else None
+    return Said(said[0], float(len(document.data.copied))) if document.data.copied else None
 
 
 def _no_test(document: ResultDocument) -> Said | None:
