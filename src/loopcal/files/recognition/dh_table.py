@@ -103,7 +103,7 @@ def read_dh(path: str | Path) -> DhTable:
                 remedy='name its columns "a", "d", "alpha", "theta"; theta holds the offsets',
             )
     every = np.arange(len(table.rows))
-    cells = {
+    cells: dict[str, list[_Cell]] = {
         key: [
             _cell(text, table.decimal, f"{path.name}, row {row}, column {headings[key][1].text!r}")
             for row, text in zip(table.rows, table.ids(headings[key][0]), strict=True)
