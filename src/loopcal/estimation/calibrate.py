@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from loopcal.document.findings import ColumnFault
 from loopcal.errors import InputError
-from loopcal.estimation.faults.search import column_faults, suspicious
+from loopcal.estimation.faults.misfit import at_start
+from loopcal.estimation.faults.search import NEAR, column_faults, suspicious
 from loopcal.estimation.fit import Fit, FitOptions, Start
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.model_error import modelled, noise_told, weighed
@@ -95,8 +96,9 @@ def calibrate(
         def once(problem: Problem) -> Solution:
             return fitted(problem, own if tolerance is None else tolerance)
 
-        # an undamped method is for study: it shows how its own iteration ends
-        if fit.solver.damped:
+        # an undamped method is for study: it shows how its own iteration ends; a fit begun near its
+        # end needs no other start
+        if fit.solver.damped or near is not None:
             return once(problem)
         return solve_or_fall_back(problem, once, fit.max_iterations, judged=judged)
 
@@ -113,11 +115,14 @@ def calibrate(
         faults: tuple[ColumnFault, ...] = ()
         if not trusted and isinstance(fit.start, str) and suspicious(problem):
             faults = column_faults(problem)
-        if faults:  # no fit is of use: a short one, so that there is a result to say so
+        if any(fault.code != "wrong-machine" for fault in faults):
+            # no fit is of use: a short one, so that there is a result to say so
             short = fitted(problem, fit.tolerance, min(fit.max_iterations, FAULTY))
             return Result(fit, data, problem, short, problem, faults=faults)
         if told is None or not learns:
-            return Result(fit, data, problem, solved(problem), problem)
+            found = solved(problem)
+            faults = faults and left_after(faults, problem, found)
+            return Result(fit, data, problem, found, problem, faults=faults)
         from loopcal.estimation.noise.estimation import estimate_noise
 
         estimate = estimate_noise(
@@ -128,7 +133,16 @@ def calibrate(
             begin=told.begin,
         )
         learnt = replace(estimate.problem, start=problem.start)
-        return Result(fit, data, learnt, estimate.solution, problem, estimate)
+        faults = faults and left_after(faults, problem, estimate.solution)
+        return Result(fit, data, learnt, estimate.solution, problem, estimate, faults=faults)
+
+
+def left_after(
+    faults: tuple[ColumnFault, ...], problem: Problem, found: Solution
+) -> tuple[ColumnFault, ...]:
+    """The faults that a fit has not removed: a machine far from its drawing may yet be found."""
+    missed = at_start(replace(problem, start=found.parameters))
+    return faults if not found.status.converged or missed > NEAR else ()
 
 
 def begun_near(problem: Problem, near: Mapping[str, Array]) -> Problem:
