@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loopcal.document.findings import ColumnFault
 from loopcal.errors import InputError
 from loopcal.estimation.faults.misfit import at_start
-from loopcal.estimation.faults.search import NEAR, column_faults, suspicious
+from loopcal.estimation.faults.search import PLAUSIBLE, UNREPAIRED, column_faults, suspicious
 from loopcal.estimation.fit import Fit, FitOptions, Start
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.model_error import modelled, noise_told, weighed
@@ -115,7 +115,7 @@ def calibrate(
         faults: tuple[ColumnFault, ...] = ()
         if not trusted and isinstance(fit.start, str) and suspicious(problem):
             faults = column_faults(problem)
-        if any(fault.code != "wrong-machine" for fault in faults):
+        if any(fault.code not in UNREPAIRED for fault in faults):
             # no fit is of use: a short one, so that there is a result to say so
             short = fitted(problem, fit.tolerance, min(fit.max_iterations, FAULTY))
             return Result(fit, data, problem, short, problem, faults=faults)
@@ -142,7 +142,7 @@ def left_after(
 ) -> tuple[ColumnFault, ...]:
     """The faults that a fit has not removed: a machine far from its drawing may yet be found."""
     missed = at_start(replace(problem, start=found.parameters))
-    return faults if not found.status.converged or missed > NEAR else ()
+    return faults if not found.status.converged or missed > PLAUSIBLE else ()
 
 
 def begun_near(problem: Problem, near: Mapping[str, Array]) -> Problem:

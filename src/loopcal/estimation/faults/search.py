@@ -49,6 +49,8 @@ EQUAL = 1.05
 NOTHING = 0.3
 """A drawing that misses the better half of the poses by this share of their spread describes
 another machine, or another file."""
+UNREPAIRED = ("rows-shuffled", "wrong-machine")
+"""Codes of faults that no repair proves: a fit may yet show that only the drawing is far off."""
 SAME = 0.05
 """Two sets of points have the same shape if the quantiles of their distances differ by less."""
 _SAMPLE, _FEW, _FEWEST, _MOST, _STEPS, _FIRST, _BEST = 120, 40, 10, 3, 15, 3, 8
