@@ -26,7 +26,7 @@ from loopcal.statistics.shifted import shift_lines, with_shifts
 from loopcal.statistics.validation import Case
 
 CERTAIN = 1e-6
-"""Changes of so small a p-value, corrected for the search, are modelled."""
+"""Changes of so small a p-value, corrected for the search, are modelled; such poses discarded."""
 ROUNDS = 2
 """Searches: the second on the fit with what the first found."""
 MOST_OUTLIERS = 0.03
@@ -130,7 +130,8 @@ def _modelled(
     fitted = replace(told.case, fit=way.fit).calibrated()
     if not fitted.status.converged:
         raise NoTrustworthyResult("the fit with the changes did not converge", code="not-converged")
-    bad = {one.pose: one for one in find_outliers(fitted).found}
+    tests = find_outliers(fitted)
+    bad = {one.pose: one for one in tests.found if one.p_value * tests.tested < CERTAIN}
     if not bad or len(bad) + len(told.outliers) > MOST_OUTLIERS * len(case.data):
         return told, fitted
     kept = np.array([i for i in told.kept if case.data.poses[i] not in bad], dtype=np.intp)
