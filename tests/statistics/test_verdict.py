@@ -194,7 +194,9 @@ def test_a_joint_without_limits_turns_a_quarter_turn_about_the_middle_of_its_rea
     data = lc.simulate(arm, poses, noise=lc.Noise(sds), seed=4).dataset
     prior = dict.fromkeys(arm.parameters.names, 1e-3)
     result = lc.calibrate(arm, data, noise=sds, prior=prior, method="implicit-loop")
-    region = region_of(result, predictor(result))
+    known = predictor(result)
+    assert known is not None
+    region = region_of(result, known)
     assert region is not None
     for one in region.ranges:
         read = data.readings[one.quantity]

@@ -194,7 +194,8 @@ def _plan(case: Case, scheme: Scheme | None) -> Plan | None:
     if scheme is None:
         scheme = Scheme(min(FOLDS, different))
     if scheme.blocks is None:
-        scheme = replace(scheme, blocks=BLOCKS if different >= FEWEST else 0)
+        regions = different >= FEWEST and not scheme.place_anew
+        scheme = replace(scheme, blocks=BLOCKS if regions else 0)
     return planned(case, scheme)
 
 
@@ -216,7 +217,7 @@ def _validated(
             if one.failed or one.whole is None:
                 found[one.name] = one
                 continue
-            made = left_out(one.entrant.case, one.whole, half, executor, told)
+            made = left_out(one.entrant.case, one.whole, half, executor, told, anew=plan.anew)
             before += len(half)
             found[one.name] = replace(one, made=(*one.made, *made))
         judged = _without_hopeless(list(found.values())) if half is halves[0] else [*found.values()]
