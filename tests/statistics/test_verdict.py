@@ -97,7 +97,9 @@ def test_clean_data_are_sound_valid_and_better_than_the_drawing() -> None:
 @pytest.mark.parametrize("code", FINDINGS)
 def test_every_finding_has_its_answer(code: str) -> None:
     path, value, passed = FINDINGS[code]
-    found = verdict_of(changed(clean(), path, value))
+    # least squares is tested where it predicted poses not used
+    begun = changed(clean(), "validation", None) if code == "untested" else clean()
+    found = verdict_of(changed(begun, path, value))
     assert found.sound.code == code
     assert found.sound.passed is passed
     assert found.sound.next

@@ -310,7 +310,7 @@ def _rows_copied(document: ResultDocument) -> Said | None:
 
 
 def _no_test(document: ResultDocument) -> Said | None:
-    if document.sensors_exact:
+    if document.sensors_exact and document.validation is None:
         return Said("Least squares states no sds of sensors, so nothing tests them.")
     chi = document.chi_squared
     if chi is not None and chi.degrees_of_freedom <= 0:
