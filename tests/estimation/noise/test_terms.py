@@ -13,6 +13,7 @@ import loopcal as lc
 from loopcal.estimation.noise.term_scales import (
     Sums,
     TermSystem,
+    _root,
     begun,
     evaluate,
     learn_scales,
@@ -227,3 +228,13 @@ def test_a_robust_loss_learns_no_terms() -> None:
     machine, drawn = waves(2e-3)
     with refused("unsupported", "huber"):
         lc.calibrate(machine, drawn(1)[0], noise={"q": 0.0, "y": 1e-3}, prior=PRIORS, loss="huber")
+
+
+def test_a_system_whose_scales_span_sixteen_decades_has_a_root() -> None:
+    vectors = np.linalg.qr(np.random.default_rng(1).standard_normal((30, 30)))[0]
+    K = (vectors * np.logspace(0.0, 17.0, 30)) @ vectors.T
+    L = _root(K)
+    assert np.allclose(L, np.tril(L))
+    assert np.allclose(L @ L.T, K, rtol=0.0, atol=1e-14 * np.abs(K).max())
+    plain = np.eye(3) + 0.5
+    assert np.allclose(np.tril(_root(plain)) @ np.tril(_root(plain)).T, plain)
