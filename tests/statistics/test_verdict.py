@@ -65,6 +65,11 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
     "sds-too-large": ("chi_squared", ChiSquared.of(11.0, 114), False),
     "sds-generous": ("chi_squared", ChiSquared.of(57.0, 114), None),
     "change-points": ("change_points", ChangePoints((SLIP,), 0.01, 120, ""), False),
+    "changes-modelled": (
+        "change_points",
+        ChangePoints((replace(SLIP, modelled=True),), 0.01, 120, ""),
+        None,
+    ),
     "sds-not-converged": ("sds_settled", False, None),
     "mounting-unstated": ("mechanism.unstated", (("x6B", "y6B", "z6B"),), None),
     "model-incomplete": ("dependence", depends(1.0, 1e-9), False),

@@ -70,6 +70,7 @@ def calibrate(
     if copied.size:
         kept = np.delete(np.arange(len(data)), copied)
         data, stated = data.without_copies(copied), stated and stated.take(kept)
+        near = near and {name: values[kept] for name, values in near.items()}
     mechanism = modelled(fit, fit.with_prior(mechanism), len(data))
     told = noise_told(fit, mechanism, data, stated)
     refuse_learning(fit, mechanism, told)
@@ -126,7 +127,7 @@ def calibrate(
             faults = faults and left_after(faults, problem, found)
             return Result(fit, data, problem, found, problem, faults=faults)
         if faults:  # nothing is learnt before a fit at the stated sds has come near
-            tried = fitted(problem, ROUGHLY, TRIED)
+            tried = fitted(problem, ROUGHLY, min(fit.max_iterations, TRIED))
             if left := left_after(faults, problem, tried):
                 return Result(fit, data, problem, tried, problem, faults=left)
         from loopcal.estimation.noise.estimation import estimate_noise

@@ -41,7 +41,7 @@ def copies(data: Dataset, quantities: Sequence[str], outputs: Collection[str]) -
         return none
     if not read:  # nothing tells what was set from what was read, and so what may agree by chance
         return none
-    told = np.isfinite(_numbers(data, read)).any(axis=0)
+    told = np.isfinite([data.readings[q] for q in read]).any(axis=0)
     first, of = _alike(_numbers(data, names))
     again = np.flatnonzero((first[of] != np.arange(len(data))) & told)
     if not again.size:

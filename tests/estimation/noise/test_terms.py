@@ -238,3 +238,15 @@ def test_a_system_whose_scales_span_sixteen_decades_has_a_root() -> None:
     assert np.allclose(L @ L.T, K, rtol=0.0, atol=1e-14 * np.abs(K).max())
     plain = np.eye(3) + 0.5
     assert np.allclose(np.tril(_root(plain)) @ np.tril(_root(plain)).T, plain)
+
+
+def test_a_term_whose_parameters_are_all_fixed_says_nothing() -> None:
+    machine, drawn = waves(2e-3, columns=3)
+    fixed = machine.with_parameters(machine.parameters.with_fixed(["c_*"]))
+    data, _, _ = drawn(1)
+    result = lc.calibrate(
+        fixed, data, noise={"q": 0.0, "y": 1e-3}, prior=PRIORS, method="implicit-loop"
+    )
+    assert result.status.converged
+    assert result.terms == ()
+    assert np.isfinite(result.covariance).all()
