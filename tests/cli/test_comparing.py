@@ -145,3 +145,14 @@ def test_a_tolerance_that_fails_is_no_trustworthy_result(folder: Path) -> None:
     assert run("verify", str(folder / "a-result"), "nowhere.csv").returncode == 3
     wrong = run("verify", str(folder / "a-result"), str(folder / "b.csv"), "--anew", "reflector")
     assert wrong.returncode == 3
+    assert "'reflector'" in wrong.stderr
+    assert "b.csv" not in wrong.stderr
+    negative = run("verify", str(folder / "a-result"), str(folder / "b.csv"), "--tolerance", "-1")
+    assert negative.returncode == 3
+    assert "the tolerance is -0.001" in negative.stderr
+    assert "b.csv" not in negative.stderr
+    both = run(
+        "verify", str(folder / "a-result"), str(folder / "b.csv"), "--remounted", "--anew", "l2"
+    )
+    assert both.returncode == 3
+    assert "nothing says what is mounted" in both.stderr

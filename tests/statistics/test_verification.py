@@ -10,6 +10,7 @@ import pytest
 import loopcal as lc
 from analyses.instruments import setup
 from analyses.verify import LEVEL, Rates, another_day, run
+from loopcal.errors import NoTrustworthyResult
 from loopcal.statistics.innovation import Innovation
 from loopcal.statistics.replacing import Freedom
 from loopcal.statistics.tolerance import Quantile, judged
@@ -116,6 +117,20 @@ def test_what_was_mounted_anew_is_found_only_where_it_is_stated() -> None:
         assert abs(value.value - 0.06) < 4.5 * value.sd
     with refused("unknown-name", "tool_x"):
         lc.verify(result, day, remounted=["tol_x"])
+
+
+def test_readings_at_which_no_loop_has_a_value_are_no_trustworthy_result() -> None:
+    machine = lc.Mechanism.from_function(
+        lambda x, p: [x.y - np.sqrt(x.q + p.c)],
+        {"q": "m", "y": "m"},
+        {"c": (0.5, "m")},
+        outputs=("y",),
+    )
+    q = np.linspace(0.0, 1.0, 20)
+    noise = lc.Noise({"q": 1e-4, "y": 1e-4})
+    result = lc.calibrate(machine, {"q": q, "y": np.sqrt(q + 0.5)}, noise=noise)
+    with pytest.raises(NoTrustworthyResult, match="no value"):
+        lc.verify(result, {"q": q - 5.0, "y": np.sqrt(q)})
 
 
 def test_nothing_is_placed_where_nothing_stands_apart() -> None:

@@ -307,7 +307,8 @@ def verify(
     done = run_verification(
         result,
         file,
-        remounted=remounted or anew or False,
+        remounted=remounted,
+        anew=anew or (),
         tolerance=None if tolerance is None else 1e-3 * tolerance,
         function=mechanism,
     )

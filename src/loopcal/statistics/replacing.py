@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, listed
+from loopcal.errors import InputError, NoTrustworthyResult, listed
 from loopcal.estimation.noise.linear_model import linear_model
 from loopcal.estimation.problem.alignment import placed
 from loopcal.estimation.problem.problem import Problem
@@ -59,24 +59,27 @@ class Freedom:
         placement = mechanism.placement
         if isinstance(placement, Station):
             names += placement.parameters
-        for name in _mounted(mechanism, remounted):
+        given = remounted if not isinstance(remounted, bool) else mounted(mechanism, remounted)
+        for name in (given,) if isinstance(given, str) else given:
             names += _named(mechanism, name)
         order = mechanism.parameters.names
         whole = placement is not None and not isinstance(placement, Station)
         return cls(tuple(n for n in order if n in names), whole)
 
 
-def _mounted(mechanism: Mechanism, remounted: bool | Sequence[str]) -> Sequence[str]:
-    if not isinstance(remounted, bool):
-        return (remounted,) if isinstance(remounted, str) else remounted
-    mounted = [n for family in mechanism.families for n in family.mounted]
-    if remounted and not mounted:
+def mounted(mechanism: Mechanism, remounted: bool = True) -> tuple[str, ...]:
+    """The parameters of everything that instruments look at, none where nothing was remounted.
+
+    Raises InputError where nothing says which these are.
+    """
+    its = tuple(n for family in mechanism.families for n in family.mounted)
+    if remounted and not its:
         raise InputError(
             f"nothing says what is mounted on {mechanism.name!r}",
             code="missing-key",
             remedy="name the parameters of what was mounted anew",
         )
-    return mounted if remounted else ()
+    return its if remounted else ()
 
 
 def _named(mechanism: Mechanism, name: str) -> tuple[str, ...]:
@@ -146,7 +149,8 @@ def replaced(
 ) -> Replaced:
     """The machine of a problem, at its start, placed anew by the problem's poses.
 
-    problem: of which every parameter counts as estimated; variance: of every loop equation, where
+    Raises NoTrustworthyResult where a loop has no value. problem: of which every parameter counts
+    as estimated; variance: of every loop equation, where
     the readings are taken as exact; components: quantities whose noise is told apart in the rows.
     """
     search = _Search(problem, freedom, variance, components)
@@ -155,6 +159,13 @@ def replaced(
         other = search.lowest(start)
         if other[1].merit < found.merit:
             place, found = other
+    if not np.isfinite(found.merit):
+        raise NoTrustworthyResult(
+            "the machine cannot be placed by these readings: some loop has no value wherever the "
+            "search went",
+            code="not-verified",
+            remedy="check that the readings belong to this machine, and their columns and units",
+        )
     return replace(found.replaced, carry=search.carry(place)) if freedom.whole else found.replaced
 
 
@@ -301,11 +312,14 @@ class _Search:
             W = block.fixed + block.G @ block.G.transpose(0, 2, 1)
             if self.variance is not None:
                 W = self.variance * np.broadcast_to(np.eye(W.shape[1]), W.shape)
-            try:
-                L = np.linalg.cholesky(W)
-            except np.linalg.LinAlgError:
-                raise _exact(problem) from None
-            whitened = np.linalg.solve(L, block.columns)
+            if np.isfinite(W).all():
+                try:
+                    L = np.linalg.cholesky(W)
+                except np.linalg.LinAlgError:
+                    raise _exact(problem) from None
+                whitened = np.linalg.solve(L, block.columns)
+            else:  # a loop has no value here
+                whitened = np.full_like(block.columns, np.nan)
             n = block.J.shape[2]
             found.append(
                 Rows(

@@ -67,16 +67,21 @@ def verify(
     known = Calibrated.of(calibration, "") if isinstance(calibration, Result) else calibration
     data = data.dataset if isinstance(data, Result) else data
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
+    check_tolerance(tolerance)
+    with one_blas_thread():
+        freedom = Freedom.of(known.mechanism, remounted)
+        problem = day_problem(known, data, Noise.of(noise))
+        return _verified(known, problem, freedom, tolerance)
+
+
+def check_tolerance(tolerance: float | None) -> None:
+    """Raise InputError for a tolerance that is no distance above zero."""
     if tolerance is not None and not tolerance > 0.0:
         raise InputError(
             f"the tolerance is {tolerance:g}",
             code="invalid-value",
             remedy="give a distance above zero",
         )
-    with one_blas_thread():
-        freedom = Freedom.of(known.mechanism, remounted)
-        problem = day_problem(known, data, Noise.of(noise))
-        return _verified(known, problem, freedom, tolerance)
 
 
 def day_problem(known: Calibrated, data: Dataset, noise: Noise | None) -> Problem:
@@ -86,7 +91,7 @@ def day_problem(known: Calibrated, data: Dataset, noise: Noise | None) -> Proble
     """
     mechanism = known.mechanism
     data = with_latest(mechanism, data)
-    weighed = None if known.residual is not None else (noise or noise_of(known, data))
+    weighed = None if known.residual is not None else (noise or noise_of(known))
     if weighed is not None:
         mechanism, data = with_model(mechanism, data, weighed)
     # Nothing is estimated by it: with informative priors any number of poses will do.
@@ -94,7 +99,7 @@ def day_problem(known: Calibrated, data: Dataset, noise: Noise | None) -> Proble
     return build_problem(mechanism.with_parameters(free), data, weighed)
 
 
-def noise_of(known: Calibrated, data: Dataset) -> Noise:
+def noise_of(known: Calibrated) -> Noise:
     """The sds that a calibration used, for other readings; what had none was not measured."""
     entries: dict[str | tuple[str, ...], Any] = {}
     for entry in known.noise:

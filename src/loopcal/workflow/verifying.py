@@ -11,7 +11,8 @@ from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.result.result_poses import poses_of_result
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.statistics.verification import verify
+from loopcal.statistics.replacing import Freedom, mounted
+from loopcal.statistics.verification import check_tolerance, verify
 from loopcal.statistics.verified import Verification
 
 
@@ -19,21 +20,35 @@ def run_verification(
     result: str | Path,
     readings: str | Path,
     *,
-    remounted: bool | Sequence[str] = False,
+    remounted: bool = False,
+    anew: Sequence[str] = (),
     tolerance: float | None = None,
     function: str | None = None,
 ) -> Verification:
     """Check a result against readings in the columns of its project, or those of another result.
 
-    tolerance: [SI]; the rest as in `verify`. Raises InputError for what cannot be used.
+    remounted: everything that instruments look at; anew: further instruments, targets or
+    parameters; tolerance: [m]. Raises InputError for what cannot be used.
     """
+    check_tolerance(tolerance)
     loops = None if function is None else load_function(function)
     read = read_result_folder(result, function=loops)
     known = Calibrated.from_document(read.document, read.mechanism, None, str(result))
+    units = {read.mechanism.quantities[q] for q in read.mechanism.outputs}
+    if tolerance is not None and "m" not in units:
+        raise InputError(
+            f"the tolerance is a distance, but {read.mechanism.name!r} has no output that is a "
+            "length",
+            code="wrong-unit",
+            remedy="leave the tolerance out; in Python, `verify` takes it in the unit of the "
+            "outputs",
+        )
+    changed = (*mounted(read.mechanism, remounted), *anew)
+    Freedom.of(read.mechanism, changed)  # raises for a name that is not there
     data = poses_of_result(readings, read.mechanism)
     if data is None:
         data = read_new_readings(readings, read.document.inputs, read.mechanism, whole=True)
     try:
-        return verify(known, data, remounted=remounted, tolerance=tolerance)
+        return verify(known, data, remounted=changed, tolerance=tolerance)
     except InputError as error:
         raise error.at(str(readings)) from None
