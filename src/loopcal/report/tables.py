@@ -177,7 +177,7 @@ def outlier_table(document: ResultDocument) -> Table | None:
     rows = [
         (
             entry.pose,
-            entry.quantity or "the whole pose",
+            entry.blamed,
             size(entry.statistic, "1", 3),
             chance(entry.p_value),
             NONE if entry.size is None else with_unit(entry.size, entry.unit or "1"),
