@@ -29,6 +29,7 @@ from loopcal.document.fit import (
     StatusEntry,
 )
 from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.reliability import Reliability
 from loopcal.document.tables import (
     accuracy_table,
     interval_table,
@@ -202,6 +203,8 @@ class ResultDocument:
     """Null where the mechanism has no outputs, or it was not computed."""
     outliers: tuple[Outlier, ...] | None
     """Worst first. Null: no reading was tested."""
+    reliability: Reliability | None = None
+    """What single readings can hide; null: not computed."""
     outlier_tests: OutlierTests | None = None
     """How outliers were found; null: no reading was tested."""
     column_faults: tuple[ColumnFault, ...] | None = None

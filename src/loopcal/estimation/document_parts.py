@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from loopcal.document.fit import CovarianceEntry, NoiseEntry, ParameterEntry, StatusEntry
 from loopcal.document.plain import known
 from loopcal.document.result_document import DataEntry, JoinedFile
+from loopcal.estimation.redundancy import UNCONTROLLED, Redundancy
 from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.parameters import Parameter
@@ -67,13 +68,24 @@ def _short(values: Array) -> Array:
 
 
 def noise_entries(
-    noise: Sequence[NoiseEntry], shares: Mapping[str, float]
+    noise: Sequence[NoiseEntry],
+    shares: Mapping[str, float],
+    quantities: Sequence[str],
+    checked: Redundancy | None,
 ) -> tuple[NoiseEntry, ...]:
-    """The sds with the share of each in chi-squared."""
-    return tuple(
-        replace(entry, share=min(sum(shares.get(q, 0.0) for q in entry.quantities), 1.0))
-        for entry in noise
-    )
+    """The sds with the share of each in chi-squared, and what tests it; quantities: of its rows."""
+    found = []
+    for entry in noise:
+        entry = replace(entry, share=min(sum(shares.get(q, 0.0) for q in entry.quantities), 1.0))
+        if checked is not None:
+            rows = [quantities.index(q) for q in entry.quantities]
+            number = max(float(np.nansum(checked.numbers[rows])), 0.0)
+            square = max(float(np.nansum(checked.squares[rows])), 0.0)
+            tested = number > UNCONTROLLED * np.isfinite(checked.numbers[rows]).sum()
+            factor = square / number if tested else None
+            entry = replace(entry, redundancy=number, variance_factor=factor)
+        found.append(entry)
+    return tuple(found)
 
 
 def data_entry(dataset: Dataset, used: int, quantities: Sequence[str]) -> DataEntry:

@@ -42,7 +42,9 @@ from loopcal.estimation.noise.learning import entries, joint_covariances, words
 from loopcal.estimation.noise.terms import term_entries
 from loopcal.estimation.noise.variances import all_learnt
 from loopcal.estimation.prediction import output_differences
+from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.redundancy import Redundancy, redundancy
 from loopcal.estimation.residuals import Closure, by_name, residuals
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
 from loopcal.estimation.solve.robust import RobustSums
@@ -194,21 +196,22 @@ class Result:
             sums = self.robust_sums if self.all_poses is None else self.all_poses.robust
             return LearntCovariance.known(sums.covariance(self.spectrum, self.problem.prior_sd))
         if method.exact:
-            return self._by_residuals(self.solution.chi_squared)
+            return self._by_residuals()
         factor = self._variance_factor if self.variance_factor_applied else None
         if self._learnt is not None:
             learnt = self._learnt.covariance
             return learnt if factor is None else learnt.scaled_by(factor)
         if factor is not None:
-            return self._by_residuals(self.solution.chi_squared)
+            return self._by_residuals()
         return LearntCovariance.known(self.spectrum.covariance())
 
-    def _by_residuals(self, square: float) -> LearntCovariance:
+    def _by_residuals(self) -> LearntCovariance:
         """Scaled by the mean square of the residuals."""
         plain = self.spectrum.covariance()
         if self.freedom <= 0:
             return LearntCovariance.known(plain * math.inf)
-        return LearntCovariance.scaled(plain * (square / self.freedom), self.freedom)
+        variance = self.solution.chi_squared / self.freedom
+        return LearntCovariance.scaled(plain * variance, self.freedom)
 
     @cached_property
     def _learnt(self) -> LearntParameters | None:
@@ -456,11 +459,7 @@ class Result:
 
     @property
     def chi_squared_shares(self) -> Mapping[str, float]:
-        """What the corrections of each quantity contribute to chi-squared; they add up to 1.
-
-        A sensor that takes far more than its sd deserves is worse than stated, or takes the blame
-        for what the machine model lacks.
-        """
+        """What the corrections of each quantity contribute to chi-squared; they add up to 1."""
         squares = {}
         for quantity, corrections in self.corrections.items():
             sds = self.reading_sds[quantity]
@@ -468,6 +467,20 @@ class Result:
             squares[quantity] = float(np.square(corrections[weighed] / sds[weighed]).sum())
         total = sum(squares.values()) or 1.0
         return {quantity: square / total for quantity, square in squares.items()}
+
+    @property
+    def _redundancy(self) -> Redundancy | None:
+        """What readings control of each other; None of a stream, a robust loss, exact readings."""
+        method = self.fit.solver
+        if self.all_poses is not None or self.fit.robust_loss is not None or method.exact:
+            return None
+        equations = pose_equations(
+            self.problem,
+            self.solution.parameters,
+            self.solution.corrections,
+            at_readings=method.at_readings,
+        )
+        return redundancy(self.problem, equations, self.spectrum.covariance())
 
     @property
     def calibrated(self) -> Mechanism:
@@ -526,7 +539,12 @@ class Result:
                 for p in self.mechanism.parameters
             ),
             covariance=covariance_entry(self.estimated, self.learnt_covariance, loose),
-            noise=noise_entries(self.noise, self.chi_squared_shares),
+            noise=noise_entries(
+                self.noise,
+                self.chi_squared_shares,
+                self.mechanism.tape.quantities,
+                self._redundancy,
+            ),
             noise_covariances=() if self.fit.solver.exact else joint_covariances(self.problem),
             terms=self.terms,
             sds_settled=None if self.estimate is None else self.estimate.settled,

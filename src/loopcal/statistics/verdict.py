@@ -127,8 +127,22 @@ def _noise_too_small(document: ResultDocument) -> Said | None:
     factor = significant(chi.variance_factor, 2)
     return Said(
         f"The corrections are larger than the stated sds allow: chi-squared per degree of freedom "
-        f"is {factor} (p = {chance(chi.p_value)}).",
+        f"is {factor} (p = {chance(chi.p_value)}).{_first_suspects(document)}",
         chi.variance_factor,
+    )
+
+
+def _first_suspects(document: ResultDocument) -> str:
+    """The sensors whose corrections are largest beside their redundancy, where some stand out."""
+    tested = [e for e in document.noise if e.variance_factor]
+    largest = max((e.variance_factor or 0.0 for e in tested), default=0.0)
+    named = [e for e in tested if (e.variance_factor or 0.0) > 0.5 * largest]
+    if len(named) == len(tested):
+        return ""
+    names = ", ".join(q for e in named for q in e.quantities)
+    return (
+        f" Beside their redundancy the corrections of {names} are the largest (factor "
+        f"{significant(largest, 2)})."
     )
 
 

@@ -94,7 +94,7 @@ def _correlated(rho: float, A: Array) -> Array:
     N, q, k = A.shape
     diagonal, beside = _precision(rho, N)
     filtered = solveh_banded(np.array([np.r_[0.0, beside], diagonal]), A.reshape(N, q * k))
-    return np.asarray(A.reshape(N * q, k).T @ filtered)
+    return np.asarray(A.reshape(N * q, k).T @ filtered.reshape(N * q, k))
 
 
 def _precision(rho: float, N: int) -> tuple[Array, Array]:

@@ -30,6 +30,8 @@ from loopcal.estimation.solve.reduction import WELL_CONDITIONED
 from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]
+KEPT = 1e-7
+"""Directions of a triangle with a singular value this far below the largest do not count."""
 
 
 @dataclass(frozen=True)
@@ -235,7 +237,7 @@ def _by_rows(model: LinearModel, joined: Joined) -> _Solved:
         R = np.asarray(np.linalg.qr(np.concatenate([R, rows.reshape(-1, n + 1)]), mode="r"))
     scale = 1.0 / np.maximum(np.linalg.norm(R[:, :n], axis=0), 1e-150)
     U, values, Vt = np.linalg.svd(R[:, :n] * scale, full_matrices=False)
-    kept = values > 1e-7 * values[0]
+    kept = values > KEPT * values[0]
     root = scale[:, None] * Vt[kept].T / values[kept]
     log_volume = 2.0 * float(np.log(values[kept]).sum() - np.log(scale).sum())
     along = U[:, kept].T @ R[:, n]
