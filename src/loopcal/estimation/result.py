@@ -25,6 +25,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
 from loopcal.estimation.dependence.dependence import Depending, dependence
 from loopcal.estimation.document_parts import (
+    coarse_readings,
     covariance_entry,
     data_entry,
     noise_entries,
@@ -501,6 +502,8 @@ class Result:
     def _document(self) -> ResultDocument:
         errors = self.errors or {}
         loose = self.identifiability.loose
+        quantities = self.mechanism.tape.quantities
+        noise = noise_entries(self.noise, self.chi_squared_shares, quantities, self._redundancy)
         return ResultDocument(
             schema=SCHEMA,
             loopcal="",
@@ -518,12 +521,7 @@ class Result:
                 for p in self.mechanism.parameters
             ),
             covariance=covariance_entry(self.estimated, self.learnt_covariance, loose),
-            noise=noise_entries(
-                self.noise,
-                self.chi_squared_shares,
-                self.mechanism.tape.quantities,
-                self._redundancy,
-            ),
+            noise=noise,
             noise_covariances=() if self.fit.solver.exact else joint_covariances(self.problem),
             terms=self.terms,
             sds_settled=None if self.estimate is None else self.estimate.settled,
@@ -540,7 +538,7 @@ class Result:
             prediction=None,
             outliers=None,
             column_faults=self.faults or None,
-            data=self._data,
+            data=replace(self._data, coarse=coarse_readings(self.dataset, noise)),
             warnings=self.warnings,
             inputs={},
             versions={},

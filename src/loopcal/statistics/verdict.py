@@ -337,6 +337,14 @@ def _rows_copied(document: ResultDocument) -> Said | None:
     return Said(said[0], float(len(document.data.copied))) if document.data.copied else None
 
 
+def _coarse(document: ResultDocument) -> Said | None:
+    coarse = document.data.coarse
+    if not coarse:
+        return None
+    listed = "; ".join(map(str, coarse))
+    return Said(f"Readings are recorded coarsely: {listed}.", max(one.sd for one in coarse))
+
+
 def _no_test(document: ResultDocument) -> Said | None:
     if document.sensors_exact and document.validation is None:
         return Said("Least squares states no sds of sensors, so nothing tests them.")
@@ -406,6 +414,12 @@ SOUND: tuple[Rule, ...] = (
     ),
     Rule("outliers", None, _outliers, "Inspect these poses; correct or exclude them."),
     Rule("rows-copied", None, _rows_copied, "Check how the file was made; delete the copies."),
+    Rule(
+        "readings-coarse",
+        None,
+        _coarse,
+        "Record more digits. Poses that repeat a coarse value repeat its error.",
+    ),
     Rule("sds-not-converged", None, _unsettled, "State more of the sds."),
     Rule("sd-not-detectable", None, _undetected, "State its sd, or repeat readings of one pose."),
     Rule("mounting-unstated", None, _mounting, "State where target or reflector is mounted."),
