@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,12 @@ from loopcal.document.terms import TermEntry
 from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
-from loopcal.estimation.dependence.dependence import Depending, dependence
+from loopcal.estimation.dependence.dependence import (
+    Depending,
+    Drifting,
+    covariance_under,
+    dependence,
+)
 from loopcal.estimation.document_parts import (
     coarse_readings,
     covariance_entry,
@@ -101,6 +106,13 @@ class Result:
     judge: Callable[[Result], Verdict] | None = None
     """What judges the result when its verdict is first asked for."""
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What a worker sends: the fields; what follows from them is computed where it is asked."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+
     @property
     def method(self) -> str:
         """The name of the method."""
@@ -158,13 +170,22 @@ class Result:
         return self._independent
 
     @property
-    def drifts(self) -> bool:
-        """Whether the covariance allows for serial dependence."""
-        return self._depending is not None and self._depending.covariance is not None
+    def drifting(self) -> Drifting | None:
+        """The drift that the covariance allows for, None without serial dependence."""
+        return None if self._depending is None else self._depending.drifting
 
-    @property
-    def covariance_if_independent(self) -> Array:
-        """(n, n) of the estimated parameters, were no residuals dependent. It tests nothing."""
+    def covariance_if(self, drifting: Drifting | None) -> Array:
+        """(n, n) of the estimated parameters under a known drift, or were no residuals dependent.
+        It tests nothing."""
+        if drifting is not None:
+            method = self.fit.solver
+            return covariance_under(
+                drifting,
+                self.problem,
+                self.solution,
+                exact=method.exact,
+                at_readings=method.at_readings,
+            )
         if self._learnt is not None and not self.variance_factor_applied:
             return self._learnt.matrix
         return self._independent.matrix
