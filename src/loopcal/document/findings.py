@@ -52,6 +52,9 @@ class WeakDirection:
     condition: Size | None
     """Largest singular value over that of this direction; null: not determined."""
     words: str
+    size: Size | None = None
+    """Of the direction that changes the size of the machine, all lengths alike: the share of it
+    that the data allow within one sd; null: another direction."""
 
 
 @dataclass(frozen=True)

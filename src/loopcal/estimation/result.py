@@ -30,6 +30,7 @@ from loopcal.estimation.dependence.dependence import (
     dependence,
 )
 from loopcal.estimation.document_parts import (
+    coarse_readings,
     covariance_entry,
     data_entry,
     noise_entries,
@@ -532,6 +533,8 @@ class Result:
     def _document(self) -> ResultDocument:
         errors = self.errors or {}
         loose = self.identifiability.loose
+        quantities = self.mechanism.tape.quantities
+        noise = noise_entries(self.noise, self.chi_squared_shares, quantities, self._redundancy)
         return ResultDocument(
             schema=SCHEMA,
             loopcal="",
@@ -549,12 +552,7 @@ class Result:
                 for p in self.mechanism.parameters
             ),
             covariance=covariance_entry(self.estimated, self.learnt_covariance, loose),
-            noise=noise_entries(
-                self.noise,
-                self.chi_squared_shares,
-                self.mechanism.tape.quantities,
-                self._redundancy,
-            ),
+            noise=noise,
             noise_covariances=() if self.fit.solver.exact else joint_covariances(self.problem),
             terms=self.terms,
             sds_settled=None if self.estimate is None else self.estimate.settled,
@@ -571,7 +569,7 @@ class Result:
             prediction=None,
             outliers=None,
             column_faults=self.faults or None,
-            data=self._data,
+            data=replace(self._data, coarse=coarse_readings(self.dataset, noise)),
             warnings=self.warnings,
             inputs={},
             versions={},

@@ -144,7 +144,7 @@ def _without_all(
     index = list(poses)
     readings = problem.readings[:, index]
     without = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape))[:, index]
-    seen = ~without[list(rows)].all(axis=0)
+    seen = np.asarray(~without[list(rows)].all(axis=0))
     without[list(rows)] = True
     tried = try_rows(problem, fit, index, readings, without, exact=search.exact)
     p = tried.tests.p_pose
