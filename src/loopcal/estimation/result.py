@@ -159,12 +159,24 @@ class Result:
         """Whether the covariance allows for serial dependence."""
         return self._depending is not None and self._depending.covariance is not None
 
+    def covariance_through(self, S: Array, *, independent: bool = False) -> LearntCovariance:
+        """Covariance of S times the estimated parameters, S (N, m, n).
+
+        independent: as if no residuals were dependent; it tests nothing.
+        """
+        alone = independent or not self.drifts
+        if alone and self._learnt is not None and not self.variance_factor_applied:
+            return self._learnt.through(S)
+        return (self._independent if independent else self.learnt_covariance).through(S)
+
     @property
-    def covariance_if_independent(self) -> Array:
-        """(n, n) of the estimated parameters, were no residuals dependent. It tests nothing."""
-        if self._learnt is not None and not self.variance_factor_applied:
-            return self._learnt.matrix
-        return self._independent.matrix
+    def learnt_noise(self) -> tuple[tuple[tuple[int, ...], Array], ...]:
+        """Of each learnt sd of sensors: the quantities, by position, and the relative changes (a,)
+        of its variance along the slopes of `covariance_through`."""
+        if self._learnt is None or self.estimate is None:
+            return ()
+        stated = self.estimate.stated
+        return tuple(zip((c.quantities for c in stated), self._learnt.relative, strict=True))
 
     @cached_property
     def _independent(self) -> LearntCovariance:
@@ -272,7 +284,7 @@ class Result:
         """The sds that were used."""
         if self.fit.solver.exact:
             return ()
-        errors = None if self._learnt is None else self._learnt.errors
+        errors = None if self._learnt is None else self._learnt.errors[: len(self._learnt.ratios)]
         return entries(self.problem, self.estimate, self.stated, errors)
 
     @cached_property

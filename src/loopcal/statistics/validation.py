@@ -142,7 +142,7 @@ def validated(
         known = case.noise if scheme.other_noise is None else Noise.of(scheme.other_noise)
         name = other.source.name or "other readings"
         held = held_problem(whole, other, known)
-        part = _predicted(whole, held, np.arange(len(other)), whole.covariance)
+        part = _predicted(whole, held, np.arange(len(other)))
         words = f"{len(other)} poses of {name}"
         return _pooled(whole, [part], Parts((), {"file": name}, words), other)
     plan = planned(case, scheme)
@@ -336,18 +336,17 @@ def _left_out(begun: _Begun, index: Index) -> Outcome:
             if begun.anew:
                 part = case.data.take(index)
                 return _placed_anew(found, part, taken(case.noise, index), index)
-            covariance = found.covariance if begun.drifts else found.covariance_if_independent
             near = _of_poses(begun.near.near, index)
             held = held_problem(found, case.data.take(index), taken(case.noise, index), near)
-            return _predicted(found, held, index, covariance)
+            return _predicted(found, held, index, independent=not begun.drifts)
         except (InputError, NoTrustworthyResult) as error:
             return Failed(index, error.message)
 
 
-def _predicted(fit: Result, held: Held, index: Index, covariance: Array) -> Predicted:
+def _predicted(fit: Result, held: Held, index: Index, *, independent: bool = False) -> Predicted:
     rows = [fit.mechanism.tape.quantities.index(q) for q in fit.mechanism.compared]
     differences = output_differences(held.problem, held.problem.start, held.corrections)
-    stated = predictive(fit, held, covariance)
+    stated = predictive(fit, held, independent=independent)
     return Predicted(index, held.problem.readings[rows], differences, stated)
 
 
