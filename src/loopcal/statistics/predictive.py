@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.calibrate import begun_near
+from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.model_error import noise_told, weighed
 from loopcal.estimation.noise.estimation import scaled
 from loopcal.estimation.noise.learning import with_model
@@ -131,10 +132,10 @@ class Predictive:
         return inside
 
 
-def predictive(fit: Result, held: Held, *, independent: bool = False) -> Predictive | None:
+def predictive(fit: Result, held: Held, drifting: Drifting | None = None) -> Predictive | None:
     """What the fit stated of these poses; None where their misclosures have no density.
 
-    independent: by its covariance as if no residuals were dependent.
+    drifting: the drift that its covariance allows for.
     """
     problem, learnt = held.problem, fit.learnt_noise
     model = linear_model(problem, problem.start, held.corrections, [c for c, _ in learnt])
@@ -153,7 +154,7 @@ def predictive(fit: Result, held: Held, *, independent: bool = False) -> Predict
     denominator = np.full(len(problem.poses), math.inf)
     for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):
         r = block.e.shape[1]
-        known = fit.covariance_through(block.J, independent=independent)
+        known = fit.covariance_through(block.J, drifting)
         W = block.fixed + block.G @ np.swapaxes(block.G, -1, -2) + own * np.eye(r)
         slopes = np.zeros((len(known.slopes), *W.shape))
         if own and len(slopes):

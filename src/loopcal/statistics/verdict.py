@@ -8,8 +8,7 @@ describes every code.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
@@ -17,6 +16,14 @@ from loopcal.document.verdict import Answer, Verdict
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import chance, with_unit
 from loopcal.statistics.answers import better, good_enough, valid
+from loopcal.statistics.judged_readings import (
+    coarse,
+    first_suspects,
+    rows_copied,
+    size_unsure,
+    undetected,
+)
+from loopcal.statistics.rule import Rule, Said
 
 RARE = 1e-3
 """p-value of a single test from which a result is not sound: several tests are made."""
@@ -34,28 +41,6 @@ DECISIVE = 10.0
 """Gain in -2 log restricted likelihood from which a model without the term is wrong."""
 _GEOMETRY = ("lengths", "angles")
 """Terms that give a plain model nothing but priors."""
-
-
-@dataclass(frozen=True)
-class Said:
-    """What a rule found: in a sentence, and the figure behind it."""
-
-    words: str
-    number: float | None = None
-
-
-@dataclass(frozen=True)
-class Rule:
-    """One finding that speaks against a result.
-
-    passed: False where the result is not sound, None where the question stays open; finds: what
-    there is to say, None where the rule does not apply; next: what to do.
-    """
-
-    code: str
-    passed: bool | None
-    finds: Callable[[ResultDocument], Said | None]
-    next: str
 
 
 def _column_faults(document: ResultDocument) -> Said | None:
@@ -117,7 +102,7 @@ def _noise_too_small(document: ResultDocument) -> Said | None:
     factor = significant(chi.variance_factor, 2)
     return Said(
         f"The corrections are larger than the stated sds allow: chi-squared per degree of freedom "
-        f"is {factor} (p = {chance(chi.p_value)}).",
+        f"is {factor} (p = {chance(chi.p_value)}).{first_suspects(document)}",
         chi.variance_factor,
     )
 
@@ -288,14 +273,6 @@ def _unsettled(document: ResultDocument) -> Said | None:
     return None if document.sds_settled is not False else Said("The learnt sds did not converge.")
 
 
-def _undetected(document: ResultDocument) -> Said | None:
-    zero = [e for e in document.noise if e.source == "estimated" and not e.sd]
-    names = ", ".join(q for e in zero if e.role == "reading" for q in e.quantities)
-    if not names:
-        return None
-    return Said(f"The noise of {names} is not detectable: its learnt sd is 0.")
-
-
 def _optima(document: ResultDocument) -> Said | None:
     others = document.other_optima or ()
     return Said(f"{others[0].words[0].upper()}{others[0].words[1:]}.") if others else None
@@ -306,11 +283,6 @@ def _undetermined(document: ResultDocument) -> Said | None:
     if not loose:
         return None
     return Said(f"These poses do not determine {', '.join(loose)}.", float(len(loose)))
-
-
-def _rows_copied(document: ResultDocument) -> Said | None:
-    said = document.data.warnings()
-    return Said(said[0], float(len(document.data.copied))) if document.data.copied else None
 
 
 def _no_test(document: ResultDocument) -> Said | None:
@@ -381,9 +353,21 @@ SOUND: tuple[Rule, ...] = (
         "Check for missing effects (compliance, eccentric gears, drift).",
     ),
     Rule("outliers", None, _outliers, "Inspect these poses; correct or exclude them."),
-    Rule("rows-copied", None, _rows_copied, "Check how the file was made; delete the copies."),
+    Rule("rows-copied", None, rows_copied, "Check how the file was made; delete the copies."),
+    Rule(
+        "size-unsure",
+        None,
+        size_unsure,
+        "State one length that was measured (bar, distance of seats, link) with its sd.",
+    ),
+    Rule(
+        "readings-coarse",
+        None,
+        coarse,
+        "Record more digits. Poses that repeat a coarse value repeat its error.",
+    ),
     Rule("sds-not-converged", None, _unsettled, "State more of the sds."),
-    Rule("sd-not-detectable", None, _undetected, "State its sd, or repeat readings of one pose."),
+    Rule("sd-not-detectable", None, undetected, "State its sd, or repeat readings of one pose."),
     Rule("mounting-unstated", None, _mounting, "State where target or reflector is mounted."),
     Rule("other-optimum", None, _optima, "State priors from the drawing."),
     Rule(
