@@ -17,7 +17,15 @@ from loopcal.files.result.result_file import read_result
 from loopcal.report.page import MOST, report_html
 from loopcal.report.parameters import parameter_groups
 from loopcal.report.source import read_source
-from loopcal.report.tables import accuracy_tables, comparison_table, worst_table
+from loopcal.report.tables import (
+    accuracy_tables,
+    comparison_table,
+    facts_table,
+    outlier_table,
+    reliability_table,
+    sensor_table,
+    worst_table,
+)
 from loopcal.report.top import accuracy_bars, region_bars
 from loopcal.statistics.verdict import verdict_of
 from tests.golden_files import page_text
@@ -212,3 +220,13 @@ def test_the_page_is_hardly_larger_than_the_program_that_draws(six_axis: Path) -
 
     page = (six_axis / "report.html").read_text("utf-8")
     assert len(page) - len(plotly_javascript()) < 250_000
+
+
+def test_every_row_of_every_table_has_a_cell_for_each_heading(planar: Path) -> None:
+    source = read_source(planar)
+    d = source.document
+    made = [*accuracy_tables(d), sensor_table(source), outlier_table(d), reliability_table(d)]
+    found = [table for table in (*made, facts_table(d)) if table is not None]
+    assert len(found) >= 4
+    for table in found:
+        assert {len(row) for row in table.rows} == {len(table.head)}, table.caption

@@ -24,6 +24,9 @@ GLOSSARY = {
     "statistic": "How far the pose is from what the other poses predict, in squared sds.",
     "sd of sd": "How uncertain a learnt sd is.",
     "rms corr./sd": "Rms of the corrections over the sds. A well checked sensor has about 1.",
+    "redundancy": "How much of an error of this sensor the other readings reveal.",
+    "detectable": "Smallest error of a single reading that the test finds.",
+    "factor": "Chi-squared of the sensor over its redundancy. It is 1 where the sd is right.",
     "gain": "In -2 log likelihood. Above 10 the machine model is wrong without this term.",
 }
 """Word -> its meaning in one or two sentences."""

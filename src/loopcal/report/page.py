@@ -103,6 +103,7 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "worst": tables.worst_table(source, before, after),
         "models": tables.model_table(document),
         "sensors": tables.sensor_table(source),
+        "reliability": tables.reliability_table(document),
         "terms": tables.term_table(document),
         "parameters": parameter_groups(source),
         "outliers": tables.outlier_table(document),

@@ -182,7 +182,7 @@ def outlier_table(document: ResultDocument) -> Table | None:
     rows = [
         (
             entry.pose,
-            entry.quantity or "the whole pose",
+            entry.blamed,
             size(entry.statistic, "1", 3),
             chance(entry.p_value),
             NONE if entry.size is None else with_unit(entry.size, entry.unit or "1"),
@@ -216,16 +216,7 @@ def reliability_table(document: ResultDocument) -> Table | None:
         f"finds with a probability of {found.power:.0%} (median and largest), and how far such an "
         "error moves the predictions (rms over the measured poses)"
     )
-    head = (
-        "sensor",
-        "redundancy",
-        "detectable",
-        "largest",
-        "unit",
-        "effect",
-        "at pose",
-        "unchecked",
-    )
+    head = ("sensor", "redundancy", "detectable", "largest", "effect", "at pose", "unchecked")
     return Table(caption, head, tuple(rows))
 
 

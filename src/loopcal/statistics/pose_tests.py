@@ -86,7 +86,7 @@ def pose_tests(
 
 
 def _block(block: PoseEquations, fit: Fitted, fitted: NDArray[np.bool_]) -> PoseTests:
-    spread = np.einsum("bri,ij,bsj->brs", block.D, fit.covariance, block.D)
+    spread = (block.D @ fit.covariance) @ block.D.transpose(0, 2, 1)
     values, vectors = np.linalg.eigh(spread)
     # The eigenvalues of W: what the other poses leave to test in each direction.
     own = np.where(fitted[:, None], 1.0 - values, 1.0 / (1.0 + values))
