@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -17,10 +18,18 @@ from loopcal.document.dependence import Dependence
 from loopcal.document.findings import ColumnFault, Identifiability
 from loopcal.document.fit import ClosureEntry, NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.offers import offered
 from loopcal.document.plain import known
-from loopcal.document.result_document import SCHEMA, DataEntry, MechanismEntry, ResultDocument
+from loopcal.document.result_document import (
+    SCHEMA,
+    DataEntry,
+    MechanismEntry,
+    ResultDocument,
+    WrittenResult,
+)
 from loopcal.document.terms import TermEntry
 from loopcal.document.verdict import Verdict
+from loopcal.document.views import Views
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
 from loopcal.estimation.dependence.dependence import Depending, dependence
@@ -68,7 +77,7 @@ class AllPoses:
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Result(Views):
     """The result of a calibration. Values are SI; mappings go by name.
 
     fit: the settings; dataset: the readings; problem: with the sds used, solution: where the fit
@@ -531,10 +540,14 @@ class Result:
     def __str__(self) -> str:
         return str(self.document)
 
-    def _repr_html_(self) -> str:
-        from html import escape
+    def save(self, folder: str | Path, *, report: bool = True) -> WrittenResult:
+        """Write result.json, residuals.csv, mechanism.toml and report.html to a folder.
 
-        return f"<pre>{escape(str(self))}</pre>"
+        `loopcal.read_result` reads them back. report: whether report.html is written too. Raises
+        InputError where they cannot be written.
+        """
+        written: WrittenResult = offered("save")(self, folder, report=report)
+        return written
 
     def __repr__(self) -> str:
         state = "converged" if self.status.converged else self.status.reason

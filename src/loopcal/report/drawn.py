@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.result_document import ResultDocument
+from loopcal.document.tables import shown_parameters
 from loopcal.estimation.accuracy import deviations, main_distances
 from loopcal.figures.accuracy import distance_histogram, over_poses
 from loopcal.figures.correlations import correlations
 from loopcal.figures.figure import Figure
+from loopcal.figures.parameters import Change, changes
 from loopcal.figures.sensors import drift, normalised
 from loopcal.figures.space import arrows
 from loopcal.mechanisms.outputs import point_outputs, points
@@ -34,6 +36,7 @@ def figures(source: Source) -> dict[str, Figure]:
         _residuals(source),
         normalised(sensors),
         drift(sensors, source.table.poses),
+        _parameters(source.document),
         _correlations(source.document),
     ]
     return {figure.key: figure for figure in found if figure is not None}
@@ -124,6 +127,17 @@ def _skeleton(source: Source, points: Array) -> Array | None:
         return skeleton(source.mechanism, {q: float(v[pose]) for q, v in readings.items()})
     except KeyError:
         return None  # a joint that was never read
+
+
+def _parameters(document: ResultDocument) -> Figure | None:
+    entries = [p for p in shown_parameters(document.parameters, document.terms) if not p.fixed]
+    groups = []
+    for unit in dict.fromkeys(p.unit for p in entries):
+        its = [p for p in entries if p.unit == unit]
+        off = np.array([p.value - p.nominal for p in its]) / factor(unit)
+        sds = np.array([np.nan if p.sd is None else p.sd for p in its]) / factor(unit)
+        groups.append(Change(unit_shown(unit), [p.name for p in its], off, sds))
+    return changes(groups)
 
 
 def _correlations(document: ResultDocument) -> Figure | None:
