@@ -369,3 +369,70 @@ def test_real_files_are_understood(tmp_path: Path, shared_data: Callable[[str], 
     assert list(made.fits) == ["wire"]
     assert made.rms < 0.5e-3
     assert any("computed by the controller" in words for words in made.remarks)
+
+
+def test_an_existing_project_is_met_before_any_work(tmp_path: Path, arm: Any) -> None:
+    (tmp_path / "project.toml").write_text("mine", "utf-8")
+    with refused("unwritable-file", "project.toml"):
+        lc.init(tmp_path / "none.csv", dh=tmp_path / "none.csv", out=tmp_path)
+    assert (tmp_path / "project.toml").read_text("utf-8") == "mine"
+
+
+def test_slides_are_stated_in_units_of_length(tmp_path: Path) -> None:
+    path = tmp_path / "dh.csv"
+    path.write_text("name,a,d,alpha,theta,type\nX1,0,300,90,0,p\nA2,400,0,0,0,r\nA3,300,0,0,0,r\n")
+    rng = np.random.default_rng(3)
+    slide, *turns = rng.uniform([[0.0], [-1.2], [-2.0]], [[0.6], [1.2], [2.0]], (3, 60))
+    c, s = np.cumsum(turns, axis=0), 0.4
+    plane = [s * np.cos(c[0]) + 0.35 * np.cos(c[1]), s * np.sin(c[0]) + 0.35 * np.sin(c[1])]
+    points = np.array([plane[0] + 1.0, -0.04 * np.ones(60) + 0.2, plane[1] + slide + 0.3])
+    points += 2e-5 * rng.standard_normal(points.shape)
+    columns = {"X1": 1e3 * slide, "A2": np.degrees(turns[0]), "A3": np.degrees(turns[1])}
+    made = lc.init({**columns, **of(1e3 * points.T, "xyz")}, dh=path)
+    told = " ".join(made.remarks)
+    assert "the joints A2, A3 in deg; the slides X1 in mm" in told
+    assert np.allclose(made.dataset["X1"], slide)
+
+
+def test_a_shift_says_by_what_the_rows_were_joined(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    ids = [f"P{i}" for i in range(len(joints))]
+    a = {"pose": ids[:-1], **of(joints[1:], NAMES)}
+    b = {"pose": ids[:-1], **of(points[:-1], "xyz")}
+    with refused("mismatched-poses", "joined by pose id", "correct the pose ids"):
+        lc.init(a, b, dh=dh(tmp_path))
+    with refused("mismatched-poses", "in the same file"):
+        lc.init({**of(joints[1:], NAMES), **of(points[:-1], "xyz")}, dh=dh(tmp_path))
+
+
+def test_sds_of_a_dataset_are_kept(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    data = lc.Dataset.from_arrays(
+        {**of(joints, NAMES), **of(points, "xyz")},
+        sds=dict.fromkeys("xyz", 7e-5 + 0.0 * joints[:, 0]),
+    )
+    made = lc.init(data, dh=dh(tmp_path))
+    assert np.allclose(made.dataset.sds["y"], 7e-5)
+
+
+def test_poses_that_are_not_in_every_file_are_said(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    ids = np.arange(len(joints))
+    parts = [
+        {"pose": ids, **of(joints[:, :3], NAMES[:3])},
+        {"pose": ids, **of(joints[:, 3:], NAMES[3:])},
+    ]
+    seen = {"pose": ids[5:], **of(points[5:], "xyz")}
+    made = lc.init(*parts, seen, dh=dh(tmp_path))
+    assert len(made.dataset) == len(joints) - 5
+    assert any("5 poses are not in every file" in words for words in made.remarks)
+
+
+def test_a_sheet_may_have_an_apostrophe(tmp_path: Path, arm: Any) -> None:
+    import polars as pl
+
+    joints, points = arm
+    frame = pl.DataFrame({**of(np.degrees(joints), NAMES), **of(1e3 * points, "xyz")})
+    frame.write_excel(tmp_path / "a.xlsx", worksheet="Monday's run")
+    lc.init(tmp_path / "a.xlsx", dh=dh(tmp_path), out=tmp_path / "out")
+    assert len(lc.load_dataset(tmp_path / "out" / "project.toml").dataset) == len(joints)

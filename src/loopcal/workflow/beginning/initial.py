@@ -17,7 +17,7 @@ from loopcal.estimation.mounted import Mounted
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.paths import relative
-from loopcal.files.project.new_project import write_new_files
+from loopcal.files.project.new_project import refuse_existing, write_new_files
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.fields import Fields, joined, source_of
 from loopcal.files.recognition.layouts import layouts
@@ -162,6 +162,9 @@ def initial_project(
     if not readings:
         raise UsageError("no readings are named", remedy="name one or several files of readings")
     folder = Path() if out is None else Path(out)
+    if out is not None:
+        tables = not all(isinstance(given, str | Path) for given in readings)
+        refuse_existing(folder, (PROJECT, READINGS) if tables else (PROJECT,))
     fields = joined([source_of(given, i) for i, given in enumerate(readings)])
     made = _robot(robot, fields, folder)
     machine = _machine(made, fields, folder)

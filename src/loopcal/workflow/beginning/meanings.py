@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.mounted import Bodies, Mounted, see_lengths, see_points, see_poses
-from loopcal.files.recognition.fields import Field
+from loopcal.files.recognition.fields import Field, names_of
 from loopcal.files.recognition.layouts import Seen
 from loopcal.units import to_si, unit
 
@@ -87,7 +87,7 @@ def meanings(seen: Seen, *, as_stated: bool = True) -> Iterator[Meaning]:
     for length in _units(_lengths_of(seen), LENGTHS, as_stated):
         factor = unit(length).factor
         for angle, form, order, R, words in _orientations(seen, as_stated):
-            told = (f"{_listed(_lengths_of(seen))} in {length}", *words)
+            told = (f"{names_of(_lengths_of(seen))} in {length}", *words)
             if seen.kind == "spherical":
                 position = _cartesian([f.values for f in seen.position], factor, unit(angle).factor)
             elif seen.kind == "length":
@@ -123,7 +123,7 @@ def _orientations(
 
     if seen.kind == "spherical":
         for angle in _units(seen.position[1:], ANGLES, as_stated):
-            yield angle, "", (), None, (f"{_listed(seen.position[1:])} in {angle}",)
+            yield angle, "", (), None, (f"{names_of(seen.position[1:])} in {angle}",)
         return
     if not seen.turned:
         yield "rad", "", (), None, ()
@@ -135,7 +135,7 @@ def _orientations(
         for order, words in (((0, 1, 2, 3), "w, x, y, z"), ((3, 0, 1, 2), "x, y, z, w")):
             w_last = values[:, [order[1], order[2], order[3], order[0]]]
             R = Rotation.from_quat(np.nan_to_num(w_last, nan=0.5)).as_matrix()
-            told = (f"the quaternion {_listed(seen.turned)} in the order {words}",)
+            told = (f"the quaternion {names_of(seen.turned)} in the order {words}",)
             yield "rad", "quaternion", order, R, told
     else:
         names = tuple(f.stem for f in seen.turned)
@@ -148,7 +148,7 @@ def _orientations(
                 else:
                     letters = "".join(t[1] for t in form.split()).upper()
                     R = Rotation.from_euler(letters, turned).as_matrix()
-                told = (f"{_listed(seen.turned)} in {angle}, {words}",)
+                told = (f"{names_of(seen.turned)} in {angle}, {words}",)
                 yield angle, form, (i, j, k), R, told
 
 
@@ -173,7 +173,3 @@ def joint_units(
             continue
         for length in _units(sliding, LENGTHS, as_stated) if sliding else ("m",):
             yield {"rad": angle, "m": length}
-
-
-def _listed(fields: Sequence[Field]) -> str:
-    return ", ".join(f.heading.text if f.heading else f"column {f.position + 1}" for f in fields)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.mounted import Mounted, see_points
 from loopcal.files.paths import relative
-from loopcal.files.recognition.fields import Field, Fields, column_key
+from loopcal.files.recognition.fields import Field, Fields, column_key, names_of
 from loopcal.files.recognition.project_text import ProjectParts
 from loopcal.files.recognition.robots import Robot
 from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd
@@ -102,11 +102,16 @@ def stated(
         own = its.readings()
         readings |= own
         its.noise(own, noise, guesses)
-    table = dict(robot.table)
-    if table["type"] == "motoman-ma1400":
-        parameters = {f"{axis}6B": parameters[f"tool_{axis}"] for axis in "xyz"}
+    own_point = bool(robot.point) and [m.seen.kind for m in found.seen] == ["point"]
+    if own_point:
+        table = dict(robot.table)
+        its_own = zip(robot.point, "xyz", strict=True)
+        parameters = {name: parameters[f"tool_{axis}"] for name, axis in its_own}
     else:
-        table["instrument"] = looking
+        apart = robot.apart or robot
+        table = {**apart.table, "instrument": looking}
+        given = {n: {"value": 1e3 * v, "unit": "mm"} for n, v in apart.lengths.items()}
+        parameters = {**given, **parameters}
     converted = any(r.field is None for r in readings.values()) or any(
         source.path is None for source in fields.sources
     )
@@ -139,7 +144,7 @@ def _inferred(found: Understood) -> tuple[str, ...]:
     joints = found.layout.joints
     told = []
     if not all(f.unit for f in joints):
-        told.append(found.words[0])
+        told.append(found.joint_words)
     for meaning in found.seen:
         columns = (*meaning.seen.position, *meaning.seen.turned)
         if not all(f.unit for f in columns):
@@ -150,8 +155,8 @@ def _inferred(found: Understood) -> tuple[str, ...]:
 
 
 def _left_out(found: Understood) -> tuple[str, ...]:
-    names = [f.heading.text if f.heading else str(f.position + 1) for f in found.layout.ignored]
-    return (f"Columns that take no part: {', '.join(names)}.",) if names else ()
+    ignored = found.layout.ignored
+    return (f"Columns that take no part: {names_of(ignored)}.",) if ignored else ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.mounted import Bodies, bodies_of, own_coordinates
-from loopcal.files.recognition.fields import Fields
+from loopcal.files.recognition.fields import Fields, names_of
 from loopcal.files.recognition.layouts import Layout
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.mechanism import Mechanism
@@ -40,12 +40,13 @@ Ask = Callable[[str, Sequence[str]], int]
 class Understood:
     """The columns with their meaning.
 
-    joints: quantity -> readings [SI]; units: SI unit -> unit of the joint columns; seen: the
-    instruments; remarks: what the data decided, in words.
+    joints: quantity -> readings [SI]; kinds: SI unit of each; units: SI unit -> unit of the joint
+    columns; seen: the instruments; remarks: what the data decided, in words.
     """
 
     layout: Layout
     joints: dict[str, Array]
+    kinds: tuple[str, ...]
     units: dict[str, str]
     seen: tuple[Meaning, ...]
     bodies: Bodies
@@ -59,14 +60,18 @@ class Understood:
     @property
     def words(self) -> tuple[str, ...]:
         """All units and orders."""
-        joints = self.layout.joints
-        names = ", ".join(
-            f.heading.text if f.heading else f"column {f.position + 1}" for f in joints
-        )
-        told = [f"the joints {names} in {self.units['rad']}"]
-        for meaning in self.seen:
-            told += meaning.words
-        return tuple(told)
+        return (self.joint_words, *(w for meaning in self.seen for w in meaning.words))
+
+    @property
+    def joint_words(self) -> str:
+        """The units of the joints, those that slide in units of length."""
+        told = []
+        for si, what in (("rad", "joints"), ("m", "slides")):
+            its = [f for f, kind in zip(self.layout.joints, self.kinds, strict=True) if kind == si]
+            if its:
+                stated = next((f.unit for f in its if f.unit), None)
+                told.append(f"the {what} {names_of(its)} in {stated or self.units[si]}")
+        return "; ".join(told)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +113,7 @@ def understood(
     best = found[0]
     if fields.by_order or not best.share <= NOTHING:
         for meaning in found if not best.share <= NOTHING else found[:1]:
-            _refuse_shifted(meaning)
+            _refuse_shifted(meaning, fields)
     if not best.share <= PLAUSIBLE:
         _refuse_reversed(machine, layouts, best.share)
     if not best.share <= NOTHING:
@@ -150,7 +155,8 @@ def _every(
                 options.append([m for m in tried if m.share < CLEARLY * tried[0].share + 1e-12])
             if not all(options):
                 continue
-            first = Understood(layout, joints, units, tuple(o[0] for o in options), bodies)
+            best = tuple(o[0] for o in options)
+            first = Understood(layout, joints, machine.units, units, best, bodies)
             found.append(first)
             for i, its in enumerate(options):
                 for other in its[1:]:
@@ -236,8 +242,8 @@ def _fits_nothing(best: Understood) -> InputError:
     )
 
 
-def _refuse_shifted(best: Understood) -> None:
-    """Raise InputError where rows that were joined by order fit better some rows apart."""
+def _refuse_shifted(best: Understood, fields: Fields) -> None:
+    """Raise InputError where the readings of the instrument fit better some rows apart."""
     count = len(best.bodies.origins)
     every = np.arange(count)
     for meaning in best.seen:
@@ -255,13 +261,26 @@ def _refuse_shifted(best: Understood) -> None:
             if CLEARLY * share < whole and share < NOTHING:
                 where = "late" if shift > 0 else "early"
                 plural = "s" if abs(shift) > 1 else ""
+                joined, remedy = _joined_by(fields)
                 raise InputError(
-                    f"the rows of the instrument stand {abs(shift)} row{plural} too {where} beside "
-                    f"those of the joints (misfit {significant(100 * whole, 2)} % of the spread as "
-                    f"they stand, {significant(100 * share, 2)} % if moved)",
+                    f"the readings of the instrument stand {abs(shift)} row{plural} too {where} "
+                    f"beside those of the joints, {joined} (misfit "
+                    f"{significant(100 * whole, 2)} % of the spread as they stand, "
+                    f"{significant(100 * share, 2)} % if moved)",
                     code="mismatched-poses",
-                    remedy="give both files a column of pose ids, or remove the row too many",
+                    remedy=remedy,
                 )
+
+
+def _joined_by(fields: Fields) -> tuple[str, str]:
+    """What brought joints and instrument together, and what to do where that is wrong."""
+    if fields.by_order:
+        remedy = "give both files a column of pose ids, or remove the row too many"
+        return "which were joined by row order", remedy
+    if len(fields.sources) > 1:
+        remedy = "correct the pose ids: they do not name the same poses in both files"
+        return "which were joined by pose id", remedy
+    return "in the same file", "move these columns, or remove the row too many"
 
 
 def _told(best: Understood) -> Understood:
@@ -270,7 +289,7 @@ def _told(best: Understood) -> Understood:
     told = []
     kept = []
     for meaning in seen:
-        names = ", ".join(f.heading.text if f.heading else "?" for f in meaning.seen.position)
+        names = names_of(meaning.seen.position)
         if meaning.seen.kind == "point" and meaning.fit is not None:
             off = own_coordinates(best.bodies, meaning.position)
             if off < COMPUTED * meaning.fit.spread:
