@@ -54,12 +54,24 @@ if TYPE_CHECKING:
     from loopcal.statistics.change_points import Shifts
     from loopcal.statistics.check import Check
     from loopcal.statistics.compared import Compared
+<<<<<<< HEAD
     from loopcal.statistics.findings import Findings
     from loopcal.statistics.intervals import Interval
     from loopcal.statistics.models import ComparedModel, ModelComparison
     from loopcal.statistics.outliers import Outliers
     from loopcal.statistics.prediction import Prediction
     from loopcal.statistics.repeats import Repeats
+=======
+    from loopcal.statistics.comparison import compare
+    from loopcal.statistics.findings import Findings, findings
+    from loopcal.statistics.intervals import Interval, intervals
+    from loopcal.statistics.judging import verdict
+    from loopcal.statistics.models import ComparedModel, ModelComparison, compare_models
+    from loopcal.statistics.outliers import Outliers, find_outliers
+    from loopcal.statistics.prediction import Prediction, predict
+    from loopcal.statistics.reliability import ReadingReliability, reliability
+    from loopcal.statistics.repeats import Repeats, repeated_readings
+>>>>>>> main
     from loopcal.statistics.shifted import Shifted, with_shifts
     from loopcal.statistics.validate import MethodComparison
     from loopcal.statistics.validation import Validation
@@ -134,9 +146,16 @@ _HOME = {
     "statistics.validation": ("Validation",),
     "document.verdict": ("Answer", "Verdict"),
     "statistics.verified": ("Verification",),
+<<<<<<< HEAD
     "statistics.models": ("ComparedModel", "ModelComparison"),
     "statistics.change_points": ("Shifts",),
     "statistics.outliers": ("Outliers",),
+=======
+    "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
+    "statistics.change_points": ("Shifts", "find_shifts"),
+    "statistics.outliers": ("Outliers", "find_outliers"),
+    "statistics.reliability": ("ReadingReliability", "reliability"),
+>>>>>>> main
     "statistics.shifted": ("Shifted", "with_shifts"),
     "statistics.findings": ("Findings",),
     "statistics.prediction": ("Prediction",),
@@ -193,6 +212,7 @@ __all__ = [
     "Prior",
     "Processes",
     "Project",
+    "ReadingReliability",
     "Repeats",
     "Result",
     "ResultDocument",
@@ -240,6 +260,7 @@ __all__ = [
     "read_mechanism",
     "read_project",
     "read_result",
+    "reliability",
     "repeated_readings",
     "rot_x",
     "rot_y",

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +32,14 @@ from loopcal.document.verdict import Verdict
 from loopcal.document.views import Views
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
-from loopcal.estimation.dependence.dependence import Depending, dependence
+from loopcal.estimation.dependence.dependence import (
+    Depending,
+    Drifting,
+    covariance_under,
+    dependence,
+)
 from loopcal.estimation.document_parts import (
+    coarse_readings,
     covariance_entry,
     data_entry,
     noise_entries,
@@ -46,7 +52,9 @@ from loopcal.estimation.noise.learning import entries, joint_covariances, words
 from loopcal.estimation.noise.terms import term_entries
 from loopcal.estimation.noise.variances import all_learnt
 from loopcal.estimation.prediction import output_differences
+from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.redundancy import Redundancy, redundancy
 from loopcal.estimation.residuals import Closure, by_name, residuals
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
 from loopcal.estimation.solve.robust import RobustSums
@@ -107,6 +115,13 @@ class Result(Views):
     judge: Callable[[Result], Verdict] | None = None
     """What judges the result when its verdict is first asked for."""
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What a worker sends: the fields; what follows from them is computed where it is asked."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+
     @property
     def method(self) -> str:
         """The name of the method."""
@@ -164,13 +179,22 @@ class Result(Views):
         return self._independent
 
     @property
-    def drifts(self) -> bool:
-        """Whether the covariance allows for serial dependence."""
-        return self._depending is not None and self._depending.covariance is not None
+    def drifting(self) -> Drifting | None:
+        """The drift that the covariance allows for, None without serial dependence."""
+        return None if self._depending is None else self._depending.drifting
 
-    @property
-    def covariance_if_independent(self) -> Array:
-        """(n, n) of the estimated parameters, were no residuals dependent. It tests nothing."""
+    def covariance_if(self, drifting: Drifting | None) -> Array:
+        """(n, n) of the estimated parameters under a known drift, or were no residuals dependent.
+        It tests nothing."""
+        if drifting is not None:
+            method = self.fit.solver
+            return covariance_under(
+                drifting,
+                self.problem,
+                self.solution,
+                exact=method.exact,
+                at_readings=method.at_readings,
+            )
         if self._learnt is not None and not self.variance_factor_applied:
             return self._learnt.matrix
         return self._independent.matrix
@@ -182,21 +206,22 @@ class Result(Views):
             sums = self.robust_sums if self.all_poses is None else self.all_poses.robust
             return LearntCovariance.known(sums.covariance(self.spectrum, self.problem.prior_sd))
         if method.exact:
-            return self._by_residuals(self.solution.chi_squared)
+            return self._by_residuals()
         factor = self._variance_factor if self.variance_factor_applied else None
         if self._learnt is not None:
             learnt = self._learnt.covariance
             return learnt if factor is None else learnt.scaled_by(factor)
         if factor is not None:
-            return self._by_residuals(self.solution.chi_squared)
+            return self._by_residuals()
         return LearntCovariance.known(self.spectrum.covariance())
 
-    def _by_residuals(self, square: float) -> LearntCovariance:
+    def _by_residuals(self) -> LearntCovariance:
         """Scaled by the mean square of the residuals."""
         plain = self.spectrum.covariance()
         if self.freedom <= 0:
             return LearntCovariance.known(plain * math.inf)
-        return LearntCovariance.scaled(plain * (square / self.freedom), self.freedom)
+        variance = self.solution.chi_squared / self.freedom
+        return LearntCovariance.scaled(plain * variance, self.freedom)
 
     @cached_property
     def _learnt(self) -> LearntParameters | None:
@@ -444,11 +469,7 @@ class Result(Views):
 
     @property
     def chi_squared_shares(self) -> Mapping[str, float]:
-        """What the corrections of each quantity contribute to chi-squared; they add up to 1.
-
-        A sensor that takes far more than its sd deserves is worse than stated, or takes the blame
-        for what the machine model lacks.
-        """
+        """What the corrections of each quantity contribute to chi-squared; they add up to 1."""
         squares = {}
         for quantity, corrections in self.corrections.items():
             sds = self.reading_sds[quantity]
@@ -456,6 +477,20 @@ class Result(Views):
             squares[quantity] = float(np.square(corrections[weighed] / sds[weighed]).sum())
         total = sum(squares.values()) or 1.0
         return {quantity: square / total for quantity, square in squares.items()}
+
+    @property
+    def _redundancy(self) -> Redundancy | None:
+        """What readings control of each other; None of a stream, a robust loss, exact readings."""
+        method = self.fit.solver
+        if self.all_poses is not None or self.fit.robust_loss is not None or method.exact:
+            return None
+        equations = pose_equations(
+            self.problem,
+            self.solution.parameters,
+            self.solution.corrections,
+            at_readings=method.at_readings,
+        )
+        return redundancy(self.problem, equations, self.spectrum.covariance())
 
     @property
     def calibrated(self) -> Mechanism:
@@ -497,6 +532,8 @@ class Result(Views):
     def _document(self) -> ResultDocument:
         errors = self.errors or {}
         loose = self.identifiability.loose
+        quantities = self.mechanism.tape.quantities
+        noise = noise_entries(self.noise, self.chi_squared_shares, quantities, self._redundancy)
         return ResultDocument(
             schema=SCHEMA,
             loopcal="",
@@ -514,7 +551,7 @@ class Result(Views):
                 for p in self.mechanism.parameters
             ),
             covariance=covariance_entry(self.estimated, self.learnt_covariance, loose),
-            noise=noise_entries(self.noise, self.chi_squared_shares),
+            noise=noise,
             noise_covariances=() if self.fit.solver.exact else joint_covariances(self.problem),
             terms=self.terms,
             sds_settled=None if self.estimate is None else self.estimate.settled,
@@ -531,7 +568,7 @@ class Result(Views):
             prediction=None,
             outliers=None,
             column_faults=self.faults or None,
-            data=self._data,
+            data=replace(self._data, coarse=coarse_readings(self.dataset, noise)),
             warnings=self.warnings,
             inputs={},
             versions={},
