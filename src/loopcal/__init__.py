@@ -54,24 +54,13 @@ if TYPE_CHECKING:
     from loopcal.statistics.change_points import Shifts
     from loopcal.statistics.check import Check
     from loopcal.statistics.compared import Compared
-<<<<<<< HEAD
     from loopcal.statistics.findings import Findings
     from loopcal.statistics.intervals import Interval
     from loopcal.statistics.models import ComparedModel, ModelComparison
     from loopcal.statistics.outliers import Outliers
     from loopcal.statistics.prediction import Prediction
+    from loopcal.statistics.reliability import ReadingReliability
     from loopcal.statistics.repeats import Repeats
-=======
-    from loopcal.statistics.comparison import compare
-    from loopcal.statistics.findings import Findings, findings
-    from loopcal.statistics.intervals import Interval, intervals
-    from loopcal.statistics.judging import verdict
-    from loopcal.statistics.models import ComparedModel, ModelComparison, compare_models
-    from loopcal.statistics.outliers import Outliers, find_outliers
-    from loopcal.statistics.prediction import Prediction, predict
-    from loopcal.statistics.reliability import ReadingReliability, reliability
-    from loopcal.statistics.repeats import Repeats, repeated_readings
->>>>>>> main
     from loopcal.statistics.shifted import Shifted, with_shifts
     from loopcal.statistics.validate import MethodComparison
     from loopcal.statistics.validation import Validation
@@ -90,6 +79,7 @@ if TYPE_CHECKING:
         intervals,
         load_dataset,
         predict,
+        reliability,
         repeated_readings,
         simulate,
         validate,
@@ -146,16 +136,10 @@ _HOME = {
     "statistics.validation": ("Validation",),
     "document.verdict": ("Answer", "Verdict"),
     "statistics.verified": ("Verification",),
-<<<<<<< HEAD
     "statistics.models": ("ComparedModel", "ModelComparison"),
     "statistics.change_points": ("Shifts",),
     "statistics.outliers": ("Outliers",),
-=======
-    "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
-    "statistics.change_points": ("Shifts", "find_shifts"),
-    "statistics.outliers": ("Outliers", "find_outliers"),
-    "statistics.reliability": ("ReadingReliability", "reliability"),
->>>>>>> main
+    "statistics.reliability": ("ReadingReliability",),
     "statistics.shifted": ("Shifted", "with_shifts"),
     "statistics.findings": ("Findings",),
     "statistics.prediction": ("Prediction",),
@@ -164,8 +148,8 @@ _HOME = {
     "workflow.calibration": ("write_result",),
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
-        *("find_shifts", "findings", "intervals", "load_dataset", "predict", "repeated_readings"),
-        *("simulate", "validate", "verdict", "verify"),
+        *("find_shifts", "findings", "intervals", "load_dataset", "predict", "reliability"),
+        *("repeated_readings", "simulate", "validate", "verdict", "verify"),
     ),
     "workflow.saved_result": ("SavedResult", "read_result"),
 }

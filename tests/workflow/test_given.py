@@ -52,7 +52,7 @@ def test_a_project_its_path_and_its_values_give_the_same_fit(
     project: lc.Project, data: lc.Dataset
 ) -> None:
     noise = lc.load_dataset(project).noise
-    settings = {"method": "implicit-loop", "prior": {"*": np.inf}}
+    settings: dict[str, Any] = {"method": "implicit-loop", "prior": {"*": np.inf}}
     found = [
         lc.calibrate(EXAMPLE, **settings),
         lc.calibrate(str(EXAMPLE), **settings),
@@ -132,6 +132,7 @@ def test_results_are_taken_from_their_folder(
     saved = lc.read_result(folder)
     poses = {"phi2": [0.3], "phi3": [1.0]}
     there = lc.verify(result, data).calibrated
+    assert there is not None
     for its in (folder, str(folder), folder / "result.json", saved):
         found = lc.predict(its, poses)
         assert np.allclose(found.covariance, lc.predict(result, poses).covariance, rtol=1e-6)

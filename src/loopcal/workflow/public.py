@@ -31,6 +31,7 @@ from loopcal.statistics import (
 from loopcal.statistics import check as checking
 from loopcal.statistics import findings as finding
 from loopcal.statistics import intervals as bounding
+from loopcal.statistics import reliability as redundancy
 from loopcal.statistics import validate as validating
 from loopcal.statistics.compared import Compared
 from loopcal.statistics.repeats import Repeats
@@ -164,6 +165,7 @@ verify = _on_result(verification.verify, calibrated_from, whole=True)
 findings = _on_fit(finding.findings)
 find_outliers = _on_fit(outliers.find_outliers)
 find_shifts = _on_fit(change_points.find_shifts)
+reliability = _on_fit(redundancy.reliability)
 intervals = _on_fit(bounding.intervals)
 verdict = _on_fit(judging.verdict)
 

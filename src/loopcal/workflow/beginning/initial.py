@@ -163,8 +163,8 @@ def initial_project(
         raise UsageError("no readings are named", remedy="name one or several files of readings")
     folder = Path() if out is None else Path(out)
     if out is not None:
-        tables = not all(isinstance(given, str | Path) for given in readings)
-        refuse_existing(folder, (PROJECT, READINGS) if tables else (PROJECT,))
+        from_files = all(isinstance(given, str | Path) for given in readings)
+        refuse_existing(folder, (PROJECT,) if from_files else (PROJECT, READINGS))
     fields = joined([source_of(given, i) for i, given in enumerate(readings)])
     made = _robot(robot, fields, folder)
     machine = _machine(made, fields, folder)
