@@ -24,16 +24,19 @@ from loopcal.files.recognition.layouts import layouts
 from loopcal.files.recognition.project_text import project_text
 from loopcal.files.recognition.robots import Robot, dh_robot, typed_robot, urdf_robot
 from loopcal.files.tables.writer import table_bytes
+from loopcal.measurements.checks import check_dataset
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.outputs import measured_points
 from loopcal.presentation.shown import in_unit, unit_shown, with_unit
 from loopcal.presentation.text_table import columns as in_columns
 from loopcal.statistics.check import check
 from loopcal.units import unit
+from loopcal.workflow.beginning.searching import PLAUSIBLE, Machine
 from loopcal.workflow.beginning.stating import READINGS, Reading, Statement, stated
-from loopcal.workflow.beginning.understanding import PLAUSIBLE, Ask, Machine, understood
+from loopcal.workflow.beginning.understanding import Ask, understood
 
 Array = NDArray[np.float64]
 PROJECT = "project.toml"
@@ -172,6 +175,7 @@ def initial_project(
     statement = stated(made, machine, fields, found, folder)
     project = _read(statement, folder)
     dataset = _dataset(fields, statement)
+    odd = _odd(project, dataset)
     if found.share > PLAUSIBLE:
         _refuse_faults(project.mechanism, dataset)
     weak = _weakest(project, dataset)
@@ -179,7 +183,7 @@ def initial_project(
         statement = statement.shrunk(weak)
         project = _read(statement, folder)
     tables = {READINGS: _table(fields, statement)} if statement.converted else {}
-    remarks = tuple(row for rows in statement.parts.remarks.values() for row in rows)
+    remarks = tuple(row for rows in statement.parts.remarks.values() for row in rows) + odd
     text = project_text(statement.parts)
     done = InitialProject(
         project.mechanism, dataset, project.noise.noise(), text, tables, statement.fits, remarks
@@ -244,6 +248,14 @@ def _dataset(fields: Fields, statement: Statement) -> Dataset:
         poses=fields.poses,
         sds={name: sds(r) for name, r in statement.readings.items() if r.sds is not None},
     )
+
+
+def _odd(project: Project, dataset: Dataset) -> tuple[str, ...]:
+    """What is odd about the readings. Raises InputError for zeros of a lost reflector."""
+    mechanism = project.mechanism
+    own = {**mechanism.quantities, **mechanism.known}
+    told = check_dataset(dataset, own, points=measured_points(mechanism))
+    return tuple(str(warning) for warning in told)
 
 
 def _weakest(project: Project, dataset: Dataset) -> str:
