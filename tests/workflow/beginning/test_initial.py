@@ -436,3 +436,79 @@ def test_a_sheet_may_have_an_apostrophe(tmp_path: Path, arm: Any) -> None:
     frame.write_excel(tmp_path / "a.xlsx", worksheet="Monday's run")
     lc.init(tmp_path / "a.xlsx", dh=dh(tmp_path), out=tmp_path / "out")
     assert len(lc.load_dataset(tmp_path / "out" / "project.toml").dataset) == len(joints)
+
+
+@pytest.mark.parametrize("header", [True, False])
+def test_matrices_column_by_column(tmp_path: Path, camera: Any, header: bool) -> None:
+    joints, seen = camera
+    names = [f"m{i}" for i in range(16)]
+    by_columns = of(seen.transpose(0, 2, 1).reshape(-1, 16), names)
+    path = table(tmp_path / "a.csv", {**of(joints, NAMES), **by_columns}, header=header)
+    made = lc.init(path, dh=dh(tmp_path))
+    assert np.allclose(made.dataset["y"], seen[:, 1, 3])
+    assert made.rms < 1e-3
+    turns = seen[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
+    columns = {
+        **of(turns, [f"r{i}" for i in range(1, 10)]),
+        **of(seen[:, :3, 3], ["t1", "t2", "t3"]),
+    }
+    made = lc.init({**of(joints, NAMES), **columns}, dh=dh(tmp_path))
+    assert made.rms < 1e-3
+
+
+def test_a_total_station_counts_clockwise_and_from_the_zenith(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    far = np.linalg.norm(points, axis=1)
+    columns = {
+        "range [m]": far,
+        "hz [gon]": -np.arctan2(points[:, 1], points[:, 0]) * 200.0 / np.pi,
+        "v [gon]": 100.0 - np.arcsin(points[:, 2] / far) * 200.0 / np.pi,
+    }
+    path = table(tmp_path / "a.csv", {**of(joints, NAMES), **columns})
+    made = lc.init(path, dh=dh(tmp_path), out=tmp_path / "out")
+    assert any("clockwise" in words and "zenith" in words for words in made.remarks)
+    assert np.allclose(made.dataset["tracker_elevation"], np.arcsin(points[:, 2] / far))
+    data = lc.load_dataset(tmp_path / "out" / "project.toml").dataset
+    assert np.allclose(data["tracker_azimuth"], np.arctan2(points[:, 1], points[:, 0]))
+
+
+def test_two_trackers_of_one_reflector_are_two_stations(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    T = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    noise = NOISE * np.random.default_rng(7).standard_normal(points.shape)
+    other = points @ T.T + np.array([0.3, 0.2, 0.1]) + noise
+    columns = {**of(points, ["x1", "y1", "z1"]), **of(other, ["x2", "y2", "z2"])}
+    made = lc.init({**of(joints, NAMES), **columns}, dh=dh(tmp_path))
+    names = made.mechanism.parameters.names
+    assert "station_2_x" in names
+    assert [n for n in names if n.startswith("tool")] == ["tool_x", "tool_y", "tool_z"]
+    result = lc.calibrate(made, method="least-squares")
+    assert result.accuracy_after is not None
+    assert result.accuracy_after.rms < 4.0 * NOISE
+
+
+def test_what_does_not_fit_is_explained(tmp_path: Path, arm: Any) -> None:
+    joints, points = (values[:48] for values in arm)
+    path, own = dh(tmp_path), of(joints, NAMES)
+    with refused("implausible-readings", "left-handed"):
+        lc.init({**own, **of(points[:, [1, 0, 2]], "xyz")}, dh=path)
+    with refused("wrong-unit", "x is in mm", "in m"):
+        lc.init({**own, **of(points * (1e3, 1.0, 1.0), "xyz")}, dh=path)
+    moved = points.copy()
+    moved[30:] += (0.4, -0.2, 0.0)
+    with refused("implausible-readings", "moved during the run", "x2"):
+        lc.init({**own, **of(moved, "xyz")}, dh=path)
+    with refused("implausible-readings", "counts of encoders"):
+        lc.init({**of(np.round(joints * 2**20 / 2 / np.pi), NAMES), **of(points, "xyz")}, dh=path)
+    still = 1e-5 * np.random.default_rng(1).standard_normal((20, 9))
+    columns = np.hstack([joints[:1], points[:1]]) + still
+    with refused("too-few-poses", "one pose", "loopcal noise"):
+        lc.init(of(columns, [*NAMES, "x", "y", "z"]), dh=path)
+
+
+def test_zeros_of_a_lost_reflector_are_refused(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    lost = points.copy()
+    lost[[5, 17]] = 0.0
+    with refused("lost-reflector"):
+        lc.init({**of(joints, NAMES), **of(lost, "xyz")}, dh=dh(tmp_path))

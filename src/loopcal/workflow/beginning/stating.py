@@ -196,7 +196,7 @@ def _inferred(found: Understood) -> tuple[str, ...]:
         told.append(found.joint_words)
     for meaning in found.seen:
         columns = (*meaning.seen.position, *meaning.seen.turned)
-        if not all(f.unit for f in columns):
+        if meaning.form or not all(f.unit for f in columns):
             told += meaning.words
     share = significant(100.0 * found.share, 2)
     reason = f"with it the nominal machine misses the readings by {share} % of their spread"
