@@ -183,21 +183,31 @@ class Result(Views):
         """The drift that the covariance allows for, None without serial dependence."""
         return None if self._depending is None else self._depending.drifting
 
-    def covariance_if(self, drifting: Drifting | None) -> Array:
-        """(n, n) of the estimated parameters under a known drift, or were no residuals dependent.
-        It tests nothing."""
+    def covariance_through(self, S: Array, drifting: Drifting | None) -> LearntCovariance:
+        """Covariance of S times the estimated parameters, S (N, m, n), under a known drift, or were
+        no residuals dependent. It tests nothing."""
         if drifting is not None:
             method = self.fit.solver
-            return covariance_under(
+            known = covariance_under(
                 drifting,
                 self.problem,
                 self.solution,
                 exact=method.exact,
                 at_readings=method.at_readings,
             )
+            return LearntCovariance.known(known).through(S)
         if self._learnt is not None and not self.variance_factor_applied:
-            return self._learnt.matrix
-        return self._independent.matrix
+            return self._learnt.through(S)
+        return self._independent.through(S)
+
+    @property
+    def learnt_noise(self) -> tuple[tuple[tuple[int, ...], Array], ...]:
+        """Of each learnt sd of sensors: the quantities, by position, and the relative changes (a,)
+        of its variance along the slopes of `covariance_through`."""
+        if self._learnt is None or self.estimate is None:
+            return ()
+        stated = self.estimate.stated
+        return tuple(zip((c.quantities for c in stated), self._learnt.relative, strict=True))
 
     @cached_property
     def _independent(self) -> LearntCovariance:
@@ -306,7 +316,7 @@ class Result(Views):
         """The sds that were used."""
         if self.fit.solver.exact:
             return ()
-        errors = None if self._learnt is None else self._learnt.errors
+        errors = None if self._learnt is None else self._learnt.errors[: len(self._learnt.ratios)]
         return entries(self.problem, self.estimate, self.stated, errors)
 
     @cached_property

@@ -262,7 +262,7 @@ class Predicted:
             return None
         try:
             with one_blas_thread():
-                return predictive(self.fit, self.held, self.fit.covariance_if(drifting))
+                return predictive(self.fit, self.held, drifting)
         except (InputError, NoTrustworthyResult):
             return None
 
