@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.document.aliases import ALIASES, INSTEAD
+from loopcal.document.notebook_html import result_html
 from tests import golden_files as golden
 from tests.refusals import refused
 
@@ -182,7 +184,18 @@ def test_a_table_of_parameters_can_be_pickled(result: lc.Result) -> None:
 
 
 def test_a_notebook_shows_what_it_showed() -> None:
-    shown = lc.calibrate(EXAMPLE, method="implicit-loop")._repr_html_()
+    """Of a verdict with all answers, so that its words elsewhere may change."""
+    answers = (
+        lc.Answer(True, "sound", None, "It converged.", None),
+        lc.Answer(
+            False, "extrapolates", 6.0, "Valid near the measured poses only.", "Measure < 9."
+        ),
+        lc.Answer(None, "not-validated", None, "No other poses were predicted.", None),
+        lc.Answer(None, "no-tolerance", None, "No tolerance is stated.", None),
+    )
+    verdict = lc.Verdict(*answers, headline="Valid near the measured poses only.")
+    found = lc.calibrate(EXAMPLE, method="implicit-loop").document
+    shown = result_html(replace(found, verdict=verdict, warnings=("Mind the step.",)))
     golden.check("notebook.html", shown.replace("><", ">\n<"))
 
 
