@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,7 @@ if TYPE_CHECKING:
     from loopcal.estimation.noise.kenward_roger import LearntParameters
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 Addition = Callable[[ResultDocument], ResultDocument]
 """Adds to the document of a result what was found beside the fit."""
 
@@ -114,10 +115,12 @@ class Result(Views):
     faults: tuple[ColumnFault, ...] = ()
     judge: Callable[[Result], Verdict] | None = None
     """What judges the result when its verdict is first asked for."""
+    memory: dict[object, Any] = field(default_factory=dict)
+    """What was found of this fit at some cost, shared by results that differ in words alone."""
 
     def __getstate__(self) -> dict[str, Any]:
         """What a worker sends: the fields; what follows from them is computed where it is asked."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {one.name: getattr(self, one.name) for one in fields(self)} | {"memory": {}}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -453,7 +456,7 @@ class Result(Views):
         The covariance of the methods as they were published; where residuals depend on the pose
         order it is too small.
         """
-        return replace(self, taken_as_independent=True)
+        return replace(self, taken_as_independent=True, memory={})
 
     def with_variance_factor(self) -> Result:
         """The same result with its covariance multiplied by the variance factor.
@@ -510,6 +513,13 @@ class Result(Views):
     @property
     def _data(self) -> DataEntry:
         return data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities])
+
+    def remembered(self, what: object, found: Callable[[], T]) -> T:
+        """What was found of this fit under this name, found once."""
+        if what not in self.memory:
+            self.memory[what] = found()
+        value: T = self.memory[what]
+        return value
 
     def adding(self, *additions: Addition) -> Result:
         """The same result with a document that gains these."""

@@ -350,6 +350,16 @@ class VerdictEntry(Model):
     )
 
 
+class RecordEntry(Model):
+    """Who measured what, when and with what: copied to result.json and to the report."""
+
+    date: str | None = Field(default=None, description="Day of the measurement.")
+    operator: str | None = Field(default=None, description="Who measured.")
+    instrument: str | None = Field(default=None, description="What measured, with its number.")
+    serial: str | None = Field(default=None, description="Serial number of the machine.")
+    note: str | None = Field(default=None, description="Anything else that a reader should know.")
+
+
 class ProjectModel(Model):
     """One calibration: a mechanism, its readings, and what is known of both."""
 
@@ -369,6 +379,7 @@ class ProjectModel(Model):
     parameters: ParameterEntries = Field(default={})
     fit: FitEntry = FitEntry()
     verdict: VerdictEntry = VerdictEntry()
+    record: RecordEntry = RecordEntry()
     compare: CompareEntry | None = None
     simulation: SimulationEntry | None = None
 
