@@ -102,6 +102,11 @@ def test_a_saved_result_says_what_it_said(result: lc.Result, saved: lc.SavedResu
     assert same(lc.predict(saved.path.parent, poses).sd, result.predict(poses).sd)
 
 
+def test_a_saved_result_is_not_saved_again(saved: lc.SavedResult, tmp_path: Path) -> None:
+    with refused("unsupported", str(saved.path.parent)):
+        saved.save(tmp_path)
+
+
 def test_a_result_without_a_project_is_saved_and_judged_too(tmp_path: Path) -> None:
     project = lc.read_project(EXAMPLE)
     loaded = lc.load_dataset(project)

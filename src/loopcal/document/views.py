@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.document.aliases import aliased
@@ -10,7 +11,7 @@ from loopcal.document.notebook_html import result_html
 from loopcal.document.offers import Plots, offered
 from loopcal.document.parameter_table import ParameterTable
 from loopcal.document.plain import plain
-from loopcal.document.result_document import ResultDocument
+from loopcal.document.result_document import ResultDocument, WrittenResult
 
 if TYPE_CHECKING:
     from loopcal.document.verdict import Verdict
@@ -58,6 +59,15 @@ class Views:
     def predict(self, data: Any, **given: Any) -> Any:
         """`loopcal.predict` of this result: outputs for readings, with their covariance."""
         return offered("predict")(self, data, **given)
+
+    def save(self, folder: str | Path, *, report: bool = True) -> WrittenResult:
+        """Write result.json, residuals.csv, mechanism.toml and report.html to a folder.
+
+        `loopcal.read_result` reads them back. report: whether report.html is written too. Raises
+        InputError where they cannot be written, and for a result that has a folder already.
+        """
+        written: WrittenResult = offered("save")(self, folder, report=report)
+        return written
 
     def to_dict(self) -> dict[str, Any]:
         """The content of result.json as plain data."""

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -18,15 +17,8 @@ from loopcal.document.dependence import Dependence
 from loopcal.document.findings import ColumnFault, Identifiability
 from loopcal.document.fit import ClosureEntry, NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
-from loopcal.document.offers import offered
 from loopcal.document.plain import known
-from loopcal.document.result_document import (
-    SCHEMA,
-    DataEntry,
-    MechanismEntry,
-    ResultDocument,
-    WrittenResult,
-)
+from loopcal.document.result_document import SCHEMA, DataEntry, MechanismEntry, ResultDocument
 from loopcal.document.terms import TermEntry
 from loopcal.document.verdict import Verdict
 from loopcal.document.views import Views
@@ -596,15 +588,6 @@ class Result(Views):
 
     def __str__(self) -> str:
         return str(self.document)
-
-    def save(self, folder: str | Path, *, report: bool = True) -> WrittenResult:
-        """Write result.json, residuals.csv, mechanism.toml and report.html to a folder.
-
-        `loopcal.read_result` reads them back. report: whether report.html is written too. Raises
-        InputError where they cannot be written.
-        """
-        written: WrittenResult = offered("save")(self, folder, report=report)
-        return written
 
     def __repr__(self) -> str:
         state = "converged" if self.status.converged else self.status.reason

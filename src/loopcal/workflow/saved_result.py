@@ -162,6 +162,12 @@ def fitted(result: Result | SavedResult) -> dict[str, Array]:
     return {n: table.readings[n] + d for n, d in table.differences_after.items()}
 
 
-def save(result: Result, folder: str | Path, *, report: bool = True) -> WrittenResult:
-    """`write_result`, with the verdict of the result and the report."""
+def save(result: Result | SavedResult, folder: str | Path, *, report: bool = True) -> WrittenResult:
+    """`write_result` of a result in memory."""
+    if isinstance(result, SavedResult):
+        raise InputError(
+            f"this result is saved already: {result.path.parent}",
+            code="unsupported",
+            remedy="copy that folder",
+        )
     return write_result(result, folder, report=report)
