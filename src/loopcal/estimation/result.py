@@ -365,7 +365,7 @@ class Result(Views):
 
     @cached_property
     def accuracy_before(self) -> Accuracy | None:
-        """Of the nominal machine; None without outputs, or where no pose tells."""
+        """Of the nominal machine; None without outputs, or where no pose shows it."""
         if self.all_poses is not None:
             return self.all_poses.accuracy_before
         return accuracy(self.deviations(self.differences_before))
