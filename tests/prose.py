@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
 
+import loopcal as lc
+
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "src" / "loopcal"
 # records of decisions and of past versions stay as they were written
@@ -19,7 +21,11 @@ PAGES = [
 _FENCE = re.compile(r"^ *(`{3,}|~{3,})")
 _CODE = re.compile(r"`[^`\n]*`")
 _LINK = re.compile(r"!?\[([^\]]*)\]\([^)]*\)")
-_END = re.compile(r"(?:(?<=[.!?])[)*_\"']*\s+(?=[^a-z\s])|(?<=[:;])\s+)")
+_NAMES = "loopcal|odrpack|x"
+"""Words in small letters that begin a sentence."""
+_END = re.compile(
+    rf"(?<=[.!?])[)*_\"'\]]*\s+(?=[^a-z\s]|(?:{_NAMES})\b)|(?<=[:;])\s+",
+)
 _WORD = re.compile(r"[^\W\d_][\w'’-]*")
 
 
@@ -79,14 +85,8 @@ def _paragraphs(markdown: str) -> Iterator[tuple[int, str]]:
 
 
 def _strings(module: ast.Module) -> Iterator[tuple[int, str]]:
-    """String literals of several words, and the docstrings of public names; not those of others."""
-    docstrings = {}
-    for node in ast.walk(module):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and node.body:
-            first = node.body[0]
-            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
-                public = not isinstance(node, ast.Module) and not node.name.startswith("_")
-                docstrings[id(first.value)] = public
+    """Docstrings of public names and their members, and all other strings of several words."""
+    docstrings = dict(_docstrings(module, public=False))
     parts = {id(v) for n in ast.walk(module) if isinstance(n, ast.JoinedStr) for v in n.values}
     for node in ast.walk(module):
         if isinstance(node, ast.JoinedStr):
@@ -101,12 +101,22 @@ def _strings(module: ast.Module) -> Iterator[tuple[int, str]]:
             continue
         if len(_WORD.findall(text)) < 4:
             continue
-        docstring = id(node) in docstrings
         for paragraph in re.split(r"\n\s*\n", text):
-            lines = paragraph.splitlines()
-            formula = docstring and all(li.startswith("        ") for li in lines if li.strip())
+            lines = paragraph.splitlines()[1:] if id(node) in docstrings else []
+            formula = bool(lines) and all(line.startswith("        ") for line in lines)
             if not formula and ">>>" not in paragraph:
                 yield node.lineno, _CODE.sub("``", paragraph)
+
+
+def _docstrings(node: ast.AST, public: bool) -> Iterator[tuple[int, bool]]:
+    """Each docstring, also those below the fields of a class, and whether a user sees it."""
+    body = getattr(node, "body", [])
+    for child in body if isinstance(body, list) else []:
+        if isinstance(child, ast.Expr) and isinstance(child.value, ast.Constant):
+            yield id(child.value), public
+        name = getattr(child, "name", "")
+        named = name in lc.__all__ or public
+        yield from _docstrings(child, named and not name.startswith("_"))
 
 
 class _Words(HTMLParser):

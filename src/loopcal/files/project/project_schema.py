@@ -188,7 +188,7 @@ class EncoderEntry(Model):
     """Figures of an encoder; what is stated adds in quadrature."""
 
     bits: Annotated[int, Field(ge=1, le=64)] | None = Field(
-        default=None, description="It tells 2^bits positions per turn."
+        default=None, description="It distinguishes 2^bits positions per turn."
     )
     counts: Positive | None = Field(default=None, description="Or so many positions per turn.")
     accuracy: str | None = Field(default=None, examples=["5 arcsec"])

@@ -20,7 +20,7 @@ function coloured(layout, isDark) {
 async function still(node, figure) {
   // on paper ink is black, the page is narrow, and scenes in space are pictures
   const width = Math.max(720, parseInt(node.style.minWidth) || 0), height = figure.layout.height;
-  const content = { data: figure.data, layout: { ...coloured(figure.layout, false), width } };
+  const content = { data: figure.data, layout: { ...coloured(figure.layout, false), width, updatemenus: [] } };
   const format = figure.layout.scene ? "png" : "svg";
   const picture = document.getElementById(node.id + "-still");
   picture.src = await Plotly.toImage(content, { format, width, height });
