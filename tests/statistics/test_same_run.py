@@ -62,8 +62,8 @@ def test_a_pose_far_from_all_of_a_fit_carries_its_own_drift_and_that_of_the_fit(
 
 @pytest.mark.parametrize("rho", [0.95, 0.99])
 def test_regions_of_poses_of_the_same_run_hold_what_they_state(rho):
-    """Level and drift counted twice made them hold all, of 40 draws as of these. Now these hold 96.0,
-    98.0 and 95.9 % at 0.6, 0.95 and 0.99 (standard errors 0.3 to 0.7 %)."""
+    """Level and drift counted twice made them hold all. Now those of 40 draws hold 96.0, 98.0 and
+    95.9 % at 0.6, 0.95 and 0.99 (standard errors 0.3 to 0.7 %)."""
     inside = []
     for seed in range(5):
         data = drifting(rho, 10 + seed)

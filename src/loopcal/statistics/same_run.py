@@ -103,9 +103,9 @@ class SameRun:
         D, r = J @ self.root, W.shape[1]
         X = np.linalg.cholesky(W) @ self.X[poses, :r]
         shared = X @ self.K[poses] @ np.swapaxes(D, -1, -2)
-        found: Array = self.white * W + self.level * X @ np.swapaxes(X, -1, -2)
-        found += D @ self.V @ np.swapaxes(D, -1, -2) - shared - np.swapaxes(shared, -1, -2)
-        return found
+        own = self.white * W + self.level * X @ np.swapaxes(X, -1, -2)
+        fitted = D @ self.V @ np.swapaxes(D, -1, -2)
+        return np.asarray(own + fitted - shared - np.swapaxes(shared, -1, -2))
 
 
 def _kernel(lengths: Array, sizes: Array, rows: Positions, columns: Positions) -> Array:
