@@ -182,16 +182,16 @@ def _share(of: Sequence[bool]) -> str:
 
 
 def kept(path: Path = KEPT, stamp: str = STAMP) -> list[dict[str, Any]]:
-    """The draws of this code that earlier runs have kept; a line that broke off is left out."""
-    found = []
+    """The draws of this code that earlier runs have kept; a broken line is left out."""
+    found = {}
     for line in path.read_text("utf-8").splitlines() if path.exists() else []:
         try:
             draw = json.loads(line)
         except json.JSONDecodeError:
             continue
         if draw.get("stamp") == stamp:
-            found.append(draw)
-    return found
+            found[draw["kind"], draw["draw"]] = draw
+    return list(found.values())
 
 
 def main() -> None:
