@@ -248,7 +248,7 @@ def test_a_written_calibration_holds_the_scatter_of_its_poses(tmp_path: Path) ->
     result = eccentric(box, 1)
     known = Calibrated.of(result, "A").scatter
     lc.write_result(result, tmp_path)
-    document = lc.read_result(tmp_path / "result.json")
+    document = lc.read_result(tmp_path / "result.json").document
     again = Calibrated.from_document(document, result.mechanism, None, "B").scatter
     assert known is not None
     assert again is not None

@@ -105,13 +105,14 @@ class SameRun:
         shared = X @ self.K[poses] @ np.swapaxes(D, -1, -2)
         own = self.white * W + self.level * X @ np.swapaxes(X, -1, -2)
         fitted = D @ self.V @ np.swapaxes(D, -1, -2)
-        return np.asarray(own + fitted - shared - np.swapaxes(shared, -1, -2))
+        found: Array = own + fitted - shared - np.swapaxes(shared, -1, -2)
+        return found
 
 
 def _kernel(lengths: Array, sizes: Array, rows: Positions, columns: Positions) -> Array:
     """cov(u_i, u_j) of poses with these numbers."""
     apart = np.abs(rows[:, None] - columns[None, :]).astype(float)
-    found = np.zeros_like(apart)
+    found: Array = np.zeros_like(apart)
     for length, size in zip(lengths.tolist(), sizes.tolist(), strict=True):
         if size > 0.0:
             found += size * np.exp(-apart / length)
