@@ -82,11 +82,11 @@ def posix_only(text: str, name: str) -> list[str]:
             found += [alias.name for alias in node.names if alias.name in POSIX_MODULES]
         elif isinstance(node, ast.ImportFrom) and node.module in POSIX_MODULES:
             found.append(node.module)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            used = node.value.id in ("os", "signal") and node.attr in POSIX_NAMES
-            if used and (name, node.attr) not in GUARDED:
-                found.append(node.attr)
+    for used in ast.walk(tree):
+        if isinstance(used, ast.Attribute) and isinstance(used.value, ast.Name):
+            of_posix = used.value.id in ("os", "signal") and used.attr in POSIX_NAMES
+            if of_posix and (name, used.attr) not in GUARDED:
+                found.append(used.attr)
     return found
 
 

@@ -47,6 +47,15 @@ class Figure:
         text = json.dumps(content, allow_nan=False, separators=(",", ":"))
         return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
+    def plotly(self) -> Any:
+        """As a plotly figure with its title, which a notebook shows."""
+        from plotly.graph_objects import Figure as PlotlyFigure
+
+        drawn = PlotlyFigure({"data": list(self.data), "layout": dict(self.layout)})
+        margin = {**self.layout["margin"], "t": 90}
+        height = self.layout["height"] + 70
+        return drawn.update_layout(title={"text": self.title}, margin=margin, height=height)
+
 
 def numbers(values: Array) -> list[Any]:
     """Numbers to six significant digits, which no eye can tell apart; None where there is none."""

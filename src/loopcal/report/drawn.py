@@ -14,6 +14,7 @@ from loopcal.estimation.accuracy import deviations, main_distances
 from loopcal.figures.accuracy import distance_histogram, over_poses
 from loopcal.figures.correlations import correlations
 from loopcal.figures.figure import Figure, colours
+from loopcal.figures.parameters import Change, changes
 from loopcal.figures.sensors import drift, normalised
 from loopcal.figures.space import Machine, arrows
 from loopcal.mechanisms.outputs import point_outputs, points
@@ -37,6 +38,7 @@ def figures(source: Source) -> dict[str, Figure]:
         _residuals(source, shades),
         normalised(sensors, shades),
         drift(sensors, source.table.poses, shades),
+        _parameters(source.document),
         _correlations(source.document),
     ]
     return {figure.key: figure for figure in found if figure is not None}
@@ -140,6 +142,17 @@ def _machine(source: Source, points: Array) -> Machine | None:
     except KeyError:
         return None  # a joint that was never read
     return None if lines is None else Machine(lines, skeleton_labels(source.mechanism))
+
+
+def _parameters(document: ResultDocument) -> Figure | None:
+    entries = [p for p in shown_parameters(document.parameters, document.terms) if not p.fixed]
+    groups = []
+    for unit in dict.fromkeys(p.unit for p in entries):
+        its = [p for p in entries if p.unit == unit]
+        off = np.array([p.value - p.nominal for p in its]) / factor(unit)
+        sds = np.array([np.nan if p.sd is None else p.sd for p in its]) / factor(unit)
+        groups.append(Change(unit_shown(unit), [p.name for p in its], off, sds))
+    return changes(groups)
 
 
 def _correlations(document: ResultDocument) -> Figure | None:
