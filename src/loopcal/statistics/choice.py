@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,8 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.result import Result
-from loopcal.execution.executor import Executor, Progress
+from loopcal.execution.executor import Executor, Progress, gathered
+from loopcal.execution.local import own_threads
 from loopcal.presentation.shown import size, unit_shown
 from loopcal.statistics.candidates import Entrant, entrants
 from loopcal.statistics.changes import Changes, changes, unchanged
@@ -123,16 +125,16 @@ def choose(
 
     Raises InputError where no candidate can be fitted.
     """
-    judged: list[Judged] = []
-    for entrant in entrants(case):
-        if any(one.whole for one in judged):
-            entrant = replace(entrant, case=replace(entrant.case, trusted=True))
+    judged, waiting = list[Judged](), list(entrants(case))
+    while waiting and not any(one.whole for one in judged):  # the first fit seeks faults for all
+        entrant = waiting.pop(0)
         judged.append(_fitted(entrant))
         whole = judged[-1].whole
         if whole is not None and whole.faults:  # no candidate is of use
             words = f"{entrant.name}; nothing was compared: the file is at fault"
             none = Chosen(entrant.name, (), words, ())
             return Choice(case.fit.method.name, whole, none, None, None)
+    judged += _all_fitted([replace(e, case=replace(e.case, trusted=True)) for e in waiting])
     if not any(one.whole for one in judged):
         raise next(one.error for one in judged if one.error)
     case = replace(case, trusted=True)
@@ -143,7 +145,7 @@ def choose(
     if told.found:
         case = told.case
         known = {best.name: told.whole} if best else {}
-        judged = [_fitted(one, known.get(one.name)) for one in entrants(case, told.moved)]
+        judged = _all_fitted(list(entrants(case, told.moved, told.made)), known)
     other = scheme if scheme and scheme.other is not None else None
     plan = _plan(told.plain, None if other else _of(scheme, told))
     if plan is not None:
@@ -173,6 +175,17 @@ def _of(scheme: Scheme | None, told: Changes) -> Scheme | None:
     if scheme is None or scheme.groups is None:
         return scheme
     return replace(scheme, groups=[scheme.groups[i] for i in told.kept])
+
+
+def _all_fitted(
+    entrants: Sequence[Entrant], known: Mapping[str, Result | None] = MappingProxyType({})
+) -> list[Judged]:
+    """Candidates with their fits of all poses; known: those at hand, by name."""
+    return gathered(own_threads(), _fitted_beside, known, entrants)
+
+
+def _fitted_beside(known: Mapping[str, Result | None], one: Entrant) -> Judged:
+    return _fitted(one, known.get(one.name))
 
 
 def _fitted(one: Entrant, whole: Result | None = None) -> Judged:
