@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.calibrate import LEARNT, refuse_learning
+from loopcal.estimation.calibrate import FAULTY, LEARNT, refuse_learning
+from loopcal.estimation.faults.search import UNREPAIRED, column_faults
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.model_error import modelled
@@ -93,7 +94,14 @@ def calibrate_stream(
         problem = task.problem(first)
         refuse_parallel_axes(mechanism)
         task = _settled(task, problem)
-        if learns:
+        faults = tuple(
+            fault
+            for fault in column_faults(problem, suspected=False)
+            if fault.code not in UNREPAIRED
+        )
+        if faults:  # no fit is of use: a short one, so that there is a result to say so
+            fit = fit.changed(max_iterations=min(fit.max_iterations, FAULTY))
+        elif learns:
             return _learnt(fit, task, problem, told, executor, progress, parts)
 
         with (executor or InProcess()).crew(do, task) as crew:
@@ -122,7 +130,7 @@ def calibrate_stream(
             else:
                 begin = Stage(resume.stage, resume.earlier) if resume else FIRST_STAGE
                 solution = in_stages(solved, problem.start, loss, cost, begin)
-            return LastPass(task, fit, solution).result(crew, parts)
+            return replace(LastPass(task, fit, solution).result(crew, parts), faults=faults)
 
 
 def _learnt(
