@@ -44,6 +44,7 @@ def broken():
 """
 PROJECT = """\
 schema = 1
+fit = { method = "implicit-loop" }
 title = "Lever"
 [mechanism]
 type = "function"

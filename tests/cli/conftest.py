@@ -13,6 +13,7 @@ from loopcal.cli import main
 
 PROJECT = """\
 schema = 1
+fit = { method = "implicit-loop" }
 title = "A planar arm"
 
 [mechanism]

@@ -11,6 +11,7 @@ from tests.cli.conftest import Run
 
 ARM = """\
 schema = 1
+fit = { method = "implicit-loop" }
 [mechanism]
 type = "serial"
 joint = [{ name = "q1", a = 0.5 }, { name = "q2", a = 0.25, alpha = 1.5 }]

@@ -59,7 +59,7 @@ def calibrated(joints: dict[str, Array], errors: Array, rng: np.random.Generator
     read = {q: v + rng.normal(0.0, SDS[q], len(v)) for q, v in joints.items()}
     measured = points(joints, TRUTH) + errors
     data = lc.Dataset.from_arrays(read | dict(zip(("xP", "yP"), measured, strict=True)))
-    return lc.calibrate(ARM, data, noise=lc.Noise(SDS), start="nominal")
+    return lc.calibrate(ARM, data, noise=lc.Noise(SDS), start="nominal", method="implicit-loop")
 
 
 def white(poses: int, rng: np.random.Generator) -> Array:
@@ -143,7 +143,9 @@ def test_a_robust_loss_is_not_tested() -> None:
     data = lc.Dataset.from_arrays(
         joints | dict(zip(("xP", "yP"), points(joints, TRUTH) + white(60, rng), strict=True))
     )
-    result = lc.calibrate(ARM, data, noise=lc.Noise(SDS), loss="huber", start="nominal")
+    result = lc.calibrate(
+        ARM, data, noise=lc.Noise(SDS), loss="huber", start="nominal", method="implicit-loop"
+    )
     assert result.dependence is None
 
 

@@ -185,8 +185,8 @@ DATA = ARM.read(SDS, seed=3)
 @pytest.mark.parametrize("executor", [Threads(2), Processes(2), Backwards()], ids=str)
 def test_validation_is_the_same_to_the_bit(executor: Executor) -> None:
     how: dict[str, Any] = {"noise": lc.Noise(SDS), "folds": 5}
-    here = lc.validate(ARM.truth, DATA, **how)
-    found = lc.validate(ARM.truth, DATA, executor=executor, **how)
+    here = lc.validate(ARM.truth, DATA, **{"method": "implicit-loop", **how})
+    found = lc.validate(ARM.truth, DATA, executor=executor, **{"method": "implicit-loop", **how})
     assert found.accuracy == here.accuracy
     assert found.log_likelihood == here.log_likelihood
     np.testing.assert_array_equal(found.distances, here.distances)

@@ -36,7 +36,7 @@ def calibrate(
     model_error, which override it; progress: called at every iteration. Angles are rad, lengths m
     throughout.
 
-    method "auto" lets the others compete and takes the one that predicts poses not used
+    method "auto" (default) lets the others compete and takes the one that predicts poses not used
     (`loopcal.statistics.choice`); `Result.chosen` says which, over what, by how much. scheme: what
     it leaves out, by default 10 folds and 5 regions; executor: who does its fits, by default this
     process. Without noise it weighs the readings as least squares does.

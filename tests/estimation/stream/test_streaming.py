@@ -103,7 +103,10 @@ def test_covariances_of_each_reading_and_gaps_come_along() -> None:
     data = data.with_readings({"z": z})
     spread = np.linspace(1.0, 3.0, 400)[:, None, None]
     noise = Noise({"theta_*": 5e-5, ("x", "y", "z"): 1e-10 * np.eye(3) * spread})
-    alike(calibrate_stream(arm, Pieces(data, noise)), calibrate(arm, data, noise=noise))
+    alike(
+        calibrate_stream(arm, Pieces(data, noise)),
+        calibrate(arm, data, noise=noise, method="implicit-loop"),
+    )
 
 
 def test_an_angle_that_nobody_reads_is_found_in_every_chunk() -> None:
@@ -113,7 +116,10 @@ def test_an_angle_that_nobody_reads_is_found_in_every_chunk() -> None:
     data = simulate(arm, driven, noise=exact, seed=1, truth={"l2": 0.803}).dataset
     noise = Noise({"phi2": 1e-3, "phi3": np.inf, "*": 1e-5})
     arm = arm.with_parameters(arm.parameters.with_fixed(["phi30", "l3"]))
-    alike(calibrate_stream(arm, Pieces(data, noise)), calibrate(arm, data, noise=noise))
+    alike(
+        calibrate_stream(arm, Pieces(data, noise)),
+        calibrate(arm, data, noise=noise, method="implicit-loop"),
+    )
 
 
 def test_every_chunk_is_handed_out_with_its_corrections() -> None:
@@ -121,7 +127,7 @@ def test_every_chunk_is_handed_out_with_its_corrections() -> None:
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     seen: list[Result] = []
     calibrate_stream(arm, Pieces(data, noise), parts=Parts(whole_result, seen.append))
-    whole = calibrate(arm, data, noise=noise)
+    whole = calibrate(arm, data, noise=noise, method="implicit-loop")
     assert [pose for part in seen for pose in part.dataset.poses] == list(data.poses)
     streamed = np.concatenate([part.corrections["theta_2"] for part in seen])
     assert streamed == pytest.approx(whole.corrections["theta_2"], abs=1e-5 * 5e-5)
@@ -135,7 +141,7 @@ def test_a_chunk_may_hold_no_pose_to_be_shown(monkeypatch: pytest.MonkeyPatch) -
     noise = Noise({"phi?": 1e-4, "*": 2e-5})
     data = simulate(arm, driven, noise=noise, seed=1, truth={"l2": 0.803}).dataset
     found = calibrate_stream(arm, Pieces(data, noise, 51))
-    alike(found, calibrate(arm, data, noise=noise))
+    alike(found, calibrate(arm, data, noise=noise, method="implicit-loop"))
     assert found.dataset.poses == data.poses[::50]
 
 
@@ -159,7 +165,7 @@ def test_a_pose_that_fits_badly_is_shown_and_named(monkeypatch: pytest.MonkeyPat
     outliers = find_outliers(found)
     assert (outliers.found[0].pose, outliers.found[0].quantity) == ("424", "y")
     assert outliers.tested == 900
-    whole = find_outliers(calibrate(arm, wrong, noise=noise))
+    whole = find_outliers(calibrate(arm, wrong, noise=noise, method="implicit-loop"))
     assert [outlier.pose for outlier in whole.found] == ["424"]
 
 
@@ -187,7 +193,7 @@ def test_a_point_out_of_reach_is_refused_wherever_it_is_read(size: float) -> Non
     with refused("implausible-readings", "pose '424'") as of_stream:
         calibrate_stream(arm, Pieces(wrong, noise))
     with refused("implausible-readings", "pose '424'") as of_memory:
-        calibrate(arm, wrong, noise=noise)
+        calibrate(arm, wrong, noise=noise, method="implicit-loop")
     assert "x, y, z" in str(of_stream.value)
     assert "data.exclude" in str(of_memory.value)
 
@@ -199,7 +205,9 @@ def test_poses_that_cannot_be_closed_are_named() -> None:
     data = Dataset(data.readings, data.units, ids, data.sds, data.source)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     wrong = with_y(data, "p424", 30.0)
-    found = calibrate_stream(arm, Pieces(wrong, noise), fit=Fit(max_iterations=20))
+    found = calibrate_stream(
+        arm, Pieces(wrong, noise), fit=Fit(max_iterations=20, method="implicit-loop")
+    )
     assert found.status.reason == "cannot_close"
     assert "p424" in found.status.message
 
@@ -307,7 +315,9 @@ def test_too_few_equations_are_refused() -> None:
     arm, data = arm_and_data(8)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     with refused("too-few-poses", "24 loop", "8 poses"):
-        calibrate_stream(arm, Pieces(data, noise, 3), fit=Fit(start="nominal"))
+        calibrate_stream(
+            arm, Pieces(data, noise, 3), fit=Fit(start="nominal", method="implicit-loop")
+        )
 
 
 @pytest.mark.parametrize("method", ["implicit-loop", "least-squares"])
@@ -348,7 +358,7 @@ def test_a_robust_stream_gives_what_memory_gives_and_resumes_exactly(loss: str) 
     arm, data = arm_and_data(400)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     spoilt = data["y"] + np.where(np.arange(400) % 40 == 7, 2e-3, 0.0)
-    data, fit = data.with_readings({"y": spoilt}), Fit(loss=loss)
+    data, fit = data.with_readings({"y": spoilt}), Fit(loss=loss, method="implicit-loop")
     checkpoints: list[str] = []
     streamed = calibrate_stream(
         arm,
@@ -356,7 +366,7 @@ def test_a_robust_stream_gives_what_memory_gives_and_resumes_exactly(loss: str) 
         fit=fit,
         reached=lambda checkpoint: checkpoints.append(json.dumps(checkpoint.document())),
     )
-    whole = calibrate(arm, data, noise=noise, loss=loss)
+    whole = calibrate(arm, data, noise=noise, loss=loss, method="implicit-loop")
     alike(streamed, whole)
     assert len(checkpoints) == streamed.status.iterations
     for checkpoint in checkpoints[2::5]:
@@ -410,7 +420,7 @@ def test_terms_are_learnt_from_a_stream_as_from_memory() -> None:
     learning = Fit(method="least-squares", model_error="structured", start="nominal")
     for machine, fit in (
         (structured(known, harmonics=False), learning),
-        (known, Fit()),
+        (known, Fit(method="implicit-loop")),
     ):
         streamed = calibrate_stream(machine, Pieces(data, noise), fit=fit)
         close(streamed, calibrate(machine, data, noise=noise, fit=fit))
@@ -420,4 +430,6 @@ def test_a_stream_learns_no_sds_of_several_sensors() -> None:
     arm, data = arm_and_data(100)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     with refused("unsupported", "least-squares"):
-        calibrate_stream(arm, Pieces(data, noise), fit=Fit(model_error="structured"))
+        calibrate_stream(
+            arm, Pieces(data, noise), fit=Fit(model_error="structured", method="implicit-loop")
+        )

@@ -12,14 +12,16 @@ if TYPE_CHECKING:
     from loopcal.estimation.methods.method import Method
 
 METHODS = {
+    "auto": "auto",
     "implicit-loop": "implicit_loop",
     "least-squares": "least_squares",
     "reweighted": "reweighted",
     "implicit-loop-undamped": "undamped",
-    "auto": "auto",
 }
 """Name -> module in this folder, which defines METHOD. The first is the default."""
 DEFAULT = next(iter(METHODS))
+PLAIN = list(METHODS)[1]
+"""The first that is a method by itself."""
 
 
 @cache
