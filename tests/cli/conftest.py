@@ -13,7 +13,6 @@ from loopcal.cli import main
 
 PROJECT = """\
 schema = 1
-fit = { method = "implicit-loop" }
 title = "A planar arm"
 
 [mechanism]
@@ -34,6 +33,9 @@ phi3 = { column = "b", unit = "deg" }
 
 [prior]
 "*" = { sd = inf }
+
+[fit]
+method = "implicit-loop"
 
 [simulation.ranges]
 phi2 = { from = -90, to = 90, step = 30, unit = "deg" }
