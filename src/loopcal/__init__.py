@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from loopcal.statistics.validation import Validation
     from loopcal.statistics.verification import verify
     from loopcal.statistics.verified import Verification
+    from loopcal.workflow.beginning.initial import InitialProject, init
     from loopcal.workflow.calibration import write_result
 
 _HOME = {
@@ -127,6 +128,7 @@ _HOME = {
     "statistics.findings": ("Findings", "findings"),
     "statistics.prediction": ("Prediction", "predict"),
     "statistics.repeats": ("Repeats", "repeated_readings"),
+    "workflow.beginning.initial": ("InitialProject", "init"),
     "workflow.calibration": ("write_result",),
 }
 _NAMESPACES = ("effects", "instruments", "machines")
@@ -148,6 +150,7 @@ __all__ = [
     "Findings",
     "Fit",
     "Identifiability",
+    "InitialProject",
     "InputError",
     "Instrument",
     "InstrumentAccuracy",
@@ -202,6 +205,7 @@ __all__ = [
     "findings",
     "fix_redundant",
     "grid_poses",
+    "init",
     "instruments",
     "intervals",
     "load_dataset",

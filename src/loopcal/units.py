@@ -36,6 +36,7 @@ _TABLE: dict[str, dict[str, float]] = {
         "mrad": 1e-3,
         "urad": 1e-6,
         "deg": math.pi / 180,
+        "gon": math.pi / 200,
         "arcmin": math.pi / 180 / 60,
         "arcsec": math.pi / 180 / 3600,
         "turn": 2 * math.pi,

@@ -141,6 +141,8 @@ def test_a_table_can_be_copied(browser: Any, planar: Path) -> None:
     assert [line.split("\t")[0] for line in copied.splitlines()] == [
         "accuracy",
         "nominal",
+        "nominal, best placed",
         "calibrated",
         "on poses not used",
+        "noise floor",
     ]

@@ -13,11 +13,13 @@ import pytest
 
 import loopcal as lc
 from loopcal.document.accuracy import Coverage
+from loopcal.document.change_points import Change, ChangePoint, ChangePoints
 from loopcal.document.choice import Candidate, Chosen
 from loopcal.document.dependence import Dependence, InstrumentDependence, Likeness
 from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, Undetermined
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.result_document import ResultDocument
+from loopcal.document.terms import TermEntry
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.statistics.verdict import SOUND, verdict_of
 from tests.conftest import ROOT
@@ -54,12 +56,17 @@ def depends(serial: float, spatial: float) -> Dependence:
 
 
 OUTLIER = Outlier("17", None, 30.0, 1e-6, 30.0, None, None)
+SLIP = ChangePoint("step", "86", "85", 86, "target", {"x6B": Change(5e-4, 1e-5, "m")}, 900.0, 1e-9)
+SAG = TermEntry("sag", "rad/m", 9e-4, None, 5e-4, 4, 3.0, 40.0, "joints give way by 0.9 mrad/m")
 FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
     "column-fault": ("column_faults", (ColumnFault(("xP",), "xP is in mm", 1.0, 0.0),), False),
     "not-converged": ("status.converged", False, False),
     "sds-too-small": ("chi_squared", ChiSquared.of(400.0, 114), False),
     "sds-too-large": ("chi_squared", ChiSquared.of(11.0, 114), False),
     "sds-generous": ("chi_squared", ChiSquared.of(57.0, 114), None),
+    "change-points": ("change_points", ChangePoints((SLIP,), 0.01, 120, ""), False),
+    "sds-not-converged": ("sds_settled", False, None),
+    "mounting-unstated": ("mechanism.unstated", (("x6B", "y6B", "z6B"),), None),
     "model-incomplete": ("dependence", depends(1.0, 1e-9), False),
     "serial-dependence": ("dependence", depends(1e-9, 1.0), None),
     "regions-too-small": ("validation.coverage", Coverage(0.95, 0.6, 60), False),
@@ -123,6 +130,31 @@ def test_an_error_of_the_machine_model_leaves_the_question_open() -> None:
     assert verdict_of(replace(document, noise=(*document.noise, nothing))) == verdict_of(document)
 
 
+def test_a_slip_is_named_with_row_size_and_cause() -> None:
+    found = verdict_of(replace(clean(), change_points=ChangePoints((SLIP,), 0.01, 120, "")))
+    assert "from pose 86 on the target x6B moved on the body: x6B by 0.500 mm" in found.sound.words
+
+
+def test_a_plain_model_that_lacks_sag_is_wrong() -> None:
+    first, second, third = candidates(1e-6).over
+    lacking = replace(candidates(1e-6), over=(first, second, replace(third, terms=(SAG,))))
+    found = verdict_of(replace(clean(), chosen=lacking))
+    assert found.sound.code == "plain-model-wrong"
+    assert "joints give way by 0.9 mrad/m" in found.sound.words
+    for harmless in (replace(SAG, gain=8.0), replace(SAG, name="lengths")):
+        over = (first, second, replace(third, terms=(harmless,)))
+        assert verdict_of(replace(clean(), chosen=replace(lacking, over=over))).sound.passed
+    modelled = replace(lacking, terms=("sag",))
+    assert verdict_of(replace(clean(), chosen=modelled)).sound.passed
+
+
+def test_an_sd_at_its_bound_leaves_the_question_open() -> None:
+    document = clean()
+    zero = replace(document.noise[0], source="estimated", sd=0.0)
+    found = verdict_of(replace(document, noise=(zero, *document.noise[1:])))
+    assert found.sound.code == "sd-not-detectable"
+
+
 def test_the_gravest_finding_answers_and_the_others_are_told() -> None:
     document = changed(clean(), "outliers", (OUTLIER,))
     found = verdict_of(changed(document, "status.converged", False))
@@ -183,6 +215,23 @@ def test_never_silently_worse_than_a_rival() -> None:
     assert worse.better.code == "worse"
     assert "least squares" in worse.better.words
     assert verdict_of(replace(clean(), validation=None)).better.code == "not-validated"
+
+
+def test_a_result_knows_its_verdict_and_files_hold_the_same(tmp_path: Path) -> None:
+    result = corner()
+    assert result.verdict == lc.verdict(result)
+    lc.write_result(result, tmp_path)
+    assert lc.read_result(tmp_path / "result.json").verdict == result.verdict
+
+
+def test_a_chosen_result_is_judged_by_its_validation_and_candidates() -> None:
+    arm = planar_arm(40)
+    result = lc.calibrate(arm.truth, arm.read(SDS, 1), noise=lc.Noise(SDS), method="auto")
+    assert result.verdict is not None
+    assert result.chosen is not None
+    rival = next(c for c in result.chosen.over if c.name == "nominal")
+    assert result.verdict.better.number == rival.difference
+    assert "sd of the difference" in result.verdict.better.words
 
 
 def test_false_alarms_over_clean_draws_are_rare() -> None:

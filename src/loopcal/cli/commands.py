@@ -474,6 +474,60 @@ def new(
 
 
 @app.command()
+def init(
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE...", help="Readings, joined by pose ids or else by row order."
+        ),
+    ],
+    urdf: Annotated[
+        str | None, typer.Option(metavar="FILE", help="Take the robot from this URDF.")
+    ] = None,
+    dh: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="Take the robot from this table of Denavit-Hartenberg parameters (a, d, alpha, "
+            "theta).",
+        ),
+    ] = None,
+    machine: Annotated[
+        str | None,
+        typer.Option(metavar="TYPE", help="Take a type with nominal values (motoman-ma1400)."),
+    ] = None,
+    base: Annotated[
+        str | None,
+        typer.Option(metavar="LINK", help="Link that does not move [default: the one that fits]."),
+    ] = None,
+    tip: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LINK", help="Link that carries the target [default: the one that fits]."
+        ),
+    ] = None,
+    out: Annotated[
+        str, typer.Option(metavar="DIR", help="Write the project to this folder.")
+    ] = "calibration",
+    run: Annotated[
+        bool, typer.Option("--run", help="Calibrate at once and open the report.")
+    ] = False,
+) -> None:
+    """Recognise readings and a robot; write a finished project."""
+    from loopcal.cli.asking import ask_on_terminal, open_page
+    from loopcal.workflow.beginning.initial import RobotFile, initial_project
+
+    robot = RobotFile(urdf, dh, machine, base, tip)
+    done = initial_project(files, robot, out=out, ask=ask_on_terminal())
+    print_out(str(done))
+    if run:
+        try:
+            calibrate(str(done.written[0]))
+        finally:  # the report is there too where the result is not sound
+            open_page(done.written[0].with_name("project-result") / "report.html")
+
+
+@app.command()
 def schema(
     name: Annotated[str, typer.Argument(metavar="project|result", help="Which file.")],
 ) -> None:

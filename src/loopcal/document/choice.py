@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.bounds import Size
+from loopcal.document.terms import TermEntry
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class Candidate:
     """Standard error of the difference, paired by pose."""
     failed: str | None = None
     """Why it was discarded before the end; null: it was not."""
+    terms: tuple[TermEntry, ...] = ()
+    """What it learnt of the model error, where the chosen candidate learnt nothing."""
 
 
 @dataclass(frozen=True)

@@ -35,10 +35,13 @@ from loopcal.document.tables import (
     model_table,
     parameter_table,
     sensor_table,
+    shown_parameters,
+    term_table,
 )
 from loopcal.document.terms import TermEntry
 from loopcal.document.verdict import Verdict
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.structure.structured import unstated_mountings
 from loopcal.presentation.rounding import significant
 
 SCHEMA: Literal[2] = 2
@@ -101,6 +104,8 @@ class MechanismEntry:
     """Outputs, and small turns between computed and measured orientations."""
     remarks: tuple[str, ...]
     """What a user should know of it, such as why a parameter is fixed."""
+    unstated: tuple[tuple[str, ...], ...] = ()
+    """The parameters of each thing on the body whose place nobody stated: all free, flat and 0."""
 
     @classmethod
     def of(cls, mechanism: Mechanism) -> MechanismEntry:
@@ -113,6 +118,7 @@ class MechanismEntry:
             mechanism.outputs,
             mechanism.compared,
             mechanism.remarks,
+            unstated_mountings(mechanism),
         )
 
 
@@ -152,6 +158,8 @@ class ResultDocument:
     """Of the quantities whose covariance was stated."""
     terms: tuple[TermEntry, ...] = ()
     """What was learnt of the model error; empty: nothing was to be learnt."""
+    sds_settled: bool | None = None
+    """Whether the learnt sds converged; null: none were learnt."""
     model_discrepancy: Size | None = None
     """sd [SI, of the outputs] of an error of the machine model at the end point that would explain
     a chi-squared too large for the stated sds."""
@@ -215,7 +223,12 @@ class ResultDocument:
         rejected = p_value is not None and p_value < 0.01
         if rejected or any(entry.source == "estimated" for entry in self.noise):
             lines += ["", *sensor_table(self.noise)]
-        lines += ["", *parameter_table(self.parameters)]
+        if self.terms:
+            lines += ["", *term_table(self.terms)]
+        shown = shown_parameters(self.parameters, self.terms)
+        lines += ["", *parameter_table(shown)]
+        if rest := len(self.parameters) - len(shown):
+            lines.append(f"(and {rest} parameters of the model error: result.json)")
         if self.variance_factor_applied:
             lines.append("(sds multiplied by the root of chi-squared per degree of freedom)")
         if any(p.error is not None for p in self.parameters):

@@ -14,6 +14,7 @@ from loopcal.document.accuracy import (
     ValidationEntry,
 )
 from loopcal.document.fit import NoiseEntry, ParameterEntry
+from loopcal.document.terms import TermEntry
 from loopcal.presentation.shown import by_sd, size, unit_shown
 from loopcal.presentation.text_table import columns
 
@@ -172,6 +173,44 @@ def sensor_table(noise: Sequence[NoiseEntry]) -> list[str]:
             ]
         )
     return columns(rows)
+
+
+TERM_HEAD = ("model error", "sd", "from", "to", "unit", "used", "of", "gain", "meaning")
+"""used: degrees of freedom that the data use, of so many columns; gain: in -2 log likelihood."""
+
+
+def term_rows(terms: Sequence[TermEntry]) -> list[tuple[str, ...]]:
+    """One row per term: the learnt sd, its 95 % interval, what the data use of it, its meaning."""
+    return [
+        (
+            term.name,
+            size(term.scale, term.unit, 2, fine=True),
+            *(size(end, term.unit, 2, fine=True) for end in term.interval or (None, None)),
+            unit_shown(term.unit, fine=True),
+            f"{term.effective:.1f}",
+            str(term.columns),
+            "" if term.gain is None else f"{term.gain:.0f}",
+            term.words,
+        )
+        for term in terms
+    ]
+
+
+def term_table(terms: Sequence[TermEntry]) -> list[str]:
+    """One line per term of the model error."""
+    rows = [TERM_HEAD, *term_rows(terms)]
+    numbers = columns([list(row[:-1]) for row in rows])
+    lines = [f"{line}  {row[-1]}" for line, row in zip(numbers, rows, strict=True)]
+    lines.append("(gain above 10: the machine model is wrong without this term)")
+    return lines
+
+
+def shown_parameters(
+    parameters: Sequence[ParameterEntry], terms: Sequence[TermEntry]
+) -> list[ParameterEntry]:
+    """The parameters without the many columns of the model error."""
+    hidden = {name for term in terms for name in term.effects}
+    return [p for p in parameters if p.name not in hidden]
 
 
 def parameter_table(parameters: Sequence[ParameterEntry]) -> list[str]:

@@ -28,3 +28,5 @@ class TermEntry:
     """By how much the term lowers -2 log of the restricted likelihood; null: unknown."""
     words: str
     """What it means for the machine, in a sentence."""
+    effects: tuple[str, ...] = ()
+    """Those of its parameters that are no dimension of the drawing: single ones say little."""

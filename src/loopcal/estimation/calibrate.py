@@ -17,6 +17,7 @@ from loopcal.estimation.noise.learning import components, with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
 from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.problem.size import refuse_collapse
 from loopcal.estimation.problem.unreachable import refuse_unreachable
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.fallback import solve_or_fall_back
@@ -97,6 +98,9 @@ def calibrate(
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)
+        if fit.solver.exact or fit.solver.at_readings:
+            arrays = problem.readings, problem.known, problem.uncertainty.sd
+            refuse_collapse(problem.mechanism, *arrays, priors=not fit.solver.exact)
         faults: tuple[ColumnFault, ...] = ()
         if isinstance(fit.start, str) and suspicious(problem):
             faults = column_faults(problem)

@@ -20,6 +20,7 @@ from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.plain import known
 from loopcal.document.result_document import SCHEMA, DataEntry, MechanismEntry, ResultDocument
 from loopcal.document.terms import TermEntry
+from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
 from loopcal.estimation.dependence.dependence import Depending, dependence
@@ -92,6 +93,8 @@ class Result:
     errors: Mapping[str, float] | None = None
     """True minus estimated value of the parameters whose truth is known."""
     faults: tuple[ColumnFault, ...] = ()
+    judge: Callable[[Result], Verdict] | None = None
+    """What judges the result when its verdict is first asked for."""
 
     @property
     def method(self) -> str:
@@ -454,6 +457,15 @@ class Result:
         return self.document.chosen
 
     @cached_property
+    def verdict(self) -> Verdict | None:
+        """Whether the result can be used, and for what; None: nothing was there to judge it.
+
+        With the validation and the candidates of a choice of method. It takes as long as the search
+        for outliers, change points and other optima.
+        """
+        return None if self.judge is None else self.judge(self)
+
+    @cached_property
     def document(self) -> ResultDocument:
         """The result as result.json holds it, with what was added to it."""
         with one_blas_thread():
@@ -486,6 +498,7 @@ class Result:
             noise=noise_entries(self.noise, self.chi_squared_shares),
             noise_covariances=() if self.fit.solver.exact else joint_covariances(self.problem),
             terms=self.terms,
+            sds_settled=None if self.estimate is None else self.estimate.settled,
             model_discrepancy=self.model_discrepancy,
             variance_factor_applied=self.variance_factor_applied,
             restricted_criterion=self.restricted_criterion,

@@ -25,4 +25,13 @@ def expanded(path: str, folder: Path, place: Place) -> Path:
                 place=str(place),
                 remedy=f"set it to the folder: export {name}=/path/to/folder",
             )
-    return folder / Path(_VARIABLE.sub(lambda match: os.environ[match[1]], path))
+    found = folder / Path(_VARIABLE.sub(lambda match: os.environ[match[1]], path))
+    return found if folder.is_dir() else Path(os.path.normpath(found))  # nothing leads through it
+
+
+def relative(path: str | Path, folder: str | Path) -> str:
+    """A path as a file in a folder states it; absolute where no relative one leads there."""
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:  # another drive
+        return Path(path).resolve().as_posix()

@@ -10,7 +10,14 @@ import numpy as np
 from loopcal.document.accuracy import Distances
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.tables import Stage, accuracy_stages, distances_shown
+from loopcal.document.tables import (
+    TERM_HEAD,
+    Stage,
+    accuracy_stages,
+    distances_shown,
+    shown_parameters,
+    term_rows,
+)
 from loopcal.presentation.shown import NONE, by_sd, chance, percent, size, unit_shown, with_unit
 from loopcal.report.source import Source
 
@@ -113,11 +120,23 @@ def sensor_table(source: Source) -> Table | None:
     return Table("Sds of the sensors, and corrections over them", head, tuple(rows))
 
 
+def term_table(document: ResultDocument) -> Table | None:
+    """The learnt model error: scale of each term with its interval, and what it means."""
+    if not document.terms:
+        return None
+    caption = (
+        "Learnt model error: sd with 95 % interval; degrees of freedom that the data use, of so "
+        "many columns; gain in -2 log likelihood (above 10: the machine model is wrong without it)"
+    )
+    return Table(caption, TERM_HEAD, tuple(term_rows(document.terms)))
+
+
 def parameter_table(document: ResultDocument) -> Table:
     """Nominal and calibrated value, sd, change in sds, and how much of it the prior says."""
     with_error = any(entry.error is not None for entry in document.parameters)
     head = ["parameter", "nominal", "value", "change", "sd", "unit", "change/sd", "prior's share"]
-    rows = [_parameter(entry, with_error) for entry in document.parameters]
+    shown = shown_parameters(document.parameters, document.terms)
+    rows = [_parameter(entry, with_error) for entry in shown]
     if with_error:
         head.append("error")
     caption = "Parameters; the prior's share is (sd / prior sd)², 0 % where the data alone decide"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Unpack
 
 from loopcal.estimation.calibrate import calibrate as calibrate_by_method
@@ -14,6 +15,7 @@ from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.choice import choose
 from loopcal.statistics.folds import Scheme
+from loopcal.statistics.judging import verdict
 from loopcal.statistics.validation import Case
 
 
@@ -69,7 +71,9 @@ def calibrate(
     """
     asked, told = Fit.of(fit, options), Noise.of(noise)
     if not asked.method.choice:
-        return calibrate_by_method(mechanism, data, noise=told, fit=asked, progress=progress)
+        found = calibrate_by_method(mechanism, data, noise=told, fit=asked, progress=progress)
+        return replace(found, judge=verdict)
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
-    return choose(Case(mechanism, data, told, asked), scheme, executor).calibrated
+    found = choose(Case(mechanism, data, told, asked), scheme, executor).calibrated
+    return replace(found, judge=verdict)

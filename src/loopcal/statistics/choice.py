@@ -308,7 +308,9 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
         if own is not None and own.accuracy is not None and best is not None:
             gap = Gap.of(risks[one.name][0], risks[taken.name][0], plan.groups)
             scale = own.accuracy.rms + best.rms
-        over.append(_candidate(one, own, gap, scale))
+        learnt = one.whole if one.made and not taken.entrant.structured else None
+        entry = _candidate(one, own, gap, scale)
+        over.append(replace(entry, terms=() if learnt is None else learnt.terms))
     better = [
         one.name
         for one in judged

@@ -36,6 +36,7 @@ from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.effects.model import Model, with_only
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.folds import Scheme, grouped, stated_sds
+from loopcal.statistics.judging import verdict
 from loopcal.statistics.validation import Asked, Case, Validation, ValidationOptions, validated
 
 Array = NDArray[np.float64]
@@ -174,7 +175,9 @@ def compare_models(
         raise errors[0]
     judged = _judged(found, _groups(shared, asked.scheme))
     chosen = recommended(judged)
-    return ModelComparison(tuple(judged), chosen, fits[chosen])
+    validation = next(m.validation for m in judged if m.name == chosen)
+    result = replace(fits[chosen], judge=partial(verdict, validation=validation))
+    return ModelComparison(tuple(judged), chosen, result)
 
 
 def _validated(one: ComparedModel, fit: Result, run: Callable[[], Validation]) -> ComparedModel:

@@ -7,20 +7,30 @@ left out as well, until the same poses are left out twice (Rousseeuw and Leroy 1
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.chi_squared import quantile
+from loopcal.errors import InputError, NoTrustworthyResult
+from loopcal.estimation.faults.misfit import HALF, misfit
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.solution import Solution
+from loopcal.statistics.blocks import blocks
 from loopcal.statistics.pose_tests import Fitted, PoseTests, pose_tests, settle
 
 Array = NDArray[np.float64]
+MOST = 0.3
+"""At most this share of the poses is taken for bad where the first search leaves doubts."""
+_REGIONS, _MANY, _FINALISTS, _LESS = (4, 8), 6, 2, 0.9
+_MEDIAN = 0.75
+"""Of chi-squared over its degrees of freedom, of two or three of them, at most 0.79."""
 _ROUNDS, _HOPELESS, _BENT, _REJECTED = 10, 100.0, 10.0, 1e-3
 
 
@@ -31,7 +41,8 @@ class Search:
         self.result, self.problem = result, result.problem
         self.exact = result.fit.solver.exact
         self.level = level
-        self.scale = "residual" if self.exact else scale
+        learnt = scale == "auto" and result.estimate is not None
+        self.scale = "residual" if self.exact or learnt else scale
         names = self.problem.mechanism.tape.quantities
         aside = set(self.problem.mechanism.disturbances)
         self.readings = np.array([name not in aside for name in names])
@@ -55,10 +66,36 @@ class Search:
         covariance = result.spectrum.covariance()
         fit = self._scaled(Fitted(parameters, corrections, covariance, 1.0), none)
         tests = pose_tests(problem, fit, ~none, exact=self.exact)
-        if result.status.converged and not self._remarkable(tests).any():
+        unremarkable = result.status.converged and not self._remarkable(tests).any()
+        if unremarkable and fit.factor == 1.0:
             return fit, none, tests
+        found = self._searched(fit)
+        # a scale from the residuals of a bent fit is too large to show what bent it; but without
+        # their worst poses good data scatter less as well
+        if unremarkable and found[0].factor * self._plausible(none) > fit.factor:
+            return fit, none, tests
+        return found
+
+    def _searched(self, fit: Fitted) -> tuple[Fitted, NDArray[np.bool_], PoseTests]:
+        """From a robust fit, and from a more robust one where that leaves doubts."""
+        result, none = self.result, np.zeros(len(self.problem.poses), dtype=bool)
         fit = self._robust(fit)
-        gone = self._remarkable(pose_tests(problem, fit, ~none, exact=self.exact))
+        found = self._settled(fit, none)
+        if not self._doubtful(found) or result.all_poses is not None:
+            return found
+        centre = self._centre(fit, found)
+        if centre is None:
+            return found
+        other = self._settled(*centre)
+        return found if self._doubtful(other) else other
+
+    def _settled(
+        self, fit: Fitted, gone: NDArray[np.bool_]
+    ) -> tuple[Fitted, NDArray[np.bool_], PoseTests]:
+        """From a fit without some poses to a set of them that no longer changes."""
+        problem = self.problem
+        none = np.zeros_like(gone)
+        gone = self._remarkable(pose_tests(problem, fit, ~gone, exact=self.exact))
         seen: list[NDArray[np.bool_]] = []
         for _ in range(_ROUNDS):
             if self._too_few(gone):
@@ -73,6 +110,84 @@ class Search:
             seen.append(gone)
             gone = now
         return fit, self._remarkable(tests), tests
+
+    def _doubtful(self, found: tuple[Fitted, NDArray[np.bool_], PoseTests]) -> bool:
+        """Whether the poses that are left do not look like good ones: they scatter more than the
+        sds allow, or, where the scale comes from themselves, with a heavy tail."""
+        fit, gone, _ = found
+        ratios = self._ratios(fit)[~gone]
+        ratios = ratios[np.isfinite(ratios)]
+        known = self.result.solution.equations
+        spare = max(known - len(self.problem.free), 1) / known
+        usual = float(np.median(ratios)) / _MEDIAN if self.scale == "residual" else spare
+        return bool(gone.mean() > MOST or ratios.mean() > usual * self._plausible(gone))
+
+    def _centre(
+        self, fit: Fitted, found: tuple[Fitted, NDArray[np.bool_], PoseTests]
+    ) -> tuple[Fitted, NDArray[np.bool_]] | None:
+        """The fit with the least trimmed squares, and the poses (N,) that it leaves out; None where
+        none is better than the one that was found.
+
+        Concentration steps (Rousseeuw and Van Driessen 1999) from several starts: the poses nearest
+        to the nominal machine, placed by the better half; all poses but those of one region of the
+        joint space, where bad poses may support each other; and the poses of the fit at hand.
+        """
+        begun = self._concentrated(found[0], found[1], _MANY)
+        tried = []
+        for start in self._starts():
+            with suppress(InputError, NoTrustworthyResult):
+                tried.append(self._concentrated(fit, start, 1))
+        for trial in sorted(tried, key=lambda one: one.square)[:_FINALISTS]:
+            with suppress(InputError, NoTrustworthyResult):
+                tried.append(self._concentrated(trial.fit, trial.gone, _MANY))
+        best = min(tried, key=lambda one: one.square, default=begun)
+        if not best.square < _LESS * begun.square:
+            return None
+        return self._scaled(best.fit, np.zeros_like(best.gone)), best.gone
+
+    def _starts(self) -> list[NDArray[np.bool_]]:
+        """Which poses (N,) the concentration begins without."""
+        N = len(self.problem.poses)
+        starts = []
+        with suppress(InputError):
+            away = misfit(self.problem, kept=HALF).away
+            starts.append(self._farthest(np.where(np.isfinite(away), away, np.inf)))
+        for number in _REGIONS:
+            with suppress(InputError):
+                data, mechanism = self.result.dataset, self.problem.mechanism
+                for region in blocks(mechanism, data, np.arange(N), number):
+                    if len(region) <= MOST * N:
+                        starts.append(np.isin(np.arange(N), region))
+        return starts
+
+    def _concentrated(self, fit: Fitted, gone: NDArray[np.bool_], steps: int) -> _Centre:
+        for _ in range(steps):
+            fit = self._fitted(fit, gone)
+            now = self._farthest(self._ratios(fit))
+            if np.array_equal(now, gone):
+                break
+            gone = now
+        ratios = self._ratios(fit)
+        return _Centre(float(ratios[~self._farthest(ratios)].sum()), fit, gone)
+
+    def _farthest(self, away: Array) -> NDArray[np.bool_]:
+        """The `MOST` of the poses that are farthest off."""
+        order = np.argsort(away, kind="stable")
+        gone = np.zeros(len(away), dtype=bool)
+        gone[order[math.ceil((1.0 - MOST) * len(away)) :]] = True
+        return gone
+
+    def _ratios(self, fit: Fitted) -> Array:
+        """|E|^2 / r of every pose (N,), in units in which the median of a good one is that of a
+        normal one; infinite where it is no number."""
+        ratios = np.zeros(len(self.problem.poses))
+        for block in pose_equations(
+            self.problem, fit.parameters, fit.corrections, exact=self.exact
+        ):
+            r = block.E.shape[1]
+            if r:
+                ratios[block.poses] = np.square(block.E).sum(axis=1) / r
+        return np.where(np.isfinite(ratios), ratios, np.inf)
 
     def tested(self, tests: PoseTests) -> int:
         """How many poses the tests speak of: of a stream all, for what fits badly is here."""
@@ -158,6 +273,15 @@ class Search:
     def _plausible(self, gone: NDArray[np.bool_]) -> float:
         """Up to here a median ratio is chance: its sd is about 1.5 / sqrt(poses)."""
         return 1.0 + 5.0 / float(np.sqrt(max(int((~gone).sum()), 1)))
+
+
+@dataclass(frozen=True)
+class _Centre:
+    """A fit of most poses, those left out (N,), and the trimmed sum of squares."""
+
+    square: float
+    fit: Fitted
+    gone: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,13 @@ BEYOND = 100.0
 """The same of prior sds."""
 SHRUNK = 0.1
 """A fit whose lengths add up to less than this share of the nominal ones has collapsed."""
+DECISIVE = 10.0
+"""Gain in -2 log restricted likelihood from which a model without the term is wrong."""
+_GEOMETRY = ("lengths", "angles")
+"""Terms that give a plain model nothing but priors."""
 _CERTAIN = 2.0
+_BEATEN = 3.3
+"""Standard errors at p = 0.001: several rivals are tried, and the choice tried them before."""
 _RELATIVE = 0.41
 """sd of an rms of N distances in space over rms / sqrt(N): sqrt(2/3) / 2."""
 
@@ -73,6 +79,31 @@ def _not_converged(document: ResultDocument) -> Said | None:
     if status.converged:
         return None
     return Said(f"The fit did not converge ({status.reason}). {status.message}")
+
+
+def _moved(document: ResultDocument) -> Said | None:
+    found = () if document.change_points is None else document.change_points.found
+    if not found:
+        return None
+    words = "; ".join(map(str, found[:3])) + ("; ..." if len(found) > 3 else "")
+    return Said(f"Something moved along the run: {words}.", float(len(found)))
+
+
+def _plain_model(document: ResultDocument) -> Said | None:
+    """By terms that the chosen candidate lacks."""
+    chosen = document.chosen
+    if chosen is None:
+        return None
+    known = {*chosen.terms, *_GEOMETRY}
+    lacking = [t for one in chosen.over for t in one.terms if t.name not in known and t.gain]
+    worst = max(lacking, key=lambda t: t.gain or 0.0, default=None)
+    if worst is None or worst.gain is None or worst.gain < DECISIVE:
+        return None
+    return Said(
+        f"The model without {worst.name} is wrong: {worst.words} (-2 log likelihood lower by "
+        f"{significant(worst.gain, 2)}).",
+        worst.gain,
+    )
 
 
 def _noise_too_small(document: ResultDocument) -> Said | None:
@@ -237,6 +268,26 @@ def _outliers(document: ResultDocument) -> Said | None:
     return Said(f"{count} not fit the others ({named}).", float(len(poses)))
 
 
+def _mounting(document: ResultDocument) -> Said | None:
+    unstated = () if document.mechanism is None else document.mechanism.unstated
+    if not unstated:
+        return None
+    names = "; ".join(", ".join(group) for group in unstated)
+    return Said(f"The mounting on the body is not stated: {names} are 0 with flat priors.")
+
+
+def _unsettled(document: ResultDocument) -> Said | None:
+    return None if document.sds_settled is not False else Said("The learnt sds did not converge.")
+
+
+def _undetected(document: ResultDocument) -> Said | None:
+    zero = [e for e in document.noise if e.source == "estimated" and not e.sd]
+    names = ", ".join(q for e in zero if e.role == "reading" for q in e.quantities)
+    if not names:
+        return None
+    return Said(f"The noise of {names} is not detectable: its learnt sd is 0.")
+
+
 def _optima(document: ResultDocument) -> Said | None:
     others = document.other_optima or ()
     return Said(f"{others[0].words[0].upper()}{others[0].words[1:]}.") if others else None
@@ -280,12 +331,24 @@ SOUND: tuple[Rule, ...] = (
         _prior_tension,
         "Check units, signs and joint directions of the columns, and the drawing.",
     ),
+    Rule(
+        "change-points",
+        False,
+        _moved,
+        "Add the effects that change_points of result.json lists, or measure again.",
+    ),
     Rule("sds-too-small", False, _noise_too_small, _MODEL),
     Rule(
         "model-incomplete",
         False,
         _spatial,
         "Add effects (sag, gears), or fit with a structured model error.",
+    ),
+    Rule(
+        "plain-model-wrong",
+        False,
+        _plain_model,
+        "Measure more poses, all over the region, and fit with a structured model error.",
     ),
     Rule("regions-too-small", False, _coverage, _MODEL),
     Rule(
@@ -305,6 +368,9 @@ SOUND: tuple[Rule, ...] = (
     ),
     Rule("outliers", None, _outliers, "Inspect these poses; correct or exclude them."),
     Rule("rows-copied", None, _rows_copied, "Check how the file was made; delete the copies."),
+    Rule("sds-not-converged", None, _unsettled, "State more of the sds."),
+    Rule("sd-not-detectable", None, _undetected, "State its sd, or repeat readings of one pose."),
+    Rule("mounting-unstated", None, _mounting, "State where target or reflector is mounted."),
     Rule("other-optimum", None, _optima, "State priors from the drawing."),
     Rule(
         "not-identifiable",
@@ -381,7 +447,7 @@ def _better(document: ResultDocument) -> Answer:
     unit = accuracy.unit
     mine = with_unit(unseen.rms, unit)
     for name, difference, sd in sorted(rivals, key=lambda r: r[1]):
-        if difference < -_CERTAIN * sd:
+        if difference < -_BEATEN * sd:
             words = (
                 f"Worse than {name} on poses not used: {mine} rms instead of "
                 f"{with_unit(unseen.rms + difference, unit)}."

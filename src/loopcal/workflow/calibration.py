@@ -327,7 +327,8 @@ class _Run:
         document = told.added_to(result.document)
         for addition in done.add:
             document = addition(document)
-        document = replace(document, verdict=verdict_of(document, asked.tolerance))
+        judged = verdict_of(document, asked.tolerance)
+        document = replace(document, verdict=judged)
         words = tuple(str(warning) for warning in warnings)
         written = write_result(
             result,
@@ -338,6 +339,7 @@ class _Run:
             document=document,
             report=self.request.report,
         )
+        result = replace(result, judge=lambda _: judged)
         return Calibration(result, told, written, words, self._objection(written.document))
 
     def _objection(self, document: ResultDocument) -> str | None:

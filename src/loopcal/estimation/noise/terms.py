@@ -94,6 +94,7 @@ def term_entries(
                 one.effective,
                 one.gain,
                 words.replace("{scale}", scale),
+                tuple(n for n in one.term.parameters if mechanism.kinds.get(n) == "effect"),
             )
         )
     return tuple(found)

@@ -47,8 +47,39 @@ def refuse_without_length(mechanism: Mechanism, readings: Array, known: Array, s
     links = [p for p in own if not p.name.startswith(seen)] or own
     longest = max(links, key=lambda p: abs(p.nominal)).name
     listed = ", ".join(names[i] for i in lengths)
-    raise InputError(
-        f"no reading determines the size of the machine: {listed} read 0 by construction",
+    raise _unknown_size(f"{listed} read 0 by construction", longest)
+
+
+def refuse_collapse(
+    mechanism: Mechanism, readings: Array, known: Array, sd: Array, *, priors: bool
+) -> None:
+    """InputError where only angles are read, so that loop values vanish with all lengths.
+
+    For methods that minimise loop values at the readings; others leave the size where it was. The
+    arrays are those of `refuse_without_length`; priors: whether the method uses them.
+    """
+    names, units = mechanism.tape.quantities, mechanism.quantities
+    read = np.flatnonzero(np.any(np.isfinite(sd), axis=1)).tolist()
+    own = [p for p in mechanism.parameters if p.unit == "m" and p.nominal]
+    held = any(p.fixed or (priors and math.isfinite(p.prior_sd)) for p in own)
+    if not own or held or any(units[names[i]] == "m" for i in read):
+        return
+    some = slice(None, None, max(1, readings.shape[1] // _SAMPLE))
+    x = readings[:, some] + np.random.default_rng(0).uniform(-0.5, 0.5, readings[:, some].shape)
+    engine = engine_for(mechanism.tape, tuple(p.name for p in own), x.shape[1])
+    engine.at(np.array([p.nominal for p in mechanism.parameters]))
+    at = engine.evaluate(x, known[:, some])
+    lengths = np.array([p.nominal for p in own])
+    scaled = np.einsum("nmb,n->mb", at.by_parameter, lengths)
+    by_length = np.abs(at.by_parameter).max(axis=(0, 2)) > 0.0
+    left = np.abs(scaled - at.f)[by_length]
+    if left.size and left.max() <= _MADE_UP * max(float(np.abs(at.f).max()), 1e-300):
+        raise _unknown_size("all readings are angles", max(own, key=lambda p: abs(p.nominal)).name)
+
+
+def _unknown_size(why: str, longest: str) -> InputError:
+    return InputError(
+        f"no reading determines the size of the machine: {why}",
         code="unknown-size",
         remedy=f"fix a known length, say {longest} = {{ fixed = true }} under "
         "[parameters], or give it a prior sd; or measure a length, such as a ball-bar or the "

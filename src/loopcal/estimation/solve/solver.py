@@ -357,12 +357,15 @@ class _Solver(Generic[State]):
         end = self._evaluate(current.parameters, current.found.proposal, _CLOSED)
         late = end.found.late
         if late or end.spectrum is None:
-            end = replace(current, closed=None)
-            reason = "cannot_close"
+            # the merit of open loops is no merit: any point with closed loops is a better end
+            end, reason = replace(current, merit=np.inf, closed=None), "cannot_close"
         for place in (self.lowest, self.first):
             if not end.merit <= place.merit:
-                other = self._evaluate(place.parameters, place.state, _CLOSED)
-                end = other if other.merit <= end.merit else end
+                for closing in (_CLOSED, _NEAR):
+                    other = self._evaluate(place.parameters, place.state, closing)
+                    if math.isfinite(other.merit) and other.spectrum is not None:
+                        end = other if other.merit <= end.merit else end
+                        break
         return self._solution(end, reason, late=late)
 
     def _solution(

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from loopcal.files.toml.reader import SCHEMA
+from loopcal.files.toml.writer import inline, line, one_line, tables
 from loopcal.mechanisms.keys import plain
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
@@ -21,27 +22,27 @@ def mechanism_to_toml(mechanism: Mechanism) -> str:
     """
     described = mechanism.description or {"type": "function"}
     head = [
-        f"# {_comment(mechanism.name)}: a mechanism file of loopcal, made by it.",
+        f"# {one_line(mechanism.name)}: a mechanism file of loopcal, made by it.",
         "# Lengths are in m, angles in rad, sds in the unit of their value.",
         *_REMARKS.get(described["type"], ()),
         "",
-        _line("schema", SCHEMA),
-        _line("type", described["type"]),
-        _line("name", mechanism.name),
+        line("schema", SCHEMA),
+        line("type", described["type"]),
+        line("name", mechanism.name),
     ]
     parts = [
         *head,
-        *([_line("instrument", [])] if described.get("instrument") == [] else []),
+        *([line("instrument", [])] if described.get("instrument") == [] else []),
         *_structure(mechanism, described),
-        *_tables("instrument", described.get("instrument", [])),
-        *_tables("effect", described.get("effect", [])),
+        *tables("instrument", described.get("instrument", [])),
+        *tables("effect", described.get("effect", [])),
         *_model_error(described),
         "",
         "# value: nominal; sd: how well it is known beforehand, absent where not at all;",
         "# fixed = true: not estimated.",
         "[parameters]",
         *(
-            _line(p.name, _parameter(p, described.get("held", ())) | _sd(mechanism, p))
+            line(p.name, _parameter(p, described.get("held", ())) | _sd(mechanism, p))
             for p in mechanism.parameters
         ),
     ]
@@ -68,30 +69,22 @@ def _structure(mechanism: Mechanism, described: Mapping[str, Any]) -> list[str]:
             "loops": mechanism.tape.loops,
         }
     return [
-        *(_line(key, value) for key, value in stated.items() if value not in ((), [], {})),
+        *(line(key, value) for key, value in stated.items() if value not in ((), [], {})),
         *_remarks(mechanism),
-        *_tables("joint", [plain(joint) for joint in described.get("joints", [])]),
-    ]
-
-
-def _tables(key: str, listed: Sequence[Mapping[str, Any]]) -> list[str]:
-    return [
-        line
-        for entry in listed
-        for line in ("", f"[[{key}]]", *(_line(k, value) for k, value in entry.items()))
+        *tables("joint", [plain(joint) for joint in described.get("joints", [])]),
     ]
 
 
 def _remarks(mechanism: Mechanism) -> list[str]:
     if not mechanism.remarks:
         return []
-    return ["remarks = [", *(f"    {_value(words)}," for words in mechanism.remarks), "]"]
+    return ["remarks = [", *(f"    {inline(words)}," for words in mechanism.remarks), "]"]
 
 
 def _model_error(described: Mapping[str, Any]) -> list[str]:
     if "structure" not in described:
         return []
-    return ["", "[structure]", *(_line(k, v) for k, v in described["structure"].items())]
+    return ["", "[structure]", *(line(k, v) for k, v in described["structure"].items())]
 
 
 def _parameter(parameter: Parameter, held: Sequence[str]) -> dict[str, Any]:
@@ -111,28 +104,3 @@ def _sd(mechanism: Mechanism, parameter: Parameter) -> dict[str, float]:
         return {}
     mounted = structure and mechanism.kinds[parameter.name] == "mounting"
     return {"sd": parameter.prior_sd} if mounted or math.isfinite(parameter.prior_sd) else {}
-
-
-def _line(key: str, value: Any) -> str:
-    """`key = value` with tables and lists within the line."""
-    import tomli_w
-
-    its_key = tomli_w.dumps({key: 0}).removesuffix(" = 0\n")
-    return f"{its_key} = {_value(value)}"
-
-
-def _value(value: Any) -> str:
-    import tomli_w
-
-    if isinstance(value, Mapping):
-        inner = ", ".join(_line(k, v) for k, v in value.items())
-        return f"{{ {inner} }}" if inner else "{}"
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return f"[{', '.join(map(_value, value))}]"
-    # numbers of NumPy as Python's, whose repr survives reading exactly
-    plain_value = float(value) if isinstance(value, float) else value
-    return tomli_w.dumps({"x": plain_value}).removeprefix("x = ").removesuffix("\n")
-
-
-def _comment(text: str) -> str:
-    return "".join(c if c.isprintable() else " " for c in " ".join(text.split()))

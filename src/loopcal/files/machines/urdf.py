@@ -33,6 +33,44 @@ def read_urdf(path: str | Path, base: str, tip: str) -> tuple[LinkJoint, ...]:
     return tuple(robot.joint(element) for element in chain)
 
 
+@dataclass(frozen=True)
+class Branch:
+    """The chain from the root of a URDF to one of its links: joints that are read, by name.
+
+    leaf: whether no joint begins at the tip; beyond: fixed joints behind the last one that moves.
+    """
+
+    base: str
+    tip: str
+    joints: tuple[str, ...]
+    leaf: bool
+    beyond: int
+
+
+def branches(path: str | Path) -> tuple[Branch, ...]:
+    """The chain from the root to every link of a URDF file that moves against it.
+
+    Raises InputError with file and line if the file is not a URDF.
+    """
+    robot = _Robot.of(read_xml(path, "robot", _NO_URDF), shown(path))
+    roots = [link for link in robot.links if link not in robot.above]
+    parents = {robot._link(element, "parent") for element in robot.joints.values()}
+    found = []
+    for base in roots:
+        for tip in robot.links:
+            if tip == base or not robot.is_below(tip, base):
+                continue
+            elements = robot.chain(base, tip)
+            if any(element.get("type") not in KINDS for element in elements):
+                continue
+            reads = [joint.reads for joint in map(robot.joint, elements)]
+            moving = dict.fromkeys(read[0] for read in reads if read)
+            beyond = next((i for i, read in enumerate(reversed(reads)) if read), 0)
+            if moving:
+                found.append(Branch(base, tip, tuple(moving), tip not in parents, beyond))
+    return tuple(found)
+
+
 def urdf_machine(
     path: str | Path, base: str, tip: str, *, axes: bool = False, name: str | None = None
 ) -> Machine:
@@ -91,6 +129,14 @@ class _Robot:
                 if link not in met:
                     met.add(link)
                     waiting.append(link)
+
+    def is_below(self, tip: str, base: str) -> bool:
+        """Whether a link hangs on another one; False where the links form a cycle."""
+        met: set[str] = set()
+        while tip != base and tip not in met and self.above.get(tip):
+            met.add(tip)
+            tip = self._link(self.above[tip][0], "parent")
+        return tip == base
 
     def chain(self, base: str, tip: str) -> list[Any]:
         """The joints from a link to another one below it."""

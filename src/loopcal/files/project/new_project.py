@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from loopcal.errors import InputError
@@ -16,7 +17,14 @@ def write_new_project(folder: str | Path, kind: str) -> tuple[Path, ...]:
     there is no project for.
     """
     folder = Path(folder)
-    files = template_files(kind, folder.as_posix())
+    return write_new_files(folder, template_files(kind, folder.as_posix()))
+
+
+def write_new_files(folder: Path, files: Mapping[str, str | bytes]) -> tuple[Path, ...]:
+    """Write the files of a new project, name -> contents, all or none.
+
+    Raises InputError where one of them is there already.
+    """
     for name in files:
         if (folder / name).exists():
             raise InputError(

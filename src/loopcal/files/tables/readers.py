@@ -189,6 +189,11 @@ def read_poses(path: str | Path, pose: str | int, **how: Any) -> Dataset:
     return Dataset({}, {}, tuple(ids), source=source)
 
 
+def read_table(path: str | Path) -> Table:
+    """All columns of a file as they stand, read as `read_dataset` reads it."""
+    return _table(path, _How(), None)
+
+
 def column_labels(
     path: str | Path | BinaryIO,
     **layout: Unpack[Layout],

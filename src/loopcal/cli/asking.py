@@ -1,0 +1,42 @@
+"""Questions on a terminal, and the page at the end; neither where no person looks."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from loopcal.cli.output import print_error
+from loopcal.errors import InputError
+
+
+def _watched() -> bool:
+    return sys.stdin.isatty() and sys.stderr.isatty()
+
+
+def ask_on_terminal() -> Callable[[str, Sequence[str]], int] | None:
+    """Asks which of several answers is right; None where nobody could answer."""
+    return _ask if _watched() else None
+
+
+def _ask(question: str, answers: Sequence[str]) -> int:
+    print_error(question)
+    for number, answer in enumerate(answers, 1):
+        print_error(f"  {number}  {answer}")
+    while True:
+        print_error(f"Number from 1 to {len(answers)}:")
+        given = sys.stdin.readline().strip()
+        if not given:
+            raise InputError(
+                "no answer was given", code="unknown-unit", remedy="state the units in the headers"
+            )
+        if given.isdecimal() and 1 <= int(given) <= len(answers):
+            return int(given) - 1
+
+
+def open_page(path: Path) -> None:
+    """Open a page in the browser where a person looks."""
+    if _watched() and path.exists():
+        import webbrowser
+
+        webbrowser.open(path.resolve().as_uri())

@@ -1,0 +1,268 @@
+"""Where an instrument stands and what it looks at, found from the frames of a body.
+
+Only the nominal machine takes part, as rotations R (N, 3, 3) and origins o (N, 3) of its body. What
+no drawing states is found by least squares over nine tenths of the poses, so that gross errors do
+not bend it (least trimmed squares, Rousseeuw 1984). S and t place the machine in the instrument's
+frame, u and X place the target on the body, A is a point fixed beside the machine:
+
+    point   S (o + R u) + t = m                pose   the same, and S R X = M
+    length  |o + R u - A| + c = l
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.problem.alignment import align
+from loopcal.expressions.vectors import vector
+from loopcal.mechanisms.frame import Frame
+
+Array = NDArray[np.float64]
+KEPT = 0.9
+"""The share of the poses that decides."""
+_ROUNDS, _STEPS = 4, 12
+_WEAK = 1e-6
+"""A direction of the placement that the poses determine so much less than others stays as it is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Frames of the body in the machine's base: rotations (N, 3, 3), origins (N, 3) [m]."""
+
+    rotations: Array
+    origins: Array
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(N,) whether all joints were read."""
+        there: NDArray[np.bool_] = np.asarray(np.isfinite(self.origins).all(axis=1))
+        return there
+
+    def at(self, targets: Array) -> Array:
+        """(N, 3) the points of the body at one place on it, (3,)."""
+        moved: Array = self.origins + self.rotations @ targets
+        return moved
+
+
+@dataclass(frozen=True, eq=False)
+class Mounted:
+    """What was found.
+
+    targets: (K, 3) [m] on the body; turn: X of a pose, (3, 3); anchor: A, (3,) [m]; zero: c [m];
+    away: (N,) distances [m] (of several targets the root of the sum of squares); turned: (N,)
+    angles [rad] of a pose; spread: median distance [m] of the readings from their middle.
+    """
+
+    away: Array
+    spread: float
+    targets: Array
+    turn: Array | None = None
+    anchor: Array | None = None
+    zero: float = 0.0
+    turned: Array | None = None
+
+    @property
+    def shares(self) -> Array:
+        """(N,) misfits as shares of the spread, with the angles of a pose in rad."""
+        shares = self.away / max(self.spread, 1e-12)
+        return shares if self.turned is None else np.hypot(shares, self.turned)
+
+    @property
+    def share(self) -> float:
+        """Rms of the better nine tenths; infinite where nothing was read."""
+        return _rms(self.shares)
+
+    @property
+    def rms(self) -> float:
+        """Rms [m] of the better nine tenths of the distances."""
+        return _rms(self.away)
+
+
+def _rms(away: Array) -> float:
+    known = np.sort(away[np.isfinite(away)])
+    if not known.size:
+        return float("inf")
+    return float(np.sqrt(np.square(known[: max(int(KEPT * known.size), 1)]).mean()))
+
+
+def see_points(bodies: Bodies, measured: Array, rounds: int = _ROUNDS) -> Mounted:
+    """Targets (K of them) on one body, seen as points (K, N, 3) [m] from one station.
+
+    Raises InputError where the points do not determine where the instrument stands.
+    """
+    targets = np.zeros((len(measured), 3))
+    good = np.isfinite(measured).all(axis=(0, 2)) & bodies.known
+    for _ in range(rounds):
+        targets, away = _points(bodies, measured, targets, good)
+        good = _better(away)
+    return Mounted(away, _spread(measured[0]), targets)
+
+
+def _points(
+    bodies: Bodies, measured: Array, targets: Array, good: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Targets (K, 3) and distances (N,) after fitting placement and targets by some poses."""
+    K = len(measured)
+    for _ in range(_STEPS):
+        seen = np.array([bodies.at(u) for u in targets])
+        motion = align(seen[:, good].reshape(-1, 3).T, measured[:, good].reshape(-1, 3).T)
+        S, t = motion.rotation, motion.shift
+        there = seen @ S.T + t
+        left = (measured - there)[:, good]
+        n = left.shape[1]
+        J = np.zeros((K, n, 3, 6 + 3 * K))
+        J[..., :3] = -_cross(there[:, good] - t)
+        J[..., 3:6] = np.eye(3)
+        for k in range(K):
+            J[k, ..., 6 + 3 * k : 9 + 3 * k] = S @ bodies.rotations[good]
+        step = np.linalg.lstsq(J.reshape(-1, 6 + 3 * K), left.reshape(-1), rcond=_WEAK)[0]
+        moved = step[6:].reshape(K, 3)
+        targets = targets + moved
+        if np.abs(moved).max() < 1e-7:
+            break
+    seen = np.array([bodies.at(u) for u in targets])
+    motion = align(seen[:, good].reshape(-1, 3).T, measured[:, good].reshape(-1, 3).T)
+    off = seen @ motion.rotation.T + motion.shift - measured
+    return targets, np.sqrt(np.square(off).sum(axis=(0, 2)))
+
+
+def see_poses(bodies: Bodies, measured: Array, turns: Array, rounds: int = _ROUNDS) -> Mounted:
+    """A frame on the body, seen as positions (N, 3) [m] and rotations M (N, 3, 3)."""
+    spread = _spread(measured)
+    good = np.isfinite(measured).all(axis=1) & np.isfinite(turns).all(axis=(1, 2)) & bodies.known
+    u = np.zeros(3)
+    for _ in range(rounds):
+        S, X = _hand_eye(bodies.rotations[good], turns[good])
+        n = int(good.sum())
+        J = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), S @ bodies.rotations[good]], axis=2)
+        rest = measured[good] - bodies.origins[good] @ S.T
+        found = np.linalg.lstsq(J.reshape(-1, 6), rest.reshape(-1), rcond=_WEAK)[0]
+        t, u = found[:3], found[3:]
+        off = bodies.at(u) @ S.T + t - measured
+        away = np.sqrt(np.square(off).sum(axis=1))
+        M = np.swapaxes(turns, 1, 2) @ S @ bodies.rotations @ X
+        cosine = np.clip((np.trace(M, axis1=1, axis2=2) - 1.0) / 2.0, -1.0, 1.0)
+        turned = np.arccos(cosine)
+        good = _better(np.hypot(away / spread, turned))
+    return Mounted(away, spread, u[None], turn=X, turned=turned)
+
+
+def _hand_eye(R: Array, M: Array) -> tuple[Array, Array]:
+    """The rotations S and X for which S R X = M holds best, for R and M (N, 3, 3).
+
+    At first the matrices S and X^T of given length that agree best (singular vectors of the sum of
+    the products of M and R), then each in turn as a rotation. Source: Shah (2013).
+    """
+    both = np.einsum("nij,nlk->iljk", M, R)
+    U, _, Vt = np.linalg.svd(both.reshape(9, 9))
+    S, Y = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
+    sign = np.sign(np.linalg.det(S)) or 1.0
+    S, X = _rotation(sign * S), _rotation(sign * Y).T
+    for _ in range(30):
+        before = X
+        S = _rotation(np.einsum("iljk,kj->il", both, X))
+        X = _rotation(np.einsum("iljk,il->kj", both, S))
+        if np.abs(X - before).max() < 1e-12:
+            break
+    return S, X
+
+
+def _rotation(matrix: Array) -> Array:
+    """The rotation nearest to a matrix (3, 3)."""
+    U, _, Vt = np.linalg.svd(matrix)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt)) or 1.0])
+    nearest: Array = (U * signs) @ Vt
+    return nearest
+
+
+def see_lengths(bodies: Bodies, measured: Array) -> Mounted:
+    """A target on the body at lengths (N,) [m] from a fixed point, with an unknown zero.
+
+    Begins where it is linear: l^2 - o^2 = -2 o A + 2 l c + (A^2 - c^2).
+    """
+    good = np.isfinite(measured) & bodies.known
+    o = bodies.origins
+    A, c, u = np.zeros(3), 0.0, np.zeros(3)
+    middle = np.median(measured[good])
+    spread = float(np.median(np.abs(measured[good] - middle)))
+    for first in (True, *(False,) * _ROUNDS):
+        if first:
+            J = np.column_stack([-2.0 * o, 2.0 * measured, np.ones(len(o))])[good]
+            b = (np.square(measured) - np.square(o).sum(axis=1))[good]
+            scale = np.linalg.norm(J, axis=0)
+            found = np.linalg.lstsq(J / scale, b, rcond=1e-9)[0] / scale
+            A, c = found[:3], float(found[3])
+        else:
+            for _ in range(_STEPS):
+                to = bodies.at(u) - A
+                length = np.sqrt(np.square(to).sum(axis=1))
+                unit = to / length[:, None]
+                on_body = np.einsum("ni,nij->nj", unit, bodies.rotations)
+                J = np.column_stack([-unit, np.ones(len(o)), on_body])[good]
+                b = (measured - length - c)[good]
+                # weakly known to 50 mm: what is mounted is near its flange
+                held = np.hstack([np.zeros((3, 4)), np.eye(3)]) * (0.01 * spread / 0.05)
+                target = -u * (0.01 * spread / 0.05)
+                step = np.linalg.lstsq(np.vstack([J, held]), np.concatenate([b, target]))[0]
+                size = np.abs(step).max()
+                step = step * min(1.0, 0.5 / max(size, 1e-12))
+                A, c, u = A + step[:3], c + float(step[3]), u + step[4:]
+                if size < 1e-7:
+                    break
+        to = bodies.at(u) - A
+        away = np.abs(np.sqrt(np.square(to).sum(axis=1)) + c - measured)
+        good = _better(away)
+    return Mounted(away, spread, u[None], anchor=A, zero=c)
+
+
+def _better(away: Array) -> NDArray[np.bool_]:
+    """The poses that decide; nine tenths of those that were read."""
+    known = away[np.isfinite(away)]
+    if known.size < 5:
+        raise InputError(
+            f"{known.size} poses are too few to recognise what was read",
+            code="too-few-poses",
+            remedy="measure at least 5 poses that differ in every joint",
+        )
+    return away <= np.quantile(known, KEPT, method="higher")
+
+
+def _cross(v: Array) -> Array:
+    """(..., 3, 3) matrices with [v] w = v x w."""
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return out
+
+
+def _spread(points: Array) -> float:
+    """Median distance [m] of points (N, 3) from their middle."""
+    known = points[np.isfinite(points).all(axis=1)]
+    if not len(known):
+        return 0.0
+    off = known - np.median(known, axis=0)
+    return float(np.median(np.sqrt(np.square(off).sum(axis=1))))
+
+
+def own_coordinates(bodies: Bodies, measured: Array) -> float:
+    """Rms [m] of points (N, 3) beside the body's origin itself, in the machine's base.
+
+    Near zero for what a controller computed; an instrument stands elsewhere.
+    """
+    return _rms(np.sqrt(np.square(bodies.origins - measured).sum(axis=1)))
+
+
+def bodies_of(frame: Frame, count: int) -> Bodies:
+    """The bodies of a frame whose joints are readings (N,) of `count` poses."""
+
+    def spread(vector: Any) -> Array:
+        """(N, 3) of three numbers or arrays of poses."""
+        return np.array([np.broadcast_to(part, count) for part in vector]).T
+
+    axes = [spread(frame.direction(vector(*unit))) for unit in np.eye(3)]
+    return Bodies(np.stack(axes, axis=2), spread(frame.point(vector(0.0, 0.0, 0.0))))

@@ -1,0 +1,1 @@
+"""Recognise what a file of readings holds from its headers and values."""

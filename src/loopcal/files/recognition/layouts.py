@@ -1,0 +1,371 @@
+"""Which columns are the joints and which an instrument's: by names first, else by their order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from loopcal.errors import InputError
+from loopcal.files.recognition.fields import TIMES, Field, moving, unnamed
+from loopcal.files.recognition.headers import stem
+
+_JOINT_WORDS = frozenset(
+    (
+        *("j", "joint", "jt", "jnt", "q", "theta", "th", "axis", "ax", "a", "phi", "angle", "ang"),
+        *("enc", "encoder", "motor", "achse", "gelenk", "rax", "axe", "joint_angle"),
+        "joint_position",
+    )
+)
+_KNOWN_ARMS = (
+    ("s", "l", "e", "u", "r", "b", "t"),
+    ("s", "l", "u", "r", "b", "t"),
+    ("base", "shoulder", "elbow", "wrist1", "wrist2", "wrist3"),
+    ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3"),
+)
+"""Joints as makers name them: Yaskawa with seven and six, Universal Robots."""
+_LENGTH_WORDS = frozenset(
+    ("l", "len", "length", "wire", "cable", "dist", "distance", "d", "rope", "string", "draw_wire")
+)
+_RANGES = ("range", "distance", "dist", "slope_distance", "r", "d")
+_AZIMUTHS = ("azimuth", "az", "hz", "horizontal", "horizontal_angle")
+_ELEVATIONS = ("elevation", "el", "vertical", "vertical_angle")
+_TURN_WORDS = frozenset(
+    ("r", "rv", "rot", "rotvec", "rvec", "w", "omega", "rotation", "e", "euler")
+)
+_TURNS = (("a", "b", "c"), ("w", "p", "r"), ("roll", "pitch", "yaw"), ("rz", "ry", "rx"))
+_OTHER_WORDS = frozenset(
+    (
+        *(
+            "v",
+            "vel",
+            "velocity",
+            "acc",
+            "f",
+            "force",
+            "torque",
+            "nom",
+            "nominal",
+            "cmd",
+            "command",
+        ),
+        *("commanded", "ctrl", "controller", "des", "desired", "planned"),
+    )
+)
+"""Beginnings of three columns that are no measured point."""
+_SD_BEFORE = re.compile(r"^(?:u|sd|std|sigma|unc|uncertainty|stddev|sig)_?(?P<of>.+)$")
+_SD_AFTER = re.compile(r"^(?P<of>.+?)_?(?:sd|std|sigma|unc|uncertainty|stddev)$")
+_NUMBERED = re.compile(r"^(?P<word>.*?)_?(?P<number>\d{1,2})(?P<rest>(?:_[a-z_]+)?)$")
+_CELL = re.compile(r"^(?P<word>[a-z_]*?)_?(?P<row>[0-4])_?(?P<column>[0-4])$")
+UNIT_NORM = 0.02
+"""Columns of rotations are as long as they should be to this share; digits are often rounded."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """The columns of one instrument.
+
+    kind: "point", "pose", "length" or "spherical"; position: its coordinates, its length, or
+    range, azimuth and elevation; turned: the numbers of an orientation, whose form is
+    "quaternion", "turns" or "matrix" (nine, row by row); sds: those of the position, if there.
+    """
+
+    kind: str
+    position: tuple[Field, ...]
+    turned: tuple[Field, ...] = ()
+    form: str = ""
+    sds: tuple[Field, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """One way to understand the columns. how: by what the joints were recognised."""
+
+    joints: tuple[Field, ...]
+    seen: tuple[Seen, ...]
+    ignored: tuple[Field, ...]
+    how: str
+
+
+def named_joints(fields: Sequence[Field], names: Iterable[str]) -> dict[str, Field]:
+    """Joint name -> the column of that name, for all that have one."""
+    by_stem = {f.stem: f for f in fields if f.stem}
+    exact = {f.heading.text: f for f in fields if f.heading}
+    found = {}
+    for name in names:
+        its = exact.get(name) or by_stem.get(stem(name))
+        if its is not None:
+            found[name] = its
+    return found
+
+
+def usual_joints(fields: Sequence[Field]) -> tuple[Field, ...]:
+    """Columns named as joints usually are (J1 ..., theta_1 ..., S L U R B T); empty if none.
+
+    What stands still beside the others is an external axis that did not move.
+    """
+    by_stem = {f.stem: f for f in fields if f.stem}
+    for arm in _KNOWN_ARMS:
+        if set(arm) <= set(by_stem):
+            return moving([by_stem[name] for name in arm])
+    families: dict[tuple[str, str], list[tuple[int, Field]]] = {}
+    for field in fields:
+        found = _NUMBERED.match(field.stem)
+        if found and _is_joint_word(found["word"]):
+            key = (found["word"], found["rest"])
+            families.setdefault(key, []).append((int(found["number"]), field))
+    rotations = {id(f) for its in _quaternions(fields) for f in its}
+    best: tuple[Field, ...] = ()
+    for members in families.values():
+        ordered = tuple(f for _, f in sorted(members, key=lambda m: m[0]) if id(f) not in rotations)
+        if len(ordered) > len(best):
+            best = ordered
+    return best
+
+
+def _is_joint_word(word: str) -> bool:
+    return word in _JOINT_WORDS or any(word.endswith(f"_{w}") for w in ("joint", "axis", "j"))
+
+
+def layouts(fields: Sequence[Field], count: int, names: Sequence[str] = ()) -> tuple[Layout, ...]:
+    """Every way to find `count` joints and an instrument in the columns, by names where possible.
+
+    names: of the machine's joints. Raises InputError listing the columns where there is none.
+    """
+    found = named_joints(fields, names)
+    if names and len(found) == len(names):
+        return _with_joints(fields, tuple(found[n] for n in names), "by the machine's joint names")
+    usual = usual_joints(fields)
+    for joints in (usual, moving(usual)):
+        if len(joints) == count:
+            return _with_joints(fields, joints, "by their names")
+    if usual:
+        more = "E1 or another axis" if len(usual) > count else "a joint"
+        raise InputError(
+            f"the columns {unnamed(usual)} look like {len(usual)} joints, but the machine has "
+            f"{count} moving joints",
+            code="missing-column",
+            remedy=f"name its other links (--base, --tip), or rename the column of {more}",
+        )
+    return _by_order(fields, count)
+
+
+def _with_joints(
+    fields: Sequence[Field], joints: tuple[Field, ...], how: str
+) -> tuple[Layout, ...]:
+    taken = {id(f) for f in joints}
+    rest = [f for f in fields if id(f) not in taken]
+    seen = instruments(rest)
+    if seen:
+        return (_layout(joints, seen, fields, how),)
+    found = tuple(
+        _layout(joints, (its,), fields, how)
+        for its in _read_in_order([f for f in rest if f.stem not in TIMES])
+    )
+    if found:
+        return found
+    raise InputError(
+        f"no column of an instrument is recognised among {unnamed(rest)}"
+        if rest
+        else "every column is a joint; no instrument is recognised",
+        code="missing-column",
+        remedy='name them "x", "y", "z" (a point), add "qw", "qx", "qy", "qz" (a pose), or name '
+        'one "length" (a wire)',
+    )
+
+
+def _layout(
+    joints: tuple[Field, ...], seen: tuple[Seen, ...], fields: Sequence[Field], how: str
+) -> Layout:
+    used = {id(f) for f in joints}
+    used |= {id(f) for s in seen for f in (*s.position, *s.turned, *s.sds)}
+    return Layout(joints, seen, tuple(f for f in fields if id(f) not in used), how)
+
+
+def _by_order(fields: Sequence[Field], count: int) -> tuple[Layout, ...]:
+    """Joints where nothing is named: the first columns, or those that are no instrument's."""
+    seen = instruments(fields)
+    taken = {id(f) for s in seen for f in (*s.position, *s.turned, *s.sds)}
+    rest = [f for f in fields if id(f) not in taken and f.stem not in TIMES]
+    if seen:
+        for some in (rest, moving(rest)):
+            if len(some) == count:
+                return (_layout(tuple(some), seen, fields, "by the order of the columns"),)
+    found: list[Layout] = []
+    usable = [f for f in fields if f.stem not in TIMES]
+    for some in (usable, moving(usable)):
+        for joints, others in ((some[:count], some[count:]), (some[-count:], some[:-count])):
+            if len(joints) == count:
+                how = "by the order of the columns"
+                found += [
+                    _layout(tuple(joints), (its,), fields, how) for its in _read_in_order(others)
+                ]
+        if found:
+            return tuple(found)
+    raise InputError(
+        f"the columns {unnamed(fields)} do not show which {count} are the joints",
+        code="missing-column",
+        remedy=f'name them "J1" to "J{count}", and those of the instrument "x", "y", "z"',
+    )
+
+
+def _read_in_order(fields: Sequence[Field]) -> Iterator[Seen]:
+    """What columns without names may be, by their number and their lengths."""
+    f = tuple(fields)
+    match len(f):
+        case 1:
+            yield Seen("length", f)
+        case 3:
+            yield Seen("point", f)
+        case 6:
+            yield Seen("pose", f[:3], f[3:], "turns")
+        case 7:
+            for turned, position in ((f[3:], f[:3]), (f[:4], f[4:])):
+                if _unit_norm(turned):
+                    yield Seen("pose", position, turned, "quaternion")
+        case 12 | 16:
+            rows = [f[4 * i : 4 * i + 4] for i in range(3)]
+            matrix = tuple(cell for row in rows for cell in row[:3])
+            if _orthonormal(matrix):
+                yield Seen("pose", tuple(row[3] for row in rows), matrix, "matrix")
+            matrix = f[:9]
+            if len(f) == 12 and _orthonormal(matrix):
+                yield Seen("pose", f[9:], matrix, "matrix")
+
+
+def instruments(fields: Sequence[Field]) -> tuple[Seen, ...]:
+    """The instruments whose columns are named as they usually are."""
+    by_stem = {f.stem: f for f in fields if f.stem}
+    polar = [_first(by_stem, names) for names in (_RANGES, _AZIMUTHS, _ELEVATIONS)]
+    if all(f is not None for f in polar):
+        return (Seen("spherical", tuple(f for f in polar if f is not None)),)
+    turned, form, position = _orientation(fields, by_stem)
+    aside = {id(f) for f in turned}
+    rest = [f for f in fields if id(f) not in aside]
+    triples = list(_triples(rest))
+    points = [t for word, t in triples if not _of_something_else(word, t, by_stem)]
+    found: list[Seen] = []
+    if turned and (position or points):
+        found.append(Seen("pose", position or points.pop(0), turned, form))
+    found += [Seen("point", its) for its in points]
+    for field in rest:
+        number = _NUMBERED.match(field.stem)
+        word = number["word"] if number else field.stem
+        if word in _LENGTH_WORDS:
+            found.append(Seen("length", (field,)))
+    return tuple(replace(s, sds=_sds(s.position, fields)) for s in found)
+
+
+def _orientation(
+    fields: Sequence[Field], by_stem: dict[str, Field]
+) -> tuple[tuple[Field, ...], str, tuple[Field, ...]]:
+    """The numbers of an orientation, their form, and the position that a matrix brings along."""
+    for turned, position in _matrices(fields, by_stem):
+        return turned, "matrix", position
+    for its in _quaternions(fields):
+        return its, "quaternion", ()
+    triples = dict(_triples(fields))
+    for word in _TURN_WORDS:
+        if word in triples and len(triples) > 1:
+            return triples[word], "turns", ()
+    for names in _TURNS:
+        if set(names) <= set(by_stem):
+            return tuple(by_stem[n] for n in names), "turns", ()
+    return (), "", ()
+
+
+def _triples(fields: Sequence[Field]) -> Iterator[tuple[str, tuple[Field, ...]]]:
+    """Columns whose names differ in one letter alone, x, y or z; with the rest of the name."""
+    by_stem = {f.stem: f for f in fields if f.stem}
+    met: set[str] = set()
+    for field in fields:
+        for i, letter in enumerate(field.stem):
+            names = [f"{field.stem[:i]}{a}{field.stem[i + 1 :]}" for a in "xyz"]
+            if letter == "x" and names[0] not in met and all(n in by_stem for n in names):
+                met.update(names)
+                word = f"{field.stem[:i]}{field.stem[i + 1 :]}".strip("_")
+                yield word, tuple(by_stem[n] for n in names)
+
+
+def _of_something_else(word: str, its: tuple[Field, ...], by_stem: dict[str, Field]) -> bool:
+    """Whether these are sds of other columns, velocities, forces, or what a controller computed."""
+    if word in _OTHER_WORDS or word.split("_")[0] in _OTHER_WORDS:
+        return True
+    return all(_sd_of(f.stem, by_stem) is not None for f in its)
+
+
+def _sd_of(name: str, by_stem: dict[str, Field]) -> str | None:
+    for form in (_SD_BEFORE, _SD_AFTER):
+        found = form.match(name)
+        if found and found["of"] in by_stem and found["of"] != name:
+            return found["of"]
+    return None
+
+
+def _sds(position: Sequence[Field], fields: Sequence[Field]) -> tuple[Field, ...]:
+    by_stem = {f.stem: f for f in fields if f.stem}
+    its = {of: f for f in fields if f.stem and (of := _sd_of(f.stem, by_stem)) is not None}
+    found = tuple(its[p.stem] for p in position if p.stem in its)
+    return found if len(found) == len(position) else ()
+
+
+def _quaternions(fields: Sequence[Field]) -> Iterator[tuple[Field, ...]]:
+    """Four columns of length 1: named with w, x, y and z, or numbered."""
+    by_stem = {f.stem: f for f in fields if f.stem}
+    for field in fields:
+        for i, letter in enumerate(field.stem):
+            names = [f"{field.stem[:i]}{a}{field.stem[i + 1 :]}" for a in "wxyz"]
+            if letter == "w" and all(n in by_stem for n in names):
+                its = tuple(by_stem[n] for n in names)
+                if _unit_norm(its):
+                    yield its
+    numbered: dict[str, list[Field]] = {}
+    for field in fields:
+        found = _NUMBERED.match(field.stem)
+        if found:
+            numbered.setdefault(found["word"], []).append(field)
+    for members in numbered.values():
+        if len(members) == 4 and _unit_norm(members):
+            yield tuple(members)
+
+
+def _matrices(
+    fields: Sequence[Field], by_stem: dict[str, Field]
+) -> Iterator[tuple[tuple[Field, ...], tuple[Field, ...]]]:
+    """Nine orthonormal columns, with a fourth column of the matrix as position if it is there."""
+    cells: dict[str, dict[tuple[int, int], Field]] = {}
+    for field in fields:
+        found = _CELL.match(field.stem)
+        if found:
+            at = (int(found["row"]), int(found["column"]))
+            cells.setdefault(found["word"], {})[at] = field
+    for its in cells.values():
+        begin = 0 if (0, 0) in its else 1
+        grid = [[its.get((begin + i, begin + j)) for j in range(4)] for i in range(3)]
+        turned = tuple(cell for row in grid for cell in row[:3] if cell is not None)
+        position = tuple(row[3] for row in grid if row[3] is not None)
+        if len(turned) == 9 and _orthonormal(turned):
+            yield turned, position if len(position) == 3 else ()
+    names = [f"{c}{a}" for a in "xyz" for c in "noa"]  # the columns n, o, a and p of robotics
+    if set(names) <= set(by_stem) and _orthonormal([by_stem[n] for n in names]):
+        position = tuple(by_stem[f"p{a}"] for a in "xyz" if f"p{a}" in by_stem)
+        yield tuple(by_stem[n] for n in names), position if len(position) == 3 else ()
+
+
+def _unit_norm(fields: Sequence[Field]) -> bool:
+    lengths = np.sqrt(sum(np.square(f.values) for f in fields))
+    known = lengths[np.isfinite(lengths)]
+    return bool(known.size and np.abs(known - 1.0).max() < UNIT_NORM)
+
+
+def _orthonormal(fields: Sequence[Field]) -> bool:
+    R = np.array([f.values for f in fields]).reshape(3, 3, -1).transpose(2, 0, 1)
+    known = R[np.isfinite(R).all(axis=(1, 2))]
+    off = np.abs(known @ known.transpose(0, 2, 1) - np.eye(3))
+    return bool(known.size and off.max() < UNIT_NORM)
+
+
+def _first(by_stem: dict[str, Field], names: Iterable[str]) -> Field | None:
+    return next((by_stem[n] for n in names if n in by_stem), None)

@@ -1,0 +1,207 @@
+"""The robot of a new project: a URDF, a table of Denavit-Hartenberg parameters, or a type."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import degrees, pi
+from pathlib import Path
+from typing import Any
+
+from loopcal.errors import InputError
+from loopcal.files.machines.urdf import Branch, branches
+from loopcal.files.recognition.dh_table import Row, chain_rows, joint_names, read_dh
+from loopcal.files.recognition.fields import Field, moving
+from loopcal.files.recognition.layouts import named_joints, usual_joints
+
+_TIPS = ("tool0", "tcp", "tool", "flange", "ee_link", "ee", "hand", "link_ee", "end_effector")
+_PARALLEL = 1e-3
+"""Axes that meet at a smaller angle [rad] are parallel for Denavit and Hartenberg."""
+
+
+@dataclass(frozen=True)
+class Robot:
+    """table: the [mechanism] of a project without instruments; joints: how many are read; names:
+    of them, empty where the columns name them; remarks: what was chosen, and why."""
+
+    table: Mapping[str, Any]
+    joints: int
+    names: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = field(default=())
+
+
+def urdf_robot(
+    path: Path, relative: str, fields: Sequence[Field], base: str | None, tip: str | None
+) -> Robot:
+    """The chain of a URDF that has the joints of the columns; relative: its path in the project.
+
+    Raises InputError listing the chains where base and tip are not stated and several fit.
+    """
+    if base is not None and tip is not None:
+        from loopcal.files.machines.urdf import read_urdf
+
+        reads = dict.fromkeys(j.reads[0] for j in read_urdf(path, base, tip) if j.reads)
+        return Robot(_urdf_table(relative, base, tip), len(reads), tuple(reads))
+    every = [b for b in branches(path) if (base in (None, b.base)) and (tip in (None, b.tip))]
+    named = named_joints(fields, {name for b in every for name in b.joints})
+    usual = len(usual_joints(fields)) if not named else 0
+    if named:
+        fitting = [b for b in every if set(b.joints) == set(named)]
+        why = "its moving joints are the columns' names"
+    else:
+        moves = len(moving(usual_joints(fields)))
+        fitting = [b for b in every if len(b.joints) == usual] or [
+            b for b in every if len(b.joints) == moves
+        ]
+        why = f"it alone has as many moving joints as there are joint columns ({usual or moves})"
+        if not usual:
+            most = max((len(b.joints) for b in every), default=0)
+            fitting = [b for b in every if len(b.joints) == most]
+            why = f"it alone has the most moving joints ({most})"
+    chains = {b.joints for b in fitting}
+    if len(chains) != 1:
+        raise _which_chain(path, every, fitting)
+    best = _best_tip(fitting)
+    told = f"base {best.base!r} and tip {best.tip!r} of {path.name}: {why}"
+    table = _urdf_table(relative, best.base, best.tip)
+    return Robot(table, len(best.joints), best.joints, (told,))
+
+
+def _urdf_table(relative: str, base: str, tip: str) -> dict[str, Any]:
+    return {"type": "urdf", "file": relative, "base": base, "tip": tip}
+
+
+def _best_tip(fitting: Iterable[Branch]) -> Branch:
+    """Of links that move alike the one that tools are mounted on; else the only leaf, or the first.
+
+    Which of them matters little: where the target sits on it is estimated.
+    """
+    links = sorted(fitting, key=lambda b: b.beyond)
+    for word in _TIPS:
+        for link in links:
+            if link.tip == word or link.tip.endswith(f"_{word}"):
+                return link
+    leaves = [link for link in links if link.leaf]
+    return leaves[0] if len(leaves) == 1 else links[0]
+
+
+def _which_chain(path: Path, every: Sequence[Branch], fitting: Sequence[Branch]) -> InputError:
+    ends: dict[tuple[str, ...], Branch] = {}
+    for branch in fitting or every:
+        ends.setdefault(branch.joints, branch)
+    longest = sorted(ends.values(), key=lambda b: -len(b.joints))[:8]
+    shown = "; ".join(f"--base {b.base} --tip {b.tip} ({len(b.joints)} joints)" for b in longest)
+    what = "several chains fit" if fitting else "no chain fits"
+    return InputError(
+        f"{what} the joint columns of the readings",
+        code="unknown-name",
+        place=path.name,
+        remedy=f"state one of: {shown}" if shown else "name a URDF with moving joints",
+    )
+
+
+def dh_robot(path: Path, fields: Sequence[Field]) -> Robot:
+    """The machine of a table of Denavit-Hartenberg parameters.
+
+    Where two axes are nominally parallel the form of Hayati replaces the classical one, in which d
+    could not be determined. Raises InputError for a table that cannot be read.
+    """
+    table = read_dh(path)
+    before, rows = chain_rows(table)
+    count = table.moving
+    if not count:
+        raise InputError(
+            "no row of the table moves",
+            code="missing-key",
+            place=path.name,
+            remedy="give a row per joint",
+        )
+    columns = [f.heading.text if f.heading else "" for f in usual_joints(fields)]
+    names = joint_names(rows, [c for c in columns if c])
+    joints: list[dict[str, Any]] = []
+    ahead: dict[str, float] = {}
+    _append(ahead, {k: v for k, v in before.items() if v}, path.name)
+    for row in rows:
+        if row.kind == "fixed":
+            motions = {"rz": row.offset, "tz": row.d, "tx": row.a, "rx": row.alpha}
+            where = joints[-1].setdefault("after", {}) if joints else ahead
+            _append(where, {k: v for k, v in motions.items() if v}, path.name)
+            continue
+        joints.append(_joint(names[len(joints)], row, last=len(joints) == count - 1, ahead=ahead))
+        ahead = {}
+    remarks = list(table.remarks)
+    if table.modified:
+        remarks.append(f"{path.name} is of the modified convention, written here in the classical")
+    own = tuple(row.name for row in rows if row.kind != "fixed")
+    stated = own if len(named_joints(fields, own)) == count else ()
+    made = {"type": "serial", "units": {"length": "mm", "angle": "deg"}, "fix_redundant": True}
+    return Robot({**made, "joint": joints}, count, stated, tuple(remarks))
+
+
+def _append(where: dict[str, float], motions: Mapping[str, float], name: str) -> None:
+    if set(where) & set(motions):
+        raise InputError(
+            "two fixed rows follow each other",
+            code="unsupported",
+            place=name,
+            remedy="combine them into one row, or describe the robot by a URDF",
+        )
+    where |= {k: _written(k, v) for k, v in motions.items()}
+
+
+def _joint(name: str, row: Row, *, last: bool, ahead: Mapping[str, float]) -> dict[str, Any]:
+    """One joint in mm and degrees."""
+    joint: dict[str, Any] = {"name": name}
+    turned = row.alpha % pi
+    parallel = min(turned, pi - turned) < _PARALLEL
+    form = "hayati" if parallel and not last and row.kind == "revolute" else "dh"
+    if form != "dh":
+        joint["form"] = form
+    if row.kind != "revolute":
+        joint["kind"] = row.kind
+    if row.direction < 0:
+        joint["direction"] = -1
+    own = dict(ahead)
+    if form == "hayati" and row.d:
+        _append(own, {"tz": row.d}, name)  # Tz and Rz of one axis may be exchanged
+    if own:
+        joint["before"] = own
+    keys = {"a": row.a, "alpha": row.alpha, "offset": row.offset}
+    if form == "dh":
+        keys["d"] = row.d
+    for key in ("a", "d", "alpha", "offset"):
+        if keys.get(key):
+            joint[key] = _written("tx" if key in "ad" else "rx", keys[key])
+    return joint
+
+
+def _written(motion: str, value: float) -> float:
+    """A length in mm, an angle in degrees; rounded where digits are those of a conversion."""
+    return round(1e3 * value if motion[0] == "t" else degrees(value), 9)
+
+
+def typed_robot(kind: str) -> Robot:
+    """A machine whose type has nominal values of its own.
+
+    Raises InputError for a type that has none, or is no chain of joints.
+    """
+    from loopcal.files.machines.mechanism_file import mechanism_from_data
+
+    try:
+        mechanism = mechanism_from_data({"type": kind}, "--machine")
+    except InputError as error:
+        raise InputError(
+            f"a machine of the type {kind!r} needs nominal values ({error.message})",
+            code="missing-key",
+            place="--machine",
+            remedy=f"name --urdf or --dh, or begin with loopcal new NAME --mechanism {kind}",
+        ) from None
+    if not mechanism.chain:
+        raise InputError(
+            f"a machine of the type {kind!r} is no chain of joints",
+            code="unsupported",
+            place="--machine",
+            remedy=f"begin with loopcal new NAME --mechanism {kind}, and name your columns in it",
+        )
+    driven = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
+    return Robot({"type": kind}, len(driven), driven)

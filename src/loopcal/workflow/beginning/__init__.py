@@ -1,0 +1,1 @@
+"""Begin a project from files of readings: recognise, place, state, write."""

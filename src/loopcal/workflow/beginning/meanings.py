@@ -1,0 +1,179 @@
+"""What the numbers of an instrument may mean: units, forms of orientation, direction of a pose.
+
+Every meaning is tried on the nominal machine, placed as well as can be; `Mounted.share` says how
+well it fits. Units that a header states are not varied.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.estimation.mounted import Bodies, Mounted, see_lengths, see_points, see_poses
+from loopcal.files.recognition.fields import Field
+from loopcal.files.recognition.layouts import Seen
+from loopcal.units import to_si, unit
+
+Array = NDArray[np.float64]
+LENGTHS, ANGLES = ("m", "mm", "cm", "in"), ("rad", "deg", "gon")
+_MOST_TURNS = 4.0 * np.pi
+"""No joint is read beyond this [rad]: readings that are larger are in degrees or gon."""
+_FORMS: tuple[tuple[str, str, tuple[int, int, int]], ...] = (
+    ("a rotation vector", "rotation-vector", (0, 1, 2)),
+    ("turns about x, y and z, Rz Ry Rx", "rz ry rx", (2, 1, 0)),
+    ("turns about x, y and z, Rx Ry Rz", "rx ry rz", (0, 1, 2)),
+)
+"""In words; the form of an instrument; which of the columns x, y, z are its numbers."""
+_FORMS_BY_NAME: dict[tuple[str, ...], tuple[tuple[str, str, tuple[int, int, int]], ...]] = {
+    ("a", "b", "c"): (("turns A, B, C, Rz Ry Rx", "rz ry rx", (0, 1, 2)),),
+    ("w", "p", "r"): (("turns W, P, R, Rz Ry Rx", "rz ry rx", (2, 1, 0)),),
+    ("roll", "pitch", "yaw"): (("roll, pitch, yaw, Rz Ry Rx", "rz ry rx", (2, 1, 0)),),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Meaning:
+    """One meaning of the columns of an instrument.
+
+    length, angle: units of its columns; form: of the orientation, as an instrument states it;
+    order: which columns are its numbers; inverted: the station is seen from the target; position:
+    (N, 3) or (N,) [m]; turns: (N, 3, 3) of a pose; fit: on the nominal machine; words: what was
+    not stated.
+    """
+
+    seen: Seen
+    length: str
+    angle: str
+    form: str
+    order: tuple[int, ...]
+    inverted: bool
+    position: Array
+    turns: Array | None
+    words: tuple[str, ...]
+    fit: Mounted | None = None
+
+    @property
+    def share(self) -> float:
+        """The misfit of the nominal machine, as a share of the spread of the readings."""
+        return self.fit.share if self.fit else float("inf")
+
+    def fitted(
+        self, bodies: Bodies, index: NDArray[np.intp] | slice = slice(None), rounds: int = 4
+    ) -> Meaning:
+        """With its fit on some poses of the nominal machine; infinite where there is none.
+
+        rounds: how often the better poses are found anew.
+        """
+        some = Bodies(bodies.rotations[index], bodies.origins[index])
+        position = self.position[index]
+        try:
+            if self.seen.kind == "length":
+                fit = see_lengths(some, position)
+            elif self.turns is not None:
+                fit = see_poses(some, position, self.turns[index], rounds)
+            else:
+                fit = see_points(some, position[None], rounds)
+        except (InputError, np.linalg.LinAlgError):
+            return replace(self, fit=None)
+        return replace(self, fit=fit)
+
+
+def meanings(seen: Seen, *, as_stated: bool = True) -> Iterator[Meaning]:
+    """Every meaning of the columns of an instrument; as_stated: in the units of their headers."""
+    for length in _units(_lengths_of(seen), LENGTHS, as_stated):
+        factor = unit(length).factor
+        for angle, form, order, R, words in _orientations(seen, as_stated):
+            told = (f"{_listed(_lengths_of(seen))} in {length}", *words)
+            if seen.kind == "spherical":
+                position = _cartesian([f.values for f in seen.position], factor, unit(angle).factor)
+            elif seen.kind == "length":
+                position = factor * seen.position[0].values
+            else:
+                position = factor * np.array([f.values for f in seen.position]).T
+            made = Meaning(seen, length, angle, form, order, False, position, R, told)
+            yield made
+            if R is not None:
+                back = np.swapaxes(R, 1, 2)
+                moved = -np.einsum("nij,nj->ni", back, position)
+                words = (*told, "the pose is that of the station seen from the target")
+                yield replace(made, inverted=True, position=moved, turns=back, words=words)
+
+
+def _lengths_of(seen: Seen) -> Sequence[Field]:
+    return seen.position[:1] if seen.kind in ("spherical", "length") else seen.position
+
+
+def _units(fields: Sequence[Field], usual: Sequence[str], as_stated: bool) -> Sequence[str]:
+    """The units that columns may be in."""
+    stated = next((f.unit for f in fields if f.unit), None)
+    if stated is not None and as_stated:
+        return (stated,)
+    return usual
+
+
+def _orientations(
+    seen: Seen, as_stated: bool
+) -> Iterator[tuple[str, str, tuple[int, ...], Array | None, tuple[str, ...]]]:
+    """Unit of angles, form, order of the columns, rotations (N, 3, 3), and words."""
+    from scipy.spatial.transform import Rotation
+
+    if seen.kind == "spherical":
+        for angle in _units(seen.position[1:], ANGLES, as_stated):
+            yield angle, "", (), None, (f"{_listed(seen.position[1:])} in {angle}",)
+        return
+    if not seen.turned:
+        yield "rad", "", (), None, ()
+        return
+    values = np.array([f.values for f in seen.turned]).T
+    if seen.form == "matrix":
+        yield "rad", "matrix", tuple(range(9)), values.reshape(-1, 3, 3), ()
+    elif seen.form == "quaternion":
+        for order, words in (((0, 1, 2, 3), "w, x, y, z"), ((3, 0, 1, 2), "x, y, z, w")):
+            w_last = values[:, [order[1], order[2], order[3], order[0]]]
+            R = Rotation.from_quat(np.nan_to_num(w_last, nan=0.5)).as_matrix()
+            told = (f"the quaternion {_listed(seen.turned)} in the order {words}",)
+            yield "rad", "quaternion", order, R, told
+    else:
+        names = tuple(f.stem for f in seen.turned)
+        forms = _FORMS_BY_NAME.get(names, _FORMS)
+        for angle in _units(seen.turned, ANGLES, as_stated):
+            for words, form, (i, j, k) in forms:
+                turned = to_si(values[:, [i, j, k]], angle)
+                if form == "rotation-vector":
+                    R = Rotation.from_rotvec(turned).as_matrix()
+                else:
+                    letters = "".join(t[1] for t in form.split()).upper()
+                    R = Rotation.from_euler(letters, turned).as_matrix()
+                told = (f"{_listed(seen.turned)} in {angle}, {words}",)
+                yield angle, form, (i, j, k), R, told
+
+
+def _cartesian(values: Sequence[Array], factor: float, angle: float) -> Array:
+    r, azimuth, elevation = factor * values[0], angle * values[1], angle * values[2]
+    flat = r * np.cos(elevation)
+    points: Array = np.array(
+        [flat * np.cos(azimuth), flat * np.sin(azimuth), r * np.sin(elevation)]
+    ).T
+    return points
+
+
+def joint_units(
+    fields: Sequence[Field], units: Sequence[str], *, as_stated: bool = True
+) -> Iterator[dict[str, str]]:
+    """Every way to read the joints: SI unit -> unit of their columns, for turning and sliding."""
+    turning = [f for f, si in zip(fields, units, strict=True) if si == "rad"]
+    sliding = [f for f, si in zip(fields, units, strict=True) if si == "m"]
+    largest = max((float(np.nanmax(np.abs(f.values))) for f in turning), default=0.0)
+    for angle in _units(turning, ANGLES, as_stated) if turning else ("rad",):
+        if angle == "rad" and largest > _MOST_TURNS:
+            continue
+        for length in _units(sliding, LENGTHS, as_stated) if sliding else ("m",):
+            yield {"rad": angle, "m": length}
+
+
+def _listed(fields: Sequence[Field]) -> str:
+    return ", ".join(f.heading.text if f.heading else f"column {f.position + 1}" for f in fields)

@@ -1,0 +1,367 @@
+"""What was understood, as the tables of a project file: instruments, columns, sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.mounted import Mounted, see_points
+from loopcal.files.paths import relative
+from loopcal.files.recognition.fields import Field, Fields, column_key
+from loopcal.files.recognition.project_text import ProjectParts
+from loopcal.files.recognition.robots import Robot
+from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd
+from loopcal.presentation.rounding import significant
+from loopcal.units import from_si, unit
+from loopcal.workflow.beginning.meanings import Meaning
+from loopcal.workflow.beginning.understanding import Machine, Understood
+
+Array = NDArray[np.float64]
+READINGS = "readings.csv"
+"""The file beside the project that holds converted readings."""
+ENCODER = 50e-6
+"""Guess of an encoder's sd at the joint [rad], that of 17 bits (2 pi / 2^17 = 48 urad)."""
+SLIDE, WIRE, CAMERA, TURN = 10e-6, 0.2e-3, 1e-3, 2e-3
+"""Guesses of sds: a linear scale, a draw-wire encoder, a camera's position [m], its turns [rad]."""
+_TRACKER = "leica-at500"
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A quantity of the project: its column, or converted values.
+
+    values: (N,) [SI]; si: their SI unit; field: its column, None where it was converted; unit: of
+    that column; sds: the column of its sds.
+    """
+
+    values: Array
+    si: str
+    field: Field | None
+    unit: str
+    sds: Field | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Statement:
+    """A project ready to be written.
+
+    readings: quantity -> its column or values; converted: whether all go into a file of their own;
+    fits: what the nominal machine misses, by instrument.
+    """
+
+    parts: ProjectParts
+    readings: Mapping[str, Reading]
+    converted: bool
+    fits: Mapping[str, Mounted]
+
+    def shrunk(self, weak: str) -> Statement:
+        """With lengths and angles of the machine held near its drawing, how near to be learnt."""
+        structure = {"sag": False, "harmonics": False}
+        told = (
+            f"These poses determine the machine worse than a drawing does ({weak}), so its lengths "
+            "and angles are held near their nominal values; the calibration learns how near.",
+        )
+        remarks = dict(self.parts.remarks)
+        remarks["mechanism"] = (*remarks.get("mechanism", ()), *told)
+        mechanism = {**self.parts.mechanism, "structure": structure}
+        parts = replace(self.parts, mechanism=mechanism, remarks=remarks)
+        return replace(self, parts=parts)
+
+
+def stated(
+    robot: Robot, machine: Machine, fields: Fields, found: Understood, folder: Path
+) -> Statement:
+    """The project of what was understood. folder: where it will lie, for its paths."""
+    readings = {
+        name: Reading(found.joints[name], si, f, f.unit or found.units[si])
+        for name, f, si in zip(machine.joints, found.layout.joints, machine.units, strict=True)
+    }
+    looking: list[dict[str, Any]] = []
+    parameters: dict[str, Any] = {}
+    fits: dict[str, Mounted] = {}
+    noise: dict[str, Any] = {}
+    guesses: list[str] = []
+    _joint_noise(readings, noise, guesses)
+    points = [m for m in found.seen if m.turns is None and m.seen.kind in ("point", "spherical")]
+    several = len(found.seen) > 1
+    together = _targets(found, points)
+    for number, meaning in enumerate(found.seen, 1):
+        end = f"_{number}" if several else ""
+        its = _Instrument(meaning, end, "tool" + (end if len(points) > 1 else ""))
+        mounted = together.get(id(meaning)) or meaning.fit
+        assert mounted is not None
+        target = mounted.targets[points.index(meaning) if id(meaning) in together else 0]
+        looking.append(its.entry())
+        fits[its.name] = meaning.fit or mounted
+        parameters |= its.parameters(mounted, target)
+        own = its.readings()
+        readings |= own
+        its.noise(own, noise, guesses)
+    table = dict(robot.table)
+    if table["type"] == "motoman-ma1400":
+        parameters = {f"{axis}6B": parameters[f"tool_{axis}"] for axis in "xyz"}
+    else:
+        table["instrument"] = looking
+    converted = any(r.field is None for r in readings.values()) or any(
+        source.path is None for source in fields.sources
+    )
+    data = _data(fields, readings, converted, folder)
+    remarks = {
+        "mechanism": robot.remarks,
+        "parameters": (
+            f"{', '.join(parameters)}: found by placing the nominal machine on the readings; where "
+            "a drawing states them, write its values.",
+        ),
+        "data": (*fields.remarks, *_inferred(found), *found.remarks, *_left_out(found)),
+        "noise": tuple(guesses),
+    }
+    first = next((s.path.stem for s in fields.sources if s.path), "readings")
+    title = f"{Path(str(table.get('file', table['type']))).stem}, {first}"
+    parts = ProjectParts(title, table, parameters, data, noise, remarks)
+    return Statement(parts, readings, converted, fits)
+
+
+def _targets(found: Understood, points: list[Meaning]) -> dict[int, Mounted]:
+    """Several targets seen from one station, placed together; by the meaning of each."""
+    if len(points) < 2:
+        return {}
+    one = see_points(found.bodies, np.array([m.position for m in points]))
+    return {id(m): one for m in points}
+
+
+def _inferred(found: Understood) -> tuple[str, ...]:
+    """What no header states and the nominal machine decided."""
+    joints = found.layout.joints
+    told = []
+    if not all(f.unit for f in joints):
+        told.append(found.words[0])
+    for meaning in found.seen:
+        columns = (*meaning.seen.position, *meaning.seen.turned)
+        if not all(f.unit for f in columns):
+            told += meaning.words
+    share = significant(100.0 * found.share, 2)
+    reason = f"with it the nominal machine misses the readings by {share} % of their spread"
+    return (f"Inferred: {'; '.join(told)}: {reason}.",) if told else ()
+
+
+def _left_out(found: Understood) -> tuple[str, ...]:
+    names = [f.heading.text if f.heading else str(f.position + 1) for f in found.layout.ignored]
+    return (f"Columns that take no part: {', '.join(names)}.",) if names else ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Instrument:
+    """An instrument as a project states it."""
+
+    meaning: Meaning
+    end: str
+    target: str
+
+    @property
+    def kind(self) -> str:
+        return self.meaning.seen.kind
+
+    @property
+    def name(self) -> str:
+        usual = {"point": "point", "pose": "pose", "length": "wire", "spherical": "tracker"}
+        return usual[self.kind] + self.end
+
+    def names(self) -> tuple[str, ...]:
+        """Of its readings."""
+        match self.kind:
+            case "length":
+                return (self.name,)
+            case "spherical":
+                return tuple(f"{self.name}_{w}" for w in ("range", "azimuth", "elevation"))
+        return tuple(f"{axis}{self.end}" for axis in "xyz")
+
+    @property
+    def as_vector(self) -> bool:
+        """Whether its columns are a rotation vector as they stand."""
+        return self.meaning.form == "rotation-vector" and not self.meaning.inverted
+
+    def numbers(self) -> tuple[str, ...]:
+        """Names of the numbers of an orientation."""
+        if self.kind != "pose":
+            return ()
+        usual = ("rvx", "rvy", "rvz") if self.as_vector else ("qw", "qx", "qy", "qz")
+        return tuple(f"{name}{self.end}" for name in usual)
+
+    def entry(self) -> dict[str, Any]:
+        types = {"point": "point", "pose": "pose", "length": "draw-wire", "spherical": "spherical"}
+        made: dict[str, Any] = {"type": types[self.kind], "name": self.name, "target": self.target}
+        if self.kind in ("point", "pose"):
+            made |= {"station": "base", "readings": list(self.names())}
+        if self.kind == "spherical":
+            made["station"] = "base"
+        if self.kind == "pose":
+            made["orientation"] = "rotation-vector" if self.as_vector else "quaternion"
+            made["columns"] = list(self.numbers())
+        return made
+
+    def parameters(self, mounted: Mounted, target: Array) -> dict[str, Any]:
+        """Nominal values of what is mounted."""
+
+        def length(value: float) -> dict[str, Any]:
+            return {"value": round(1e3 * float(value), 1) + 0.0, "unit": "mm"}
+
+        made = {f"{self.target}_{a}": length(v) for a, v in zip("xyz", target, strict=True)}
+        if mounted.turn is not None:
+            from scipy.spatial.transform import Rotation
+
+            turned = Rotation.from_matrix(mounted.turn).as_euler("ZYX", degrees=True)
+            for motion, value in zip(("rz", "ry", "rx"), turned, strict=True):
+                entry = {"value": round(float(value), 2) + 0.0, "unit": "deg"}
+                made[f"{self.target}_{motion}"] = entry
+        if mounted.anchor is not None:
+            made |= {
+                f"{self.name}_{a}": length(v) for a, v in zip("xyz", mounted.anchor, strict=True)
+            }
+            made[f"{self.name}_offset"] = length(mounted.zero)
+        return made
+
+    def readings(self) -> dict[str, Reading]:
+        """Quantity -> its column, or converted values."""
+        m = self.meaning
+        position = m.position[:, None] if m.position.ndim == 1 else m.position
+        made = {}
+        for i, name in enumerate(self.names()):
+            field = m.seen.position[i]
+            si = "rad" if self.kind == "spherical" and i else "m"
+            given = field.unit or (m.angle if si == "rad" else m.length)
+            values = position[:, i] if self.kind != "spherical" else field.values
+            if self.kind == "spherical":
+                values = unit(given).factor * field.values
+            sds = m.seen.sds[i] if m.seen.sds and not m.inverted else None
+            made[name] = Reading(values, si, None if m.inverted else field, given, sds)
+        if self.kind != "pose" or m.turns is None:
+            return made
+        if self.as_vector:
+            for name, column in zip(self.numbers(), m.order, strict=True):
+                field = m.seen.turned[column]
+                values = unit(m.angle).factor * field.values
+                made[name] = Reading(values, "rad", field, m.angle)
+            return made
+        as_written = m.form == "quaternion" and not m.inverted
+        for i, (name, values) in enumerate(zip(self.numbers(), _quaternions(m.turns), strict=True)):
+            its = m.seen.turned[m.order[i]] if as_written else None
+            made[name] = Reading(its.values if its else values, "1", its, "1")
+        return made
+
+    def noise(self, own: Mapping[str, Reading], noise: dict[str, Any], told: list[str]) -> None:
+        """Guesses of sds that the calibration learns; none where the file has them."""
+        position = [own[n] for n in self.names()]
+        if all(r.sds is not None for r in position):
+            names = ", ".join(self.names())
+            told.append(f"The sds of {names} stand in columns of the file (sd_column above).")
+        else:
+            sd, source = self._guess(position)
+            shown = "mm" if sd > 1e-4 else "um"
+            noise[",".join(self.names())] = (
+                {"tracker": _TRACKER, "estimate": "group"}
+                if self.kind == "spherical"
+                else _entry(sd, "m", position, shown)
+            )
+            told.append(source)
+        if self.kind == "pose":
+            turns = ",".join(f"{self.name}_{w}" for w in ("wx", "wy", "wz"))
+            noise[turns] = {"sd": 1e3 * TURN, "unit": "mrad", "estimate": "group"}
+
+    def _guess(self, position: list[Reading]) -> tuple[float, str]:
+        if self.kind == "length":
+            return WIRE, (
+                f"{self.name}: a guess, {1e3 * WIRE:g} mm, 0.02 % of a wire of 1 m; the "
+                "calibration learns it."
+            )
+        if self.kind == "pose":
+            return CAMERA, (
+                f"{self.name}: a guess, {1e3 * CAMERA:g} mm and {1e3 * TURN:g} mrad, usual of "
+                "cameras; the calibration learns both."
+            )
+        ranges = np.sqrt(np.square(self.meaning.position).sum(axis=1))
+        far = float(np.nanmedian(ranges))
+        sd = float(Tracker.of(_TRACKER).transverse.at(np.array(far)))
+        figure = PRESETS[_TRACKER].transverse
+        return sd, (
+            f"{', '.join(self.names())}: a guess, a laser tracker at {significant(far, 2)} m, half "
+            f"the maximum permissible error of a Leica AT500 ({figure}); the calibration learns it."
+        )
+
+
+def _quaternions(R: Array) -> Array:
+    """(4, N) w first, of rotations (N, 3, 3); NaN where the rotation is unknown."""
+    from scipy.spatial.transform import Rotation
+
+    known = np.isfinite(R).all(axis=(1, 2))
+    out = np.full((4, len(R)), np.nan)
+    out[:, known] = Rotation.from_matrix(R[known]).as_quat()[:, [3, 0, 1, 2]].T
+    return out
+
+
+def _joint_noise(readings: Mapping[str, Reading], noise: dict[str, Any], told: list[str]) -> None:
+    for si, sd, shown in (("rad", ENCODER, "urad"), ("m", SLIDE, "um")):
+        its = {name: r for name, r in readings.items() if r.si == si}
+        if its:
+            noise[",".join(its)] = _entry(sd, si, list(its.values()), shown)
+            told.append(
+                f"Joints: a guess, {from_si(sd, shown):g} {shown}, as of encoders with 17 bits per "
+                "turn of the joint; the calibration learns it."
+                if si == "rad"
+                else f"Slides: a guess, {from_si(sd, shown):g} {shown}; the calibration learns it."
+            )
+
+
+def _entry(sd: float, si: str, readings: list[Reading], shown: str) -> dict[str, Any]:
+    """An sd to be learnt, with the step to which the file rounds its readings."""
+    steps = [r.field.resolution() * unit(r.unit).factor for r in readings if r.field]
+    step = max(steps, default=0.0)
+    if rounding_sd(step) <= 0.5 * sd:
+        return {"sd": float(significant(from_si(sd, shown), 2)), "unit": shown, "estimate": "group"}
+    given = readings[0].unit
+    own = float(significant(from_si(sd, given), 2))
+    return {"sd": own, "rounded_to": from_si(step, given), "unit": given, "estimate": "group"}
+
+
+def _data(
+    fields: Fields, readings: Mapping[str, Reading], converted: bool, folder: Path
+) -> list[dict[str, Any]]:
+    """A table for each file that holds readings."""
+    if converted:
+        columns = {n: {"column": n, "unit": r.si} for n, r in readings.items()}
+        return [{"file": READINGS, "pose": "pose", "columns": columns}]
+    made = []
+    used = {r.field.table for r in readings.values() if r.field}
+    for number, source in enumerate(fields.sources):
+        if number not in used or source.path is None:
+            continue
+        entry: dict[str, Any] = {"file": relative(source.path, folder)}
+        if source.sheet is not None:
+            entry["sheet"] = source.sheet
+        several = len(used) > 1
+        if several and fields.by_order:
+            entry["pose"] = 0
+        elif source.pose is not None:
+            entry["pose"] = source.pose
+        columns = {}
+        for name, reading in readings.items():
+            if reading.field is None or reading.field.table != number:
+                continue
+            column: dict[str, Any] = {
+                "column": column_key(source.names, reading.field.position),
+                "unit": reading.unit,
+            }
+            if reading.sds is not None:
+                step = reading.sds.resolution()
+                column["sd_column"] = column_key(source.names, reading.sds.position)
+                if reading.sds.unit not in (None, reading.unit):
+                    column["sd_unit"] = reading.sds.unit
+                if step:
+                    column["sd_at_least"] = float(significant(rounding_sd(step), 2))
+            columns[name] = column
+        made.append({**entry, "columns": columns})
+    return made

@@ -1,0 +1,65 @@
+"""`loopcal init`: what it prints, writes and asks."""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loopcal.cli.asking import ask_on_terminal
+from loopcal.errors import InputError
+from tests.reference import dh_arm
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    joints = dh_arm.poses(40)
+    points = 1e3 * dh_arm.seen(joints)[:, :3, 3]
+    head = ",".join([*(f"J{i} [rad]" for i in range(1, 7)), "x", "y", "z"])
+    rows = [",".join(f"{v:.6f}" for v in row) for row in np.hstack([joints, points])]
+    (tmp_path / "poses.csv").write_text("\n".join([head, *rows]) + "\n", "utf-8")
+    (tmp_path / "dh.csv").write_text(dh_arm.dh_table(), "utf-8")
+    return tmp_path
+
+
+def test_one_command_leads_from_two_files_to_a_report(
+    folder: Path, run_loopcal: Callable[..., Any]
+) -> None:
+    done = run_loopcal("init", "poses.csv", "--dh", "dh.csv", "--run", cwd=folder)
+    assert done.returncode in (0, 4), done.stderr
+    assert "next:\n  loopcal calibrate calibration/project.toml" in done.stdout
+    assert (folder / "calibration/project-result/report.html").exists()
+    assert "converged" in done.stdout
+    again = run_loopcal("init", "poses.csv", "--dh", "dh.csv", cwd=folder)
+    assert again.returncode == 3
+    assert "was not changed" in again.stderr
+
+
+def test_a_robot_must_be_named(folder: Path, run_loopcal: Callable[..., Any]) -> None:
+    done = run_loopcal("init", "poses.csv", cwd=folder)
+    assert done.returncode == 2
+    assert "--urdf" in done.stderr
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_question_is_asked_on_a_terminal_until_it_is_answered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert ask_on_terminal() is None or not sys.stdin.isatty()
+    monkeypatch.setattr(sys, "stdin", _Terminal("seven\n3\n2\n"))
+    monkeypatch.setattr(sys, "stderr", _Terminal())
+    ask = ask_on_terminal()
+    assert ask is not None
+    assert ask("Which?", ["deg", "gon"]) == 1
+    monkeypatch.setattr(sys, "stdin", _Terminal(""))
+    with pytest.raises(InputError):
+        ask("Which?", ["deg", "gon"])

@@ -1,0 +1,54 @@
+"""What is mounted is found from the nominal machine alone, gross errors or not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from loopcal.estimation.mounted import Bodies, own_coordinates, see_lengths, see_points, see_poses
+
+N = 60
+
+
+@pytest.fixture
+def bodies() -> Bodies:
+    rng = np.random.default_rng(0)
+    return Bodies(Rotation.random(N, random_state=1).as_matrix(), rng.uniform(-1, 1, (N, 3)))
+
+
+S = Rotation.from_euler("ZYX", [1.0, 0.2, -0.4]).as_matrix()
+t = np.array([3.0, -1.0, 0.5])
+
+
+def test_targets_of_points_are_found_beside_gross_errors(bodies: Bodies) -> None:
+    targets = np.array([[0.1, -0.2, 0.3], [0.0, 0.05, 0.4]])
+    measured = np.array([bodies.at(u) @ S.T + t for u in targets])
+    measured[:, :5] += 0.3
+    measured[0, 7, 1] = np.nan
+    found = see_points(bodies, measured)
+    assert found.targets == pytest.approx(targets, abs=1e-6)
+    assert found.rms < 1e-6
+
+
+def test_hand_and_eye_are_found(bodies: Bodies) -> None:
+    X = Rotation.from_euler("ZYX", [2.0, -0.3, 1.2]).as_matrix()
+    u = np.array([0.05, 0.02, -0.1])
+    found = see_poses(bodies, bodies.at(u) @ S.T + t, S @ bodies.rotations @ X)
+    assert found.turn == pytest.approx(X, abs=1e-6)
+    assert found.targets[0] == pytest.approx(u, abs=1e-6)
+    assert found.share < 1e-6
+
+
+def test_the_anchor_and_the_zero_of_a_wire_are_found(bodies: Bodies) -> None:
+    anchor, zero = np.array([2.0, 1.0, -0.5]), 0.05
+    lengths = np.linalg.norm(bodies.origins - anchor, axis=1) + zero
+    lengths[:4] += 0.2
+    found = see_lengths(bodies, lengths)
+    assert found.anchor == pytest.approx(anchor, abs=1e-4)
+    assert found.zero == pytest.approx(zero, abs=1e-4)
+
+
+def test_coordinates_of_the_machine_itself_are_known(bodies: Bodies) -> None:
+    assert own_coordinates(bodies, bodies.origins) == 0.0
+    assert own_coordinates(bodies, bodies.origins @ S.T + t) > 1.0

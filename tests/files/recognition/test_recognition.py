@@ -1,0 +1,140 @@
+"""Headers, columns and tables of robots as people write them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loopcal.files.recognition.dh_table import chain_rows, read_dh
+from loopcal.files.recognition.fields import Field
+from loopcal.files.recognition.headers import heading
+from loopcal.files.recognition.layouts import instruments, usual_joints
+from tests.refusals import refused
+
+
+@pytest.mark.parametrize(
+    ("text", "stem", "unit"),
+    [
+        ("J1 [deg]", "j1", "deg"),
+        ("X (mm)", "x", "mm"),
+        ("theta1_rad", "theta1", "rad"),
+        ("q1/deg", "q1", "deg"),
+        ("θ1 (°)", "theta1", "deg"),
+        ("Joint 3 [degrees]", "joint_3", "deg"),
+        ("TX {inch}", "tx", "in"),
+        ("axis_2_gon", "axis_2", "gon"),
+        ("x_m", "x", "m"),
+        ("L", "l", None),
+        ("u_x [µm]", "u_x", "um"),
+        ("point x", "point_x", None),
+    ],
+)
+def test_a_header_is_a_name_and_a_unit(text: str, stem: str, unit: str | None) -> None:
+    found = heading(text)
+    assert (found.stem, found.unit) == (stem, unit)
+
+
+def fields(names: str, values: np.ndarray | None = None) -> list[Field]:
+    words = names.split()
+    table = np.random.default_rng(0).normal(size=(20, len(words))) if values is None else values
+    return [Field(0, i, heading(n), table[:, i]) for i, n in enumerate(words)]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "J1 J2 J3 J4 J5 J6",
+        "q1 q2 q3 q4 q5 q6",
+        "theta_1 theta_2 theta_3",
+        "axis1 axis2 axis3 axis4",
+        "A1 A2 A3 A4 A5 A6",
+        "S L U R B T",
+        "S L E U R B T",
+        "base shoulder elbow wrist1 wrist2 wrist3",
+        "panda_joint1 panda_joint2 panda_joint3",
+        "joint_1_pos joint_2_pos joint_3_pos",
+    ],
+)
+def test_joints_are_known_by_their_usual_names(names: str) -> None:
+    columns = fields(f"time x y z {names}")
+    found = usual_joints(columns)
+    assert sorted(f.position for f in found) == list(range(4, 4 + len(names.split())))
+
+
+def test_an_external_axis_that_stands_still_is_no_joint() -> None:
+    values = np.random.default_rng(0).normal(size=(20, 7))
+    values[:, 2] *= 1e-5
+    names = [f.stem for f in usual_joints(fields("S L E U R B T", values))]
+    assert names == ["s", "l", "u", "r", "b", "t"]
+
+
+@pytest.mark.parametrize(
+    ("names", "kinds"),
+    [
+        ("x y z", ["point"]),
+        ("x1 y1 z1 x2 y2 z2", ["point", "point"]),
+        ("TX TY TZ u_TX u_TY u_TZ", ["point"]),
+        ("meas_x meas_y meas_z cmd_x cmd_y cmd_z vx vy vz", ["point"]),
+        ("L", ["length"]),
+        ("wire_1 wire_2", ["length", "length"]),
+        ("range azimuth elevation", ["spherical"]),
+        ("x y z rx ry rz", ["pose"]),
+        ("X Y Z A B C", ["pose"]),
+    ],
+)
+def test_instruments_are_known_by_their_columns(names: str, kinds: list[str]) -> None:
+    assert [s.kind for s in instruments(fields(names))] == kinds
+
+
+def test_sds_go_with_their_coordinates() -> None:
+    (seen,) = instruments(fields("x y z sd_x sd_y sd_z"))
+    assert [f.stem for f in seen.sds] == ["sd_x", "sd_y", "sd_z"]
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "dh.csv"
+    path.write_text(text, "utf-8")
+    return path
+
+
+def test_units_of_a_dh_table_follow_from_its_size(tmp_path: Path) -> None:
+    table = read_dh(written(tmp_path, "a,d,alpha,theta\n0,290,90,0\n270,0,0,-90\n"))
+    assert table.rows[0].d == pytest.approx(0.29)
+    assert table.rows[1].offset == pytest.approx(-np.pi / 2)
+    assert any("mm" in words for words in table.remarks)
+    table = read_dh(written(tmp_path, "a,d,alpha\n0,0.29,1.5708\n0.27,0,0\n"))
+    assert table.rows[0].d == pytest.approx(0.29)
+    assert table.rows[0].alpha == pytest.approx(1.5708)
+
+
+def test_a_size_that_shows_no_unit_is_refused(tmp_path: Path) -> None:
+    with refused("unknown-unit"):
+        read_dh(written(tmp_path, "a,d,alpha\n0,20,90\n20,0,0\n"))
+
+
+def test_the_modified_convention_is_the_classical_one_displaced(tmp_path: Path) -> None:
+    text = "a_i-1,d,alpha_i-1,theta\n0,0.4,0,0\n0.1,0,1.5,0.2\n0.6,0.1,0.7,0.3\n"
+    table = read_dh(written(tmp_path, text))
+    assert table.modified
+    before, rows = chain_rows(table)
+    assert before == {"rx": 0.0, "tx": 0.0}
+    assert [(r.a, r.alpha, r.d) for r in rows] == [
+        (0.1, 1.5, 0.4),
+        (0.6, 0.7, 0.0),
+        (0.0, 0.0, 0.1),
+    ]
+
+
+def test_rows_of_tools_do_not_move_and_signs_are_read(tmp_path: Path) -> None:
+    text = "joint,a,d,alpha,theta,direction\nJ1,0,400,90,0,-1\nJ2,300,0,0,0,1\ntool,45,245,0,-20,\n"
+    table = read_dh(written(tmp_path, text))
+    assert table.moving == 2
+    assert [r.direction for r in table.rows[:2]] == [-1, 1]
+    assert table.rows[2].kind == "fixed"
+
+
+def test_a_table_without_alpha_is_refused(tmp_path: Path) -> None:
+    with refused("missing-column", "alpha"):
+        read_dh(written(tmp_path, "a,d,theta\n0,400,0\n"))

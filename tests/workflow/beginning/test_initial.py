@@ -1,0 +1,359 @@
+"""Files as people have them become projects whose fit gives the noise back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import loopcal as lc
+from loopcal.workflow.beginning.initial import RobotFile, initial_project
+from tests.reference import dh_arm
+from tests.refusals import refused
+
+NOISE = 5e-5
+NAMES = [f"J{i}" for i in range(1, 7)]
+
+
+@pytest.fixture(scope="module")
+def arm() -> tuple[np.ndarray, np.ndarray]:
+    """Joints (N, 6) [rad] and points (N, 3) [m]."""
+    joints = dh_arm.poses()
+    return joints, dh_arm.seen(joints, sd=NOISE)[:, :3, 3]
+
+
+@pytest.fixture(scope="module")
+def camera() -> tuple[np.ndarray, np.ndarray]:
+    """Joints (N, 6) [rad] and poses (N, 4, 4) [m]."""
+    joints = dh_arm.poses()
+    return joints, dh_arm.seen(joints, sd=NOISE, turned=2e-4)
+
+
+def table(path: Path, columns: dict[str, Any], separator: str = ",", header: bool = True) -> Path:
+    """A text file; numbers with nine decimals."""
+    rows = [separator.join(columns)] if header else []
+    for row in zip(*columns.values(), strict=True):
+        cells = [c if isinstance(c, str) else f"{c:.9f}" for c in row]
+        if separator == ";":
+            cells = [c.replace(".", ",") for c in cells]
+        rows.append(separator.join(cells))
+    path.write_text("\n".join(rows) + "\n", "utf-8")
+    return path
+
+
+def dh(folder: Path) -> Path:
+    path = folder / "dh.csv"
+    path.write_text(dh_arm.dh_table(), "utf-8")
+    return path
+
+
+def of(values: np.ndarray, names: str | list[str]) -> dict[str, np.ndarray]:
+    return dict(zip(names, np.asarray(values).T, strict=True))
+
+
+def assert_gives_the_noise_back(folder: Path, noise: float = NOISE) -> None:
+    """The project on the disk, fitted by least squares, leaves the noise of the points."""
+    project = lc.read_project(folder / "project.toml")
+    data = lc.load_dataset(project).dataset
+    result = lc.calibrate(project.mechanism, data, method="least-squares")
+    assert result.status.converged
+    assert result.accuracy_after is not None
+    left = result.accuracy_after.rms
+    share = np.sqrt(1.0 - len(result.estimated) / (3.0 * len(data)))
+    assert left == pytest.approx(noise * np.sqrt(3.0) * share, rel=0.15)
+
+
+def quaternion(turns: np.ndarray) -> np.ndarray:
+    """(N, 4), w last."""
+    return np.asarray(Rotation.from_matrix(turns).as_quat())
+
+
+def test_split_files_are_joined_by_their_ids(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    ids = [f"P{i:03d}" for i in range(len(joints))]
+    order = np.random.default_rng(0).permutation(len(joints))
+    a = table(tmp_path / "joints.csv", {"pose": ids, **of(joints, NAMES)})
+    seen = {"Point ID": [ids[i] for i in order], **of(points[order], ["Tx", "Ty", "Tz"])}
+    b = table(tmp_path / "tracker.csv", seen)
+    made = lc.init(a, b, dh=dh(tmp_path), out=tmp_path / "out")
+    assert len(made.dataset) == len(joints)
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
+def test_units_that_nobody_states_are_those_of_the_machine(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    columns = {**of(np.degrees(joints), NAMES), **of(1e3 * points, ["x", "y", "z"])}
+    made = lc.init(table(tmp_path / "a.csv", columns), dh=dh(tmp_path), out=tmp_path / "out")
+    assert any("J6 in deg; x, y, z in mm" in words for words in made.remarks)
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
+@pytest.mark.parametrize(("angle", "length"), [("gon", "in"), ("rad", "cm"), ("deg", "m")])
+def test_every_pair_of_units_is_recognised(
+    tmp_path: Path, arm: Any, angle: str, length: str
+) -> None:
+    joints, points = arm
+    turned = joints * {"gon": 200 / np.pi, "rad": 1.0, "deg": 180 / np.pi}[angle]
+    moved = points / {"in": 0.0254, "cm": 0.01, "m": 1.0}[length]
+    made = lc.init({**of(turned, NAMES), **of(moved, ["x", "y", "z"])}, dh=dh(tmp_path))
+    assert np.allclose(made.dataset["J2"], joints[:, 1])
+    assert np.allclose(made.dataset["x"], points[:, 0])
+
+
+def test_units_of_headers_are_read(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    names = [f"J{i} [deg]" for i in range(1, 7)]
+    columns = {**of(np.degrees(joints), names), **of(1e3 * points, ["X (mm)", "Y (mm)", "Z (mm)"])}
+    made = lc.init(table(tmp_path / "a.csv", columns), dh=dh(tmp_path), out=tmp_path / "out")
+    assert not any("Inferred" in words for words in made.remarks)
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
+def test_decimal_commas_and_semicolons(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    columns = {**of(np.degrees(joints), NAMES), **of(1e3 * points, ["x1", "y1", "z1"])}
+    path = table(tmp_path / "a.csv", columns, separator=";")
+    lc.init(path, dh=dh(tmp_path), out=tmp_path / "out")
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
+@pytest.mark.parametrize("joints_first", [True, False])
+def test_a_file_without_a_header(tmp_path: Path, arm: Any, joints_first: bool) -> None:
+    joints, points = arm
+    parts = [of(np.degrees(joints), NAMES), of(1e3 * points, "xyz")]
+    first, second = parts if joints_first else parts[::-1]
+    columns = {"n": [str(i + 1) for i in range(len(joints))], **first, **second}
+    path = table(tmp_path / "a.txt", columns, separator="\t", header=False)
+    lc.init(path, dh=dh(tmp_path), out=tmp_path / "out")
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
+def test_a_quaternion_with_w_last_is_recognised_by_the_data(tmp_path: Path, camera: Any) -> None:
+    joints, T = camera
+    columns = {
+        **of(joints, NAMES),
+        **of(T[:, :3, 3], "xyz"),
+        **of(quaternion(T[:, :3, :3]), ["quat0", "quat1", "quat2", "quat3"]),
+    }
+    made = lc.init(table(tmp_path / "a.csv", columns), dh=dh(tmp_path), out=tmp_path / "out")
+    assert any("in the order x, y, z, w" in words for words in made.remarks)
+    assert made.mechanism.parameters["tool_x"].nominal == pytest.approx(0.05, abs=5e-3)
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
+def test_a_pose_of_the_station_seen_from_the_target_is_turned_round(
+    tmp_path: Path, camera: Any
+) -> None:
+    joints, T = camera
+    inverse = np.linalg.inv(T)
+    columns = {
+        **of(joints, NAMES),
+        **of(1e3 * inverse[:, :3, 3], "xyz"),
+        **of(np.roll(quaternion(inverse[:, :3, :3]), 1, axis=1), ["qw", "qx", "qy", "qz"]),
+    }
+    made = lc.init(table(tmp_path / "a.csv", columns), dh=dh(tmp_path), out=tmp_path / "out")
+    assert "readings.csv" in made.tables
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
+@pytest.mark.parametrize("names", ["T", "m_"])
+def test_matrices_are_converted(tmp_path: Path, camera: Any, names: str) -> None:
+    joints, T = camera
+    first = 1 if names == "T" else 0
+    cells = [f"{names}{i + first}{j + first}" for i in range(4) for j in range(4)]
+    shown = T.copy()
+    shown[:, :3, 3] *= 1e3
+    columns = {**of(np.degrees(joints), NAMES), **of(shown.reshape(-1, 16), cells)}
+    lc.init(table(tmp_path / "a.csv", columns), dh=dh(tmp_path), out=tmp_path / "out")
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
+def test_rotation_vectors_and_kuka_angles(tmp_path: Path, camera: Any) -> None:
+    joints, T = camera
+    turns = Rotation.from_matrix(T[:, :3, :3])
+    numbers = of(turns.as_rotvec(), ["rx", "ry", "rz"])
+    vector = {**of(joints, NAMES), **of(T[:, :3, 3], "xyz"), **numbers}
+    made = lc.init(table(tmp_path / "a.csv", vector), dh=dh(tmp_path), out=tmp_path / "out")
+    assert made.mechanism.orientations[0].form == "rotation-vector"
+    assert not made.tables
+    assert_gives_the_noise_back(tmp_path / "out")
+    angles = turns.as_euler("ZYX", degrees=True)
+    kuka = {**of(joints, NAMES), **of(1e3 * T[:, :3, 3], ["X", "Y", "Z"]), **of(angles, "ABC")}
+    lc.init(table(tmp_path / "b.csv", kuka), dh=dh(tmp_path), out=tmp_path / "kuka")
+    assert_gives_the_noise_back(tmp_path / "kuka")
+
+
+def test_a_urdf_gives_the_chain_that_has_these_joints(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    (tmp_path / "arm.urdf").write_text(dh_arm.urdf(), "utf-8")
+    columns = {**of(joints, ["q1", "q2", "q3", "q4", "q5", "q6"]), **of(points, "xyz")}
+    path = table(tmp_path / "a.csv", columns)
+    lc.init(path, urdf=tmp_path / "arm.urdf", out=tmp_path / "out")
+    text = (tmp_path / "out/project.toml").read_text("utf-8")
+    assert 'file = "../arm.urdf"' in text
+    assert 'tip = "tool0"' in text
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
+def test_a_frame_in_memory_gives_the_same_project_as_its_file(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    columns = {**of(joints, NAMES), **of(points, "xyz")}
+    a = lc.init(table(tmp_path / "a.csv", columns), dh=dh(tmp_path))
+    b = lc.init(columns, dh=dh(tmp_path))
+    c = lc.init(lc.Dataset.from_arrays(columns), dh=dh(tmp_path))
+    for other in (b, c):
+        assert other.mechanism.parameters == a.mechanism.parameters
+        assert np.allclose(other.dataset["x"], a.dataset["x"], atol=1e-9)
+    result = lc.calibrate(a.mechanism, a.dataset, method="least-squares")
+    assert result.status.converged
+    assert not a.written
+
+
+def test_rows_joined_by_order_are_said_and_a_shift_is_refused(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    a, b = of(joints, NAMES), of(points, "xyz")
+    made = lc.init(a, b, dh=dh(tmp_path))
+    assert any("joined by order" in words for words in made.remarks)
+    late = of(np.roll(points, 1, axis=0), "xyz")
+    path = dh(tmp_path)
+    with refused("mismatched-poses"):
+        lc.init(a, late, dh=path)
+
+
+def test_files_of_unequal_length_without_ids_are_refused(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    path = dh(tmp_path)
+    with refused("mismatched-poses"):
+        lc.init(of(joints, NAMES), of(points[1:], "xyz"), dh=path)
+
+
+def test_a_wrong_stated_unit_never_converges_silently(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    columns = {**of(joints, NAMES), **of(points, ["x [mm]", "y [mm]", "z [mm]"])}
+    path = dh(tmp_path)
+    with refused("wrong-unit"):
+        lc.init(columns, dh=path)
+
+
+def test_what_the_data_cannot_decide_is_asked_or_refused(tmp_path: Path) -> None:
+    """Of an arm that hardly moves, 1 deg and 1 gon are alike."""
+    joints = dh_arm.poses(30, limits=0.02 * dh_arm.LIMITS)
+    points = dh_arm.seen(joints, sd=2e-3)[:, :3, 3]
+    columns = {**of(np.degrees(joints), NAMES), **of(points, "xyz")}
+    path = dh(tmp_path)
+    with refused("unknown-unit"):
+        lc.init(columns, dh=path)
+    asked: list[str] = []
+
+    def answer(question: str, answers: Any) -> int:
+        asked.extend(answers)
+        return next(i for i, words in enumerate(answers) if "deg" in words)
+
+    made = initial_project([columns], RobotFile(dh=path), out=None, ask=answer)
+    assert len(asked) > 1
+    assert np.allclose(made.dataset["J1"], joints[:, 0])
+
+
+@pytest.mark.parametrize("names", [["J2"], ["J5"], ["J1", "J4"]])
+def test_joints_that_count_the_other_way_round_are_named(
+    tmp_path: Path, arm: Any, names: list[str]
+) -> None:
+    joints, points = arm
+    columns = {**of(joints, NAMES), **of(points, "xyz")}
+    columns |= {name: -columns[name] for name in names}
+    path = dh(tmp_path)
+    with refused("implausible-readings", *names, "other way round"):
+        lc.init(columns, dh=path)
+
+
+def test_a_direction_in_the_table_of_the_robot_turns_a_joint_round(
+    tmp_path: Path, arm: Any
+) -> None:
+    joints, points = arm
+    head, *rows = dh_arm.dh_table().splitlines()
+    rows = [f"{row},{-1 if row.startswith('J3') else 1}" for row in rows]
+    (tmp_path / "dh.csv").write_text("\n".join([f"{head},direction", *rows]) + "\n", "utf-8")
+    columns = {**of(joints, NAMES), **of(points, "xyz")}
+    columns["J3"] = -columns["J3"]
+    path = table(tmp_path / "a.csv", columns)
+    lc.init(path, dh=tmp_path / "dh.csv", out=tmp_path / "out")
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
+def test_a_tracker_in_its_own_readings(tmp_path: Path, arm: Any) -> None:
+    joints, p = arm
+    r = np.linalg.norm(p, axis=1)
+    azimuth, elevation = np.arctan2(p[:, 1], p[:, 0]), np.arcsin(p[:, 2] / r)
+    seen = {"range": 1e3 * r, "az": np.degrees(azimuth), "el": np.degrees(elevation)}
+    path = table(tmp_path / "a.csv", {**of(joints, NAMES), **seen})
+    made = lc.init(path, dh=dh(tmp_path), out=tmp_path / "out")
+    assert set(made.fits) == {"tracker"}
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
+def test_two_targets_are_seen_from_one_station(tmp_path: Path, camera: Any) -> None:
+    joints, T = camera
+    other = T[:, :3, 3] + T[:, :3, :3] @ np.array([0.1, 0.02, 0.0])
+    names = ["x1", "y1", "z1", "x2", "y2", "z2"]
+    both = of(1e3 * np.hstack([T[:, :3, 3], other]), names)
+    made = lc.init({**of(joints, NAMES), **both}, dh=dh(tmp_path))
+    between = [
+        made.mechanism.parameters[f"tool_1_{a}"].nominal
+        - made.mechanism.parameters[f"tool_2_{a}"].nominal
+        for a in "xyz"
+    ]
+    assert np.linalg.norm(between) == pytest.approx(np.hypot(0.1, 0.02), abs=2e-3)
+    assert "base_x" in made.mechanism.parameters.names
+
+
+def test_another_robot_is_refused(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    shuffled = np.random.default_rng(3).permutation(points)
+    path = dh(tmp_path)
+    columns = {**of(joints, NAMES), **of(shuffled, "xyz")}
+    with refused("implausible-readings"):
+        lc.init(columns, dh=path)
+
+
+def test_nothing_is_overwritten(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    columns = {**of(joints, NAMES), **of(points, "xyz")}
+    lc.init(columns, dh=dh(tmp_path), out=tmp_path / "out")
+    path = dh(tmp_path)
+    with refused("unwritable-file"):
+        lc.init(columns, dh=path, out=tmp_path / "out")
+
+
+def test_too_many_joint_columns_are_listed(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    names = [f"q{i}" for i in range(1, 8)]
+    columns = {**of(np.hstack([joints, joints[:, :1]]), names), **of(points, "xyz")}
+    path = dh(tmp_path)
+    with refused("missing-column"):
+        lc.init(columns, dh=path)
+
+
+def test_real_files_are_understood(tmp_path: Path, shared_data: Callable[[str], Path]) -> None:
+    tracker = shared_data("motoman_ma1400_leica/right_arm_workspace.csv")
+    rows = (
+        "a,d,alpha,theta\n.15,1.4159,-90,0\n.614,0,180,-90\n.2,0,-90,0\n0,-.64,90,0\n"
+        ".03,0,90,-90\n0,.2,0,0\n"
+    )
+    (tmp_path / "ma.csv").write_text(rows, "utf-8")
+    made = lc.init(tracker, dh=tmp_path / "ma.csv", out=tmp_path / "ma")
+    assert made.worst[0] == "13"
+    assert made.rms < 3e-3
+    assert made.mechanism.parameters["tool_x"].nominal == pytest.approx(0.0418, abs=5e-3)
+    wire = shared_data("abb_irb120_cable/RobotCali.xlsx")
+    rows = (
+        "a;d;alpha;theta\n0;290;-90;0\n270;0;0;-90\n70;0;-90;0\n0;302;90;0\n0;0;-90;0\n0;72;0;180\n"
+    )
+    (tmp_path / "irb.csv").write_text(rows, "utf-8")
+    made = lc.init(wire, dh=tmp_path / "irb.csv", out=tmp_path / "irb")
+    assert list(made.fits) == ["wire"]
+    assert made.rms < 0.5e-3
+    assert any("computed by the controller" in words for words in made.remarks)
