@@ -18,10 +18,9 @@ METHODS = {
     "reweighted": "reweighted",
     "implicit-loop-undamped": "undamped",
 }
-"""Name -> module in this folder, which defines METHOD. The first is the default."""
-DEFAULT = next(iter(METHODS))
-PLAIN = list(METHODS)[1]
-"""The first that is a method by itself."""
+"""Name -> module in this folder, which defines METHOD."""
+DEFAULT, PLAIN = "auto", "implicit-loop"
+"""The default of a calibration, and that of one fit, where nothing is to be chosen."""
 
 
 @cache
