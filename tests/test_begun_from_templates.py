@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.workflow.calibration import run_calibration
+from loopcal.workflow.calibration import Request, run_calibration
 from loopcal.workflow.projects import new_project
 from loopcal.workflow.simulation import run_simulation
 from tests.refusals import refused
@@ -26,7 +26,7 @@ def test_lengths_that_the_rest_makes_up_for_set_no_size(
     assert '"a_2" = { fixed = true }' in text
     file.write_text(text.replace('"a_2" = { fixed = true }', ""))
     with refused("unknown-size"):
-        run_calibration("arm/project.toml")
+        run_calibration("arm/project.toml", Request(method="implicit-loop"))
 
 
 @pytest.mark.parametrize("machine", [lc.machines.stewart_gough(), lc.machines.linear_delta()])

@@ -51,10 +51,7 @@ def halves(name: str, method: str) -> Halves:
     noise = None if exact else loaded.noise
     # half of a grid whose poses are alike takes least squares more than the usual 100 steps
     how = {"noise": noise, "method": method, "max_iterations": 400}
-    fits = [
-        lc.calibrate(project.mechanism, part, **{"method": "implicit-loop", **how})
-        for part in parts
-    ]
+    fits = [lc.calibrate(project.mechanism, part, **how) for part in parts]
     # one sees the other's poses without having used them
     away = [_rms(fit, part) for fit, part in zip(fits, reversed(parts), strict=True)]
     return Halves(method, (fits[0], fits[1]), lc.compare(*fits, align=False), (away[0], away[1]))

@@ -134,6 +134,8 @@ def _still(problem: Problem) -> tuple[ColumnFault, ...]:
     for family, computed, measured in seen_points(problem, problem.start):
         if family.form not in ("point", "pose") or measured.shape[1] < 10:
             continue
+        if np.isnan(computed).all(axis=1).any():
+            continue  # what has no sensor leaves the machine nowhere
         names = [q for q in family.readings if q in mechanism.outputs][: len(measured)]
         spread = np.nanmax(np.nanstd(computed, axis=1))
         for name, own, read in zip(names, computed, measured, strict=True):
