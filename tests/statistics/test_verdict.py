@@ -21,6 +21,8 @@ from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.terms import TermEntry
 from loopcal.mechanisms.limits import joint_limits
+from loopcal.statistics.predictor import predictor
+from loopcal.statistics.region import region_of
 from loopcal.statistics.verdict import SOUND, verdict_of
 from tests.conftest import ROOT
 from tests.reference.machines import dh_arm
@@ -185,10 +187,22 @@ def test_poses_in_a_corner_are_valid_there_only_and_both_sds_are_named() -> None
     assert inside.valid.number == pytest.approx(1.0, abs=0.3)
 
 
-def test_joints_of_an_arm_may_turn_half_a_turn_where_nobody_states_limits() -> None:
-    limits = joint_limits(dh_arm())
-    assert len(limits) == 6
-    assert {(one.low, one.high, one.source) for one in limits.values()} == {(-np.pi, np.pi, "turn")}
+def test_a_joint_without_limits_turns_a_quarter_turn_about_the_middle_of_its_readings() -> None:
+    arm = dh_arm()
+    assert joint_limits(arm) == {}
+    driven = [q for q in arm.quantities if q not in arm.outputs]
+    poses = lc.random_poses(dict.fromkeys(driven, (0.1, 0.4)), 40, seed=3)
+    sds = dict.fromkeys(arm.quantities, 1e-05)
+    data = lc.simulate(arm, poses, noise=lc.Noise(sds), seed=4).dataset
+    prior = dict.fromkeys(arm.parameters.names, 1e-3)
+    result = lc.calibrate(arm, data, noise=sds, prior=prior, method="implicit-loop")
+    region = region_of(result, predictor(result))
+    assert region is not None
+    for one in region.ranges:
+        read = data.readings[one.quantity]
+        assert one.source == "turn"
+        assert one.high - one.low == pytest.approx(np.pi)
+        assert one.low < read.min() < read.max() < one.high
 
 
 def test_a_tolerance_is_judged_with_its_guard_band() -> None:

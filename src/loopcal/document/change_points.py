@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -49,6 +49,8 @@ class ChangePoint:
     """Of a gain at least so large in independent errors, corrected for the search."""
     alternatives: tuple[str, ...] = ()
     """Parameters or readings whose change would explain it about as well."""
+    modelled: bool = False
+    """Whether the result has it as an effect, as the method "auto" gives it where it is certain."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -81,12 +83,22 @@ class ChangePoints:
     """The lines of a project or mechanism file that model them."""
 
     def warnings(self) -> tuple[str, ...]:
-        """One sentence for each, and the remedy."""
-        if not self.found:
-            return ()
-        words = "; ".join(str(point) for point in self.found)
-        return (
-            f"The residuals show {len(self.found)} change"
-            f"{'s' if len(self.found) > 1 else ''} along the run: {words}. Correct the setup, or "
-            f"model the changes with the effects that change_points of result.json lists.",
-        )
+        """What was modelled, what was not, and the remedy."""
+        found = []
+        if modelled := [point for point in self.found if point.modelled]:
+            found.append(
+                f"The fit models {_counted(modelled)}. Predictions hold after the last one. To "
+                "state the changes yourself, copy the lines toml of change_points in result.json "
+                "into the project."
+            )
+        if others := [point for point in self.found if not point.modelled]:
+            found.append(
+                f"The residuals show {_counted(others)}. Correct the setup, or "
+                f"model the changes with the effects that change_points of result.json lists."
+            )
+        return tuple(found)
+
+
+def _counted(points: Sequence[ChangePoint]) -> str:
+    words = "; ".join(str(point) for point in points)
+    return f"{len(points)} change{'s' if len(points) > 1 else ''} along the run: {words}"

@@ -164,8 +164,8 @@ class RegionRange:
     low: float
     high: float
     source: str
-    """stated; limits: of the joint; turn: half a turn either way, nobody states limits; readings:
-    no limits are known."""
+    """stated; limits: of the joint; turn: nobody states limits, so a quarter turn either way
+    of the middle of the readings, or as far as these go; readings: as far as these go."""
 
 
 @dataclass(frozen=True)

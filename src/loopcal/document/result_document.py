@@ -77,15 +77,27 @@ class DataEntry:
     """Further files of the same poses, joined by pose id."""
     copied: tuple[str, ...] = ()
     """Ids of the poses left out because their rows copy others in every column."""
+    discarded: tuple[str, ...] = ()
+    """Ids of the outliers that the method "auto" left out of the fit and of its accuracy."""
 
     def warnings(self) -> tuple[str, ...]:
         """What the reader must know of the rows."""
-        number = len(self.copied)
-        if not number:
-            return ()
-        named = ", ".join(self.copied[:5]) + (", ..." if number > 5 else "")
-        rows = f"{number} rows copy others" if number > 1 else "1 row copies another"
-        return (f"{rows} in every column (pose {named}): each measurement counts once.",)
+        found = []
+        if number := len(self.copied):
+            rows = f"{number} rows copy others" if number > 1 else "1 row copies another"
+            named = _first(self.copied)
+            found.append(f"{rows} in every column (pose {named}): each measurement counts once.")
+        if number := len(self.discarded):
+            poses = f"{number} poses do" if number > 1 else "1 pose does"
+            found.append(
+                f"{poses} not fit the others (pose {_first(self.discarded)}): discarded from the "
+                "fit and from every accuracy. Inspect the readings."
+            )
+        return tuple(found)
+
+
+def _first(poses: tuple[str, ...], most: int = 5) -> str:
+    return ", ".join(poses[:most]) + (", ..." if len(poses) > most else "")
 
 
 @dataclass(frozen=True)

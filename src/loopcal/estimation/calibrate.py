@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Unpack
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.document.findings import ColumnFault
 from loopcal.errors import InputError
-from loopcal.estimation.faults.search import column_faults, suspicious
+from loopcal.estimation.faults.misfit import at_start
+from loopcal.estimation.faults.search import PLAUSIBLE, UNREPAIRED, column_faults, suspicious
 from loopcal.estimation.fit import Fit, FitOptions, Start
 from loopcal.estimation.methods.registry import PLAIN, names_where
 from loopcal.estimation.model_error import modelled, noise_told, weighed
@@ -36,6 +39,8 @@ LEARNT = 1e-5
 """With terms a fit converges to so many sds, unless the user says otherwise: their own sds are
 learnt from it, and are never known to so many digits."""
 
+Array = NDArray[np.float64]
+
 
 def calibrate(
     mechanism: Mechanism,
@@ -44,13 +49,16 @@ def calibrate(
     noise: NoiseLike | None = None,
     fit: Fit | None = None,
     progress: Progress | None = None,
-    near: bool = False,
+    near: Mapping[str, Array] | None = None,
+    trusted: bool = False,
     **options: Unpack[FitOptions],
 ) -> Result:
     """Calibrate a mechanism by one stated method, by default the implicit loop.
 
     As `loopcal.statistics.calibrate.calibrate`, which also chooses the method. near: the fit begins
-    where one of nearly the same readings ended, so a misfit is no reason to try other starts.
+    where one of nearly the same readings ended, which found these corrections (N,) of what no
+    sensor reads, so a misfit is no reason to try other starts; trusted: no fault of the file is
+    sought.
     """
     fit, stated = Fit.of(fit or Fit(method=PLAIN), options), Noise.of(noise)
     refuse_noise(fit, stated)
@@ -80,7 +88,7 @@ def calibrate(
         return fit.solver.solve(problem, **limits)
 
     learns = told is not None and bool(told.estimate or mechanism.terms)
-    judged = not (near or fit.solver.exact or fit.robust_loss or learns)
+    judged = not (near is not None or fit.solver.exact or fit.robust_loss or learns)
 
     own = (fit.tolerance or LEARNT) if told is not None and mechanism.terms else fit.tolerance
 
@@ -88,8 +96,9 @@ def calibrate(
         def once(problem: Problem) -> Solution:
             return fitted(problem, own if tolerance is None else tolerance)
 
-        # an undamped method is for study: it shows how its own iteration ends
-        if fit.solver.damped:
+        # an undamped method is for study: it shows how its own iteration ends; a fit begun near its
+        # end needs no other start
+        if fit.solver.damped or near is not None:
             return once(problem)
         return solve_or_fall_back(problem, once, fit.max_iterations, judged=judged)
 
@@ -98,17 +107,22 @@ def calibrate(
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)
+        if near:
+            problem = begun_near(problem, near)
         if fit.solver.exact or fit.solver.at_readings:
             arrays = problem.readings, problem.known, problem.uncertainty.sd
             refuse_collapse(problem.mechanism, *arrays, priors=not fit.solver.exact)
         faults: tuple[ColumnFault, ...] = ()
-        if isinstance(fit.start, str) and suspicious(problem):
+        if not trusted and isinstance(fit.start, str) and suspicious(problem):
             faults = column_faults(problem)
-        if faults:  # no fit is of use: a short one, so that there is a result to say so
+        if any(fault.code not in UNREPAIRED for fault in faults):
+            # no fit is of use: a short one, so that there is a result to say so
             short = fitted(problem, fit.tolerance, min(fit.max_iterations, FAULTY))
             return Result(fit, data, problem, short, problem, faults=faults)
         if told is None or not learns:
-            return Result(fit, data, problem, solved(problem), problem)
+            found = solved(problem)
+            faults = faults and left_after(faults, problem, found)
+            return Result(fit, data, problem, found, problem, faults=faults)
         from loopcal.estimation.noise.estimation import estimate_noise
 
         estimate = estimate_noise(
@@ -119,7 +133,23 @@ def calibrate(
             begin=told.begin,
         )
         learnt = replace(estimate.problem, start=problem.start)
-        return Result(fit, data, learnt, estimate.solution, problem, estimate)
+        faults = faults and left_after(faults, problem, estimate.solution)
+        return Result(fit, data, learnt, estimate.solution, problem, estimate, faults=faults)
+
+
+def left_after(
+    faults: tuple[ColumnFault, ...], problem: Problem, found: Solution
+) -> tuple[ColumnFault, ...]:
+    """The faults that a fit has not removed: a machine far from its drawing may yet be found."""
+    missed = at_start(replace(problem, start=found.parameters))
+    return faults if not found.status.converged or missed > PLAUSIBLE else ()
+
+
+def begun_near(problem: Problem, near: Mapping[str, Array]) -> Problem:
+    """The problem, which begins at these corrections (N,) of what no sensor reads."""
+    names = problem.mechanism.tape.quantities
+    zero = np.zeros(problem.count)
+    return replace(problem, found=np.array([near.get(name, zero) for name in names]))
 
 
 def refuse_noise(fit: Fit, noise: Noise | None) -> None:

@@ -89,4 +89,5 @@ def data_entry(dataset: Dataset, used: int, quantities: Sequence[str]) -> DataEn
         tuple(q for q in quantities if q in dataset.readings),
         tuple(JoinedFile(part.file, part.sha256) for part in source.joined),
         source.copied,
+        source.discarded,
     )

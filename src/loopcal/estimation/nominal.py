@@ -8,16 +8,21 @@ run away to make up for a wrong machine, and the comparison would flatter the dr
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import MOUNTED, unstated_mountings
 
 
-def nominal_machine(mechanism: Mechanism) -> Mechanism:
-    """The mechanism with all fixed but placements and mountings; these get default priors."""
+def nominal_machine(mechanism: Mechanism, moved: Collection[str] = ()) -> Mechanism:
+    """The mechanism with all fixed but placements and mountings; these get default priors.
+
+    moved: parameters of what slipped during the run, which is no fault of the drawing's.
+    """
     kinds = mechanism.kinds
     unknown = {name for names in unstated_mountings(mechanism) for name in names}
-    fixed = [p.name for p in mechanism.parameters if kinds[p.name] not in ("placement", "mounting")]
+    placed = {name for name, kind in kinds.items() if kind in ("placement", "mounting")} | {*moved}
+    fixed = [p.name for p in mechanism.parameters if p.name not in placed]
     priors = {
         p.name: MOUNTED[p.unit]
         for p in mechanism.parameters

@@ -168,9 +168,17 @@ class Dataset:
     def without_copies(self, copied: NDArray[np.intp]) -> Dataset:
         """All poses but those at these positions, whose rows copy others; the source lists them."""
         names = tuple(self.poses[i] for i in copied)
-        source = replace(self.source, copied=(*self.source.copied, *names))
+        return self._without(copied, replace(self.source, copied=(*self.source.copied, *names)))
+
+    def without_outliers(self, outlying: NDArray[np.intp]) -> Dataset:
+        """All poses but those at these positions, which do not fit; the source lists them."""
+        names = tuple(self.poses[i] for i in outlying)
+        told = replace(self.source, discarded=(*self.source.discarded, *names))
+        return self._without(outlying, told)
+
+    def _without(self, index: NDArray[np.intp], source: Source) -> Dataset:
         source = replace(source, rows_read=source.rows_read or len(self))
-        return replace(self, source=source).take(np.delete(np.arange(len(self)), copied))
+        return replace(self, source=source).take(np.delete(np.arange(len(self)), index))
 
     def thin(self, every: int) -> Dataset:
         """The 1st, (every + 1)th, ... pose; InputError unless `every` is 1 or more."""

@@ -25,6 +25,8 @@ class Source:
     """Ids of poses left out on request."""
     copied: tuple[str, ...] = ()
     """Ids of poses left out because their rows copy others."""
+    discarded: tuple[str, ...] = ()
+    """Ids of poses left out because they do not fit the others."""
     drawn: bool = False
     """Whether some poses were taken several times, on purpose."""
     every: int = 1

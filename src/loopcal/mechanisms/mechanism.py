@@ -89,7 +89,8 @@ class Mechanism:
     terms: groups of parameters whose common prior sd is learnt; located: which parameters of its
     instruments are a "mounting" on the body, and which a "placement" beside it; body: the loops
     with a body that can be displaced, where instruments look at one; gravity: the direction in
-    which it pulls, in the base of the machine, None for down.
+    which it pulls, in the base of the machine, None for down; latest: known constant -> value [SI]
+    after the last change that it dates, for readings of a machine as it is now.
     """
 
     name: str
@@ -110,6 +111,7 @@ class Mechanism:
     located: Mapping[str, str] = field(default_factory=dict)
     body: Body | None = None
     gravity: tuple[float, float, float] | None = None
+    latest: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def from_function(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 from loopcal.estimation.methods import implicit_loop
@@ -32,8 +32,11 @@ class Entrant:
         return self.drawn or (self.case.fit.method.exact and not self.structured)
 
 
-def entrants(case: Case) -> Iterator[Entrant]:
-    """All that compete for a case: those with a model error first, the nominal machine last."""
+def entrants(case: Case, moved: Collection[str] = ()) -> Iterator[Entrant]:
+    """All that compete for a case: those with a model error first, the nominal machine last.
+
+    moved: parameters of what slipped during the run, which all of them estimate.
+    """
     fit, lossless = case.fit, case.fit.robust_loss is None
     methods = fit.among(case.data, case.noise)
     for method in methods if lossless else ():
@@ -47,12 +50,12 @@ def entrants(case: Case) -> Iterator[Entrant]:
         plain = fit.changed(method=method, model_error="none")
         yield Entrant(method.name, replace(case, fit=plain))
     if case.mechanism.outputs:
-        yield Entrant(NOMINAL, nominal_case(case), drawn=True)
+        yield Entrant(NOMINAL, nominal_case(case, moved), drawn=True)
 
 
-def nominal_case(case: Case) -> Case:
+def nominal_case(case: Case, moved: Collection[str] = ()) -> Case:
     """The nominal machine, placed and mounted by readings of instruments weighted alike."""
-    mechanism = nominal_machine(case.fit.with_prior(case.mechanism))
+    mechanism = nominal_machine(case.fit.with_prior(case.mechanism), moved)
     noise = instrument_noise(mechanism, case.data)
     fit = case.fit.changed(
         method=implicit_loop.METHOD, loss="gaussian", prior=None, model_error="none"

@@ -28,6 +28,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
 
 Array = NDArray[np.float64]
@@ -265,12 +266,21 @@ def _unit(problem: Problem, name: str) -> str:
     return mechanism.parameters[name].unit
 
 
+def _mounted(mechanism: Mechanism) -> Sequence[tuple[str, ...]]:
+    """The parameters of each thing on the body; by instrument where the body gives way already."""
+    if mechanism.body is not None:
+        return mechanism.body.mounted
+    mounted = [name for name, kind in mechanism.kinds.items() if kind == "mounting"]
+    groups = [tuple(n for n in f.mounted if n in mounted) for f in mechanism.families]
+    alone = tuple(n for n in mounted if not any(n in names for names in groups))
+    return [names for names in (*groups, alone) if names]
+
+
 def _candidates(problem: Problem, system: OrderedSystem) -> list[_Candidate]:
     """What may move: targets, stations, joints and the instruments' own zeros."""
     mechanism = problem.mechanism
     found: list[tuple[Moved, tuple[str, ...]]] = []
-    if mechanism.body is not None:
-        found += [("target", names) for names in mechanism.body.mounted]
+    found += [("target", names) for names in _mounted(mechanism)]
     placed = [mechanism.placement, *(f.placement for f in mechanism.families)]
     found += [("station", p.parameters) for p in placed if p is not None]
     read = {q for f in mechanism.families for q in f.readings} | {*mechanism.outputs}

@@ -1,7 +1,8 @@
 """The choice of a method by poses that were not used: what the method "auto" does.
 
 Candidates are the nominal machine, placed and mounted, and each method that the readings allow,
-with a structured model error where the machine has one, and without. All are validated on the same
+with a structured model error where the machine has one, and without. Changes along the run that are
+certain are modelled first (`loopcal.statistics.changes`). All are validated on the same
 parts: poses at random, and regions of the joint space. The risk of a candidate at a pose is its
 squared distance there, averaged over both ways to leave the pose out; without outputs it is minus
 twice the log density of its loops.
@@ -32,6 +33,7 @@ from loopcal.execution.executor import Executor, Progress
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.presentation.shown import size, unit_shown
 from loopcal.statistics.candidates import Entrant, entrants
+from loopcal.statistics.changes import Changes, changes, unchanged
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.validation import (
@@ -78,13 +80,15 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """What was chosen, over what, by how much; result: of the chosen candidate, which knows it."""
+    """What was chosen, over what, by how much; result: of the chosen candidate, which knows it;
+    changes: what happened during the run."""
 
     method: str
     result: Result
     chosen: Chosen
     validation: Validation | None
     nominal: Result | None
+    changes: Changes | None = None
 
     @property
     def calibrated(self) -> Result:
@@ -102,6 +106,7 @@ class Choice:
                 noise_floor=noise_floor(self.result),
             )
         document = replace(document, method=self.method, chosen=self.chosen, accuracy=accuracy)
+        document = self.changes.added_to(document) if self.changes else document
         return self.validation.added_to(document) if self.validation else document
 
 
@@ -119,8 +124,10 @@ def choose(
 
     Raises InputError where no candidate can be fitted.
     """
-    judged = []
+    judged: list[Judged] = []
     for entrant in entrants(case):
+        if any(one.whole for one in judged):
+            entrant = replace(entrant, case=replace(entrant.case, trusted=True))
         judged.append(_fitted(entrant))
         whole = judged[-1].whole
         if whole is not None and whole.faults:  # no candidate is of use
@@ -129,15 +136,42 @@ def choose(
             return Choice(case.fit.method.name, whole, none, None, None)
     if not any(one.whole for one in judged):
         raise next(one.error for one in judged if one.error)
+    told = _changes(case, judged)
+    if told.found:
+        case, judged = told.case, [_fitted(entrant) for entrant in entrants(told.case, told.moved)]
     other = scheme if scheme and scheme.other is not None else None
-    plan = _plan(case, None if other else scheme)
+    plan = _plan(told.plain, None if other else _of(scheme, told))
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
-    found = _choice(case, judged, plan)
+    found = replace(_choice(case, judged, plan), changes=told)
+    words = found.chosen.words + told.words()
+    found = replace(found, chosen=replace(found.chosen, words=words))
     if other is None:
         return found
     taken = next(one.entrant.case for one in judged if one.name == found.chosen.method)
     return replace(found, validation=validated(taken, found.result, other))
+
+
+def _changes(case: Case, judged: Sequence[Judged]) -> Changes:
+    """What happened during the run, by the structured candidate that fits best."""
+    able = [one for one in judged if one.entrant.structured and one.whole and not one.failed]
+    if not able:
+        return unchanged(case)
+
+    def misfit(one: Judged) -> float:
+        after = one.whole and one.whole.accuracy_after
+        return after.rms if after else math.inf
+
+    best = min(able, key=misfit)
+    assert best.whole is not None
+    return changes(case, best.entrant.case, best.whole)
+
+
+def _of(scheme: Scheme | None, told: Changes) -> Scheme | None:
+    """The scheme for the poses that are left."""
+    if scheme is None or scheme.groups is None:
+        return scheme
+    return replace(scheme, groups=[scheme.groups[i] for i in told.kept])
 
 
 def _fitted(one: Entrant) -> Judged:

@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem.alignment import align
+from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
@@ -163,6 +164,7 @@ def _thinned(data: Dataset) -> Dataset:
 
 def _readings(mechanism: Mechanism, data: Dataset) -> tuple[Array, Array]:
     """x (k, N) and known (c, N); a quantity that is not there, or an output, starts at zero."""
+    data = with_latest(mechanism, data)
     nothing = np.zeros(len(data))
     found = [data.readings.get(q, nothing) for q in mechanism.tape.quantities]
     outputs = [q in mechanism.outputs for q in mechanism.tape.quantities]

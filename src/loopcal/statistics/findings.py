@@ -15,6 +15,7 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.statistics.candidates import nominal_case
 from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, find_shifts
+from loopcal.statistics.changes import apart
 from loopcal.statistics.identifiability import WhatDataSay, calibration_index, what_data_say
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.observability import data_spectrum, observability
@@ -22,7 +23,7 @@ from loopcal.statistics.optima import other_optima
 from loopcal.statistics.outliers import Outliers, find_outliers
 from loopcal.statistics.predictor import Predictor, predictor, usual_words
 from loopcal.statistics.region import Span, region_of
-from loopcal.statistics.shifted import with_shifts
+from loopcal.statistics.shifted import shift_lines
 from loopcal.statistics.validation import Case
 
 
@@ -52,6 +53,7 @@ class Findings:
         """The document of the result with these figures."""
         shifts, accuracy = self.shifts, document.accuracy
         moved = ChangePoints(shifts.found, shifts.level, shifts.tested, self.toml)
+        new = replace(moved, found=tuple(p for p in shifts.found if not p.modelled))
         if accuracy is not None:
             nominal = accuracy.nominal or self.nominal
             accuracy = replace(accuracy, nominal=nominal, noise_floor=self.noise_floor)
@@ -59,7 +61,7 @@ class Findings:
             document,
             accuracy=accuracy,
             change_points=moved,
-            warnings=(*document.warnings, *moved.warnings()),
+            warnings=(*document.warnings, *new.warnings()),
             identifiability=self.identifiability.added_to(document.identifiability),
             observability=self.observability,
             prediction=None
@@ -94,7 +96,12 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
         outliers = find_outliers(result)
         searched = result.status.converged and not outliers.columns
         shifts = find_shifts(result) if searched else NOT_SEARCHED
-        apart = tuple(o for o in outliers.found if o.pose not in shifts.explained)
+        told = result.document.change_points or ChangePoints((), shifts.level, 0)
+        modelled, discarded = told.found, result.document.outliers or ()
+        new = tuple(p for p in shifts.found if apart(p, modelled))
+        toml = told.toml + shift_lines(result.dataset, new)
+        shifts = replace(shifts, found=tuple(sorted((*modelled, *new), key=lambda p: p.number)))
+        remaining = tuple(o for o in outliers.found if o.pose not in shifts.explained)
         return Findings(
             what_data_say(
                 result.problem,
@@ -105,9 +112,9 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
             ),
             observability(result.information, solution.poses),
             known,
-            replace(outliers, found=apart),
+            replace(outliers, found=(*discarded, *remaining)),
             shifts,
-            with_shifts(result.mechanism, result.dataset, shifts.found).toml,
+            toml,
             () if result.all_poses is not None else other_optima(result),
             None if known is None else region_of(result, known, region),
             None if result.all_poses is not None or chosen else nominal_distances(result),

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
@@ -226,6 +227,7 @@ def predict(
     told = Noise.of(noise)
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     machine = known.mechanism.predicting()
+    data = with_latest(machine, data)
     names, unused = machine.tape.quantities, machine.unused
     guessed = _guessed(known, data, told)
     also = [q for q in names if q not in data.readings or q in guessed]
@@ -297,9 +299,12 @@ def _by_readings(
 ) -> LearntCovariance | None:
     """C_x = S_x Sigma S_x^T, (N, o, o); None where the sd of a reading is not known.
 
-    Sds of the calibration that were learnt there have errors in common with its parameters.
+    Sds of the calibration that were learnt there have errors in common with its parameters. Where
+    it took these readings as exact, what they and the machine do beside the model shows in the
+    learnt sds of the outputs, which then count in their place.
     """
     names = found.tape.quantities
+    entries: dict[str | tuple[str, ...], Any] = dict.fromkeys(found.outputs, 0.0)
     read = [q for q in names if q not in found.outputs]
     own, slopes = known.readings, np.zeros((len(known.covariance.slopes), len(names)))
     if noise is None:
@@ -307,10 +312,15 @@ def _by_readings(
             return None
         noise = Noise({q: own.sds.get(q, 0.0) for q in read} | _marginal(own.joint, read))
         learnt = {q: s for q, s in own.slopes.items() if q in read and q not in data.sds}
+        if not any(own.sds.get(q, 0.0) or q in data.sds for q in read):
+            S = S.copy()
+            for i, q in enumerate(known.units):
+                S[:, i, names.index(q)] = 1.0
+            learnt = {q: own.slopes[q] for q in known.units if q in own.slopes}
+            entries |= {q: own.sds[q] for q in learnt}
         for q, relative in learnt.items():
             slopes[:, names.index(q)] = relative
     # What is found moves nothing by itself: any sd will do for it.
-    entries: dict[str | tuple[str, ...], Any] = dict.fromkeys(found.outputs, 0.0)
     noise = Noise(entries | noise.entries)
     zeros = {q: np.zeros(len(data)) for q in names if q not in data.readings}
     readings = {q: np.nan_to_num(v) for q, v in data.readings.items()} | zeros

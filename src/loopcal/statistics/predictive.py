@@ -11,15 +11,18 @@ knows no Sigma; its residual variance, the same for every loop equation, stands 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.calibrate import begun_near
 from loopcal.estimation.model_error import noise_told, weighed
 from loopcal.estimation.noise.estimation import scaled
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.noise.linear_model import ModelBlock, linear_model
+from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.result import Result
@@ -51,10 +54,19 @@ def taken(noise: Noise | None, index: NDArray[np.intp] | None) -> Noise | None:
     return noise if noise is None or index is None else noise.take(index)
 
 
-def held_problem(fit: Result, data: Dataset, noise: Noise | None) -> Held:
-    """The poses of a data set at the parameters and sds that a fit of others found."""
+def held_problem(
+    fit: Result,
+    data: Dataset,
+    noise: Noise | None,
+    near: Mapping[str, Array] | None = None,
+) -> Held:
+    """The poses of a data set at the parameters and sds that a fit of others found.
+
+    near: corrections (N,) from which the search for what no sensor reads begins.
+    """
     exact = fit.fit.solver.exact
     mechanism = fit.mechanism
+    data = with_latest(mechanism, data)
     noise = noise_told(fit.fit, mechanism, data, noise)
     if noise is not None:
         data = weighed(fit.fit, data)
@@ -66,6 +78,8 @@ def held_problem(fit: Result, data: Dataset, noise: Noise | None) -> Held:
     if noise is not None and noise.estimate:
         stated = np.median(problem.uncertainty.sd, axis=1)
         problem = scaled(problem, [(i,) for i in range(len(stated))], _ratios(fit, stated))
+    if near:
+        problem = begun_near(problem, near)
     return Held(problem, found_unmeasured(problem, problem.start, exact=exact))
 
 

@@ -1,7 +1,8 @@
 """Where is a calibration valid? Its stated sd over the working region beside that at its poses.
 
-The working region is a box of joint readings: as the user states it, else the joints' limits, else
-half a turn either way of a turning joint; what has none of these stays within its readings. The
+The working region is a box of joint readings: as the user states it, else the joints' limits. A
+turning joint of an arm without limits turns a quarter turn either way of the middle of its readings
+at least; what has none of these stays within its readings. The
 sd that the parameters cause (`predictor`) is averaged (rms) over random poses of the box, and over
 the measured ones. A ratio far above 1 says that the data hold the machine near their own poses
 only, whatever a cross-validation inside them says.
@@ -9,6 +10,7 @@ only, whatever a cross-validation inside them says.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -25,6 +27,7 @@ from loopcal.statistics.predictor import Predictor, by_parameters, trace_sd
 Array = NDArray[np.float64]
 _POSES = 400
 _MOST = 2000
+_QUARTER = 0.5 * math.pi
 _FEWEST = 40
 """Poses of the box that the machine can reach; of fewer nothing is said."""
 Span = tuple[float, float]
@@ -49,15 +52,20 @@ def region_of(
     if not driven:
         return None
     limits, given = joint_limits(mechanism), dict(stated or {})
+    turning = {s.joint for s in mechanism.chain if s.joint and s.motion[0] == "r"}
     ranges = []
     for q in driven:
         row = corrected[names.index(q)]
         if q in given:
             ranges.append(RegionRange(q, *given[q], "stated"))
         elif q in limits:
-            ranges.append(RegionRange(q, limits[q].low, limits[q].high, limits[q].source))
+            ranges.append(RegionRange(q, limits[q].low, limits[q].high, "limits"))
         else:
-            ranges.append(RegionRange(q, float(row.min()), float(row.max()), "readings"))
+            low, high = float(row.min()), float(row.max())
+            if q in turning:
+                middle = 0.5 * (low + high)
+                low, high = min(low, middle - _QUARTER), max(high, middle + _QUARTER)
+            ranges.append(RegionRange(q, low, high, "turn" if q in turning else "readings"))
     rng = np.random.default_rng(0)
     home = np.array([known.typical.get(q, 0.0) for q in names])
     x = np.repeat(home[:, None], _POSES, axis=1)

@@ -27,29 +27,40 @@ class Shifted:
     toml: str
 
 
-def with_shifts(mechanism: Mechanism, data: Dataset, found: Sequence[ChangePoint]) -> Shifted:
+def with_shifts(
+    mechanism: Mechanism, data: Dataset, found: Sequence[ChangePoint], *, column: str = COLUMN
+) -> Shifted:
     """The mechanism and data with these change points as effects `shift` and `drift`.
 
-    Their known constant `pose` is the number of the pose: its id where ids are rising numbers, else
-    its position from 1. Raises InputError where the mechanism cannot have such an effect.
+    Their known constant `column` is the number of the pose: its id where ids are rising numbers,
+    else its position from 1. The lines call it `pose`. Raises InputError where the mechanism cannot
+    have such an effect.
     """
+    effects = _effects(data, found, column)
+    if not effects:
+        return Shifted(mechanism, data, "")
+    if column not in mechanism.known:
+        data = data.with_readings({column: _numbers(data)}, units={column: "1"})
+    return Shifted(with_effects(mechanism, effects), data, shift_lines(data, found))
+
+
+def shift_lines(data: Dataset, found: Sequence[ChangePoint]) -> str:
+    """The lines of a project or mechanism file that model these changes."""
+    tables = ["\n".join(_table(effect)) for effect in _effects(data, found, COLUMN)]
+    return "\n\n".join(tables) + "\n" if tables else ""
+
+
+def _effects(data: Dataset, found: Sequence[ChangePoint], column: str) -> list[Shift | Drift]:
     numbers = _numbers(data)
     first = {pose: float(number) for pose, number in zip(data.poses, numbers, strict=True)}
     effects: list[Shift | Drift] = []
-    lines: list[str] = []
     for names in dict.fromkeys(p.names for p in found if p.shape == "step"):
         at = tuple(sorted(first[p.pose] for p in found if p.shape == "step" and p.names == names))
-        effects.append(Shift(names, at, COLUMN, name=f"shift of {', '.join(names)}"))
-        lines += _table("shift", effects[-1].name, names, f"at = {_listed(at)}")
+        effects.append(Shift(names, at, column, name=f"shift of {', '.join(names)}"))
     for names in dict.fromkeys(p.names for p in found if p.shape == "ramp"):
         since, over = float(numbers.min()), float(np.ptp(numbers))
-        effects.append(Drift(names, COLUMN, "1", since, over, f"drift of {', '.join(names)}"))
-        lines += _table("drift", effects[-1].name, names, f"since = {since:g}\nover = {over:g}")
-    if not effects:
-        return Shifted(mechanism, data, "")
-    if COLUMN not in mechanism.known:
-        data = data.with_readings({COLUMN: numbers}, units={COLUMN: "1"})
-    return Shifted(with_effects(mechanism, effects), data, "\n".join(lines).strip() + "\n")
+        effects.append(Drift(names, column, "1", since, over, f"drift of {', '.join(names)}"))
+    return effects
 
 
 def _numbers(data: Dataset) -> NDArray[np.float64]:
@@ -63,15 +74,19 @@ def _numbers(data: Dataset) -> NDArray[np.float64]:
     return np.arange(1.0, len(data) + 1.0)
 
 
-def _table(kind: str, name: str, names: Sequence[str], rest: str) -> list[str]:
+def _table(effect: Shift | Drift) -> list[str]:
+    shift = isinstance(effect, Shift)
     return [
         "[[mechanism.effect]]",
-        f'type = "{kind}"',
-        f'name = "{name}"',
-        f"changing = [{', '.join(f'{chr(34)}{n}{chr(34)}' for n in names)}]",
-        f'column = "{COLUMN}"',
-        rest,
-        "",
+        f'type = "{"shift" if shift else "drift"}"',
+        f'name = "{effect.name}"',
+        f"changing = [{', '.join(f'{chr(34)}{n}{chr(34)}' for n in effect.changing)}]",
+        f'column = "{effect.column}"',
+        *(
+            [f"at = {_listed(effect.at)}"]
+            if isinstance(effect, Shift)
+            else [f"since = {effect.since:g}", f"over = {effect.over:g}"]
+        ),
     ]
 
 

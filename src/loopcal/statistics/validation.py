@@ -250,14 +250,27 @@ class Case:
     data: Dataset
     noise: Noise | None
     fit: Fit
-    near: bool = False
-    """Whether it begins where a fit of nearly the same readings ended."""
+    near: Mapping[str, Array] | None = None
+    """Corrections (N,) of what no sensor reads, where a fit of these readings ended."""
+    trusted: bool = False
+    """Whether faults of the file were sought, and there are none."""
 
     def calibrated(self, index: Index | None = None) -> Result:
         """The calibration of these poses, by default of all."""
         data = self.data if index is None else self.data.take(index)
         noise = taken(self.noise, index)
-        return calibrate(self.mechanism, data, noise=noise, fit=self.fit, near=self.near)
+        near = _of_poses(self.near, index)
+        return calibrate(
+            self.mechanism, data, noise=noise, fit=self.fit, near=near, trusted=self.trusted
+        )
+
+
+def _of_poses(
+    values: Mapping[str, Array] | None, index: Index | None
+) -> Mapping[str, Array] | None:
+    if values is None or index is None:
+        return values
+    return {name: value[index] for name, value in values.items()}
 
 
 @dataclass(frozen=True)
@@ -281,7 +294,10 @@ class _Begun:
         fit = replace(case.fit, start=dict(whole.value), prior=None)
         if whole.mechanism.terms:
             fit = replace(fit, tolerance=fit.tolerance or NEARLY)
-        near = Case(whole.mechanism, case.data, noise, fit, near=True)
+        sds = dict(zip(whole.mechanism.tape.quantities, whole.problem.uncertainty.sd, strict=True))
+        unread = {q: v for q, v in whole.corrections.items() if np.isinf(sds[q]).all()}
+        same = len(case.data) == whole.problem.count  # no copied rows went
+        near = Case(whole.mechanism, case.data, noise, fit, near=unread if same else {})
         return cls(case, near, whole.drifts)
 
     def calibrated(self, index: Index) -> Result:
@@ -302,7 +318,8 @@ def _left_out(begun: _Begun, index: Index) -> Outcome:
             if not found.status.converged:
                 return Failed(index, f"the fit did not converge ({found.status.reason})")
             covariance = found.covariance if begun.drifts else found.covariance_if_independent
-            held = held_problem(found, case.data.take(index), taken(case.noise, index))
+            near = _of_poses(begun.near.near, index)
+            held = held_problem(found, case.data.take(index), taken(case.noise, index), near)
             return _predicted(found, held, index, covariance)
         except (InputError, NoTrustworthyResult) as error:
             return Failed(index, error.message)

@@ -236,7 +236,11 @@ def _coverage(document: ResultDocument) -> Said | None:
 
 def _model_error(document: ResultDocument) -> Said | None:
     entries = [e for e in document.noise if e.role == "disturbance" and e.sd]
-    if not entries:
+    # learnt terms say what the model lacks; what they leave belongs to the stated regions
+    if not entries or document.terms:
+        return None
+    chance_of_none = entries[0].p_value
+    if chance_of_none is not None and chance_of_none >= RARE:
         return None
     sd = with_unit(entries[0].sd, entries[0].unit)
     return Said(
@@ -302,7 +306,7 @@ def _undetermined(document: ResultDocument) -> Said | None:
 
 def _rows_copied(document: ResultDocument) -> Said | None:
     said = document.data.warnings()
-    return Said(said[0], float(len(document.data.copied))) if said else None
+    return Said(said[0], float(len(document.data.copied))) if document.data.copied else None
 
 
 def _no_test(document: ResultDocument) -> Said | None:
@@ -419,7 +423,7 @@ def _valid(document: ResultDocument) -> Answer:
     if sources == {"readings"}:
         where = "the box of the measured readings (no limits are known)"
     elif "turn" in sources:
-        where = "the working region (half a turn either way where no limits are stated)"
+        where = "the working region (joints without stated limits turn a quarter turn either way)"
     here = with_unit(region.sd_at_poses, region.unit, 2)
     if region.sd is None or region.ratio is None:
         words = f"The data leave a direction open that moves the end point in {where}."

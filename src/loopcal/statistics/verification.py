@@ -21,6 +21,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.accuracy import accuracy, by_pose, deviations, main_unit
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.prediction import output_differences
+from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
@@ -84,6 +85,7 @@ def day_problem(known: Calibrated, data: Dataset, noise: Noise | None) -> Proble
     noise: of these readings, else that of the calibration.
     """
     mechanism = known.mechanism
+    data = with_latest(mechanism, data)
     weighed = None if known.residual is not None else (noise or noise_of(known, data))
     if weighed is not None:
         mechanism, data = with_model(mechanism, data, weighed)

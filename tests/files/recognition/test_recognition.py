@@ -135,6 +135,20 @@ def test_rows_of_tools_do_not_move_and_signs_are_read(tmp_path: Path) -> None:
     assert table.rows[2].kind == "fixed"
 
 
+def test_cells_of_a_dh_table_may_hold_variables_and_pi(tmp_path: Path) -> None:
+    text = "a,d,alpha,theta\n0,0.4,-pi/2,q1\n0.3,0,0,q2 - pi/2\n0,d3+0.1,π,0\n"
+    table = read_dh(written(tmp_path, text))
+    assert [r.alpha for r in table.rows] == pytest.approx([-np.pi / 2, 0.0, np.pi])
+    assert [r.offset for r in table.rows] == pytest.approx([0.0, -np.pi / 2, 0.0])
+    assert [r.kind for r in table.rows] == ["revolute", "revolute", "prismatic"]
+    assert table.rows[2].d == pytest.approx(0.1)
+    text = "a,d,alpha,theta\n0,400,-90°,θ1\n300,0,0,θ2 − 90°\n"
+    table = read_dh(written(tmp_path, text))
+    assert table.rows[1].offset == pytest.approx(-np.pi / 2)
+    with refused("invalid-number"):
+        read_dh(written(tmp_path, "a,d,alpha,theta\n0,400,90,see drawing\n"))
+
+
 def test_a_table_without_alpha_is_refused(tmp_path: Path) -> None:
     with refused("missing-column", "alpha"):
         read_dh(written(tmp_path, "a,d,theta\n0,400,0\n"))

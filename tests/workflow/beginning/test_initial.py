@@ -113,6 +113,18 @@ def test_units_of_headers_are_read(tmp_path: Path, arm: Any) -> None:
     assert_gives_the_noise_back(tmp_path / "out")
 
 
+def test_a_row_of_units_below_the_header(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    columns = {**of(np.degrees(joints), NAMES), **of(1e3 * points, "xyz")}
+    path = table(tmp_path / "a.csv", columns)
+    head, *rows = path.read_text("utf-8").splitlines()
+    units = ",".join(["deg"] * 6 + ["mm"] * 3)
+    path.write_text("\n".join([head, units, *rows]) + "\n", "utf-8")
+    made = lc.init(path, dh=dh(tmp_path), out=tmp_path / "out")
+    assert not any("Inferred" in words for words in made.remarks)
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
 def test_decimal_commas_and_semicolons(tmp_path: Path, arm: Any) -> None:
     joints, points = arm
     columns = {**of(np.degrees(joints), NAMES), **of(1e3 * points, ["x1", "y1", "z1"])}

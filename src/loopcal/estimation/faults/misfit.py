@@ -32,6 +32,8 @@ stand one row late, the better half shows nothing but a constant shift."""
 GROSS = 10.0
 """A pose this many times farther off than half of them takes no part in verifying a fault."""
 _ROUNDS, _STEPS = 3, 10
+_MOUNTED = 5e-3
+"""By how much [m] what is mounted on a body may be off the drawing."""
 _SPREAD = ("point", "pose", "spherical", "polar", "length")
 """Forms of readings whose own spread says how large the machine's motions are."""
 
@@ -127,6 +129,11 @@ def _apart(problem: Problem, scales: _Scales) -> _Find:
         return np.where(np.isfinite(squares), np.sqrt(squares), np.inf)
 
     return find
+
+
+def mounting(problem: Problem) -> float:
+    """The share that what is mounted on a body may be off, where it is not fitted."""
+    return _MOUNTED / _scales(problem).size if unread(problem) else 0.0
 
 
 def at_start(problem: Problem) -> float:

@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 from loopcal.document.findings import ColumnFault
 from loopcal.document.plain import known
 from loopcal.errors import InputError
-from loopcal.estimation.faults.misfit import HALF, at_start, fit_of_all, misfit, undrawn, unread
+from loopcal.estimation.faults.misfit import (
+    HALF,
+    at_start,
+    fit_of_all,
+    misfit,
+    mounting,
+    undrawn,
+    unread,
+)
 from loopcal.estimation.faults.repairs import Repair, repairs
 from loopcal.estimation.problem.alignment import can_be_placed, seen_points
 from loopcal.estimation.problem.problem import Problem, taken
@@ -41,6 +49,8 @@ EQUAL = 1.05
 NOTHING = 0.3
 """A drawing that misses the better half of the poses by this share of their spread describes
 another machine, or another file."""
+UNREPAIRED = ("rows-shuffled", "wrong-machine")
+"""Codes of faults that no repair proves: a fit may yet show that only the drawing is far off."""
 SAME = 0.05
 """Two sets of points have the same shape if the quantiles of their distances differ by less."""
 _SAMPLE, _FEW, _FEWEST, _MOST, _STEPS, _FIRST, _BEST = 120, 40, 10, 3, 15, 3, 8
@@ -55,7 +65,8 @@ def suspicious(problem: Problem) -> bool:
     if not undrawn(problem.mechanism) or _blind(problem):
         return False
     some = _thinned(problem, _SAMPLE)
-    return at_start(some) > NEAR and misfit(some).share > NEAR
+    limit = NEAR + mounting(some)
+    return at_start(some) > limit and misfit(some).share > limit
 
 
 def column_faults(problem: Problem) -> tuple[ColumnFault, ...]:

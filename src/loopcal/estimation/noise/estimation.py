@@ -289,11 +289,13 @@ class _Search:
         """
         start, before, vanish, iterations, failed = self.stated.start, math.inf, near, 0, 0
         scales, rough = scales_of(self.stated), ROUGH if self.stated.mechanism.terms else None
+        corrections = self.stated.found
         for number in range(_MOST):
             present = scaled(begun_with(self.stated, scales), self.positions, ratios)
-            begun = replace(present, start=start)
+            begun = replace(present, start=start, found=corrections)
             solution = self.fit(begun) if rough is None else self.fit(begun, tolerance=rough)
             start, iterations = solution.parameters, iterations + solution.status.iterations
+            corrections = solution.corrections
             failed = 0 if solution.status.converged else failed + 1
             present = replace(present, start=start)
             lowest = np.zeros(len(ratios)) if vanish else ratios / _SLOWLY

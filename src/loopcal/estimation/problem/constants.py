@@ -30,6 +30,16 @@ def with_implied(mechanism: Mechanism, data: Dataset) -> Dataset:
     return data.with_readings(absent) if absent else data
 
 
+def with_latest(mechanism: Mechanism, data: Dataset) -> Dataset:
+    """Readings of the machine as it is now: after the last change, where no column dates them."""
+    absent = {
+        name: np.full(len(data), value)
+        for name, value in mechanism.latest.items()
+        if name not in data.readings
+    }
+    return data.with_readings(absent, units={n: mechanism.known[n] for n in absent})
+
+
 def known_constants(mechanism: Mechanism, data: Dataset) -> Array:
     """The constants (c, N) [SI] of every pose; where an orientation was not measured, any one.
 

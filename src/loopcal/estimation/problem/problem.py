@@ -32,7 +32,8 @@ class Problem:
 
     readings: (k, N), a start value where unmeasured; known: (c, N); uncertainty: of every
     reading; start: (n_all,) all parameters; free: positions of the n estimated ones; nominal,
-    prior_sd: (n,) of these; poses: the ids.
+    prior_sd: (n,) of these; poses: the ids; found: (k, N) corrections from which the search for
+    unmeasured quantities begins, where a fit of nearly the same problem found them.
     """
 
     mechanism: Mechanism
@@ -45,6 +46,7 @@ class Problem:
     prior_sd: Array
     poses: tuple[str, ...]
     patterns: tuple[Pattern, ...] = field(default=())
+    found: Array | None = None
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -171,6 +173,7 @@ def taken(problem: Problem, index: NDArray[np.intp]) -> Problem:
         uncertainty=uncertainty,
         poses=tuple(problem.poses[i] for i in index),
         patterns=patterns_of(problem.mechanism, np.isinf(uncertainty.sd)),
+        found=None if problem.found is None else problem.found[:, index],
     )
 
 

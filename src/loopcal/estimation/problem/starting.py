@@ -44,9 +44,10 @@ def start_corrections(sweeper: Sweeper, parameters: Array) -> Array:
         if not angles and not any(names[i] in problem.mechanism.home for i in pattern.unmeasured):
             continue  # lengths are found from anywhere
         poses = np.arange(len(problem.poses))[pattern.poses]
-        home = _Found.of(sweeper, pattern, poses)
+        near = None if problem.found is None else _unread(pattern, problem.found[:, poses])
+        home = _Found.of(sweeper, pattern, poses, near)
         best[:, poses] = home.corrections
-        if not angles:
+        if not angles or near is not None:
             continue
         at_home = any(names[i] in problem.mechanism.home for i in angles)
         turns = _offsets(len(angles), _MOST_FROM_HOME if at_home else _MOST)[1:]
@@ -111,6 +112,13 @@ class _Found:
             ),
             misfit=np.where(better, least, self.misfit),
         )
+
+
+def _unread(pattern: Pattern, corrections: Array) -> Array:
+    """These corrections (k, b), zero but for what the pattern leaves unmeasured."""
+    kept = np.zeros_like(corrections)
+    kept[list(pattern.unmeasured)] = corrections[list(pattern.unmeasured)]
+    return kept
 
 
 def _parts(index: NDArray[np.intp], size: int) -> Iterator[NDArray[np.intp]]:

@@ -55,12 +55,14 @@ def read_new_readings(
 
 def _spec(inputs: Mapping[str, Any], mechanism: Mechanism) -> DataSpec:
     if "data" not in inputs:
-        return DataSpec("", {q: Column(q) for q in (*mechanism.quantities, *mechanism.known)})
+        names = [*mechanism.quantities, *mechanism.known]
+        return DataSpec("", {q: Column(q) for q in names if q not in mechanism.latest})
     from loopcal.files.project.project_schema import ProjectModel
 
     kept = {key: _infinite(inputs[key]) for key in ("data", "noise") if key in inputs}
     place = Place("result.json").at("inputs")
-    spec = data_spec(validated(ProjectModel, {"schema": 1, **kept}, place), mechanism, place)
+    undated = replace(mechanism, implied={**mechanism.implied, **mechanism.latest})
+    spec = data_spec(validated(ProjectModel, {"schema": 1, **kept}, place), undated, place)
     assert spec is not None
     return spec
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.files.recognition.headers import Heading, heading
+from loopcal.files.tables.cells import is_missing
 from loopcal.files.tables.readers import read_table
 from loopcal.units import unit
 
@@ -27,6 +29,11 @@ _KEYS = {
     **dict.fromkeys(("direction", "sign", "dir"), "direction"),
     **dict.fromkeys(("convention", "form"), "form"),
 }
+_CELL = re.compile(
+    r"(?P<variable>(?!pi)[a-zθϑ][a-zθϑ_]*_?\d*\*?)?\s*(?P<sign>[-+])?\s*"
+    r"(?P<number>\d+\.?\d*(?:e[-+]?\d+)?|\.\d+)?\s*\*?\s*"
+    r"(?P<pi>pi)?(?:\s*/\s*(?P<below>\d+))?\s*(?P<degrees>°)?"
+)
 _MODIFIED = {"a_i_1": "a", "ai_1": "a", "a_prev": "a", "alpha_i_1": "alpha", "alphai_1": "alpha"}
 _KINDS = {
     **dict.fromkeys(("", "r", "rev", "revolute", "rotary", "continuous"), "revolute"),
@@ -96,24 +103,69 @@ def read_dh(path: str | Path) -> DhTable:
                 remedy='name its columns "a", "d", "alpha", "theta"; theta holds the offsets',
             )
     every = np.arange(len(table.rows))
+    cells: dict[str, list[_Cell]] = {
+        key: [
+            _cell(text, table.decimal, f"{path.name}, row {row}, column {headings[key][1].text!r}")
+            for row, text in zip(table.rows, table.ids(headings[key][0]), strict=True)
+        ]
+        for key in ("a", "d", "alpha", "offset")
+        if key in headings
+    }
     numbers: dict[str, Any] = {
-        key: table.numbers(headings[key][0], every) if key in headings else np.zeros(len(every))
+        key: np.array([cell.value for cell in cells[key]]) if key in cells else np.zeros(len(every))
         for key in ("a", "d", "alpha", "offset")
     }
+    for key in ("alpha", "offset"):
+        stated = {cell.unit for cell in cells.get(key, []) if cell.unit}
+        if stated and headings[key][1].unit is None:
+            headings[key] = (headings[key][0], replace(headings[key][1], unit=stated.pop()))
     texts = {k: table.ids(headings[k][0]) for k in ("name", "kind", "form") if k in headings}
     signs = table.numbers(headings["direction"][0], every) if "direction" in headings else None
-    numbers = {k: np.nan_to_num(v) for k, v in numbers.items()}
     units, told = _units(numbers, {k: h for k, (_, h) in headings.items()}, path.name)
     if any("mod" in t.lower() or "craig" in t.lower() for t in texts.get("form", ())):
         modified = True
     rows = []
     for i in range(len(every)):
         name = texts["name"][i] if "name" in texts else ""
-        kind = _kind(texts.get("kind", [""] * len(every))[i], name, f"{path.name}, row {i + 1}")
+        slides = "d" in cells and cells["d"][i].variable
+        word = texts["kind"][i] if "kind" in texts else "prismatic" if slides else ""
+        kind = _kind(word, name, f"{path.name}, row {i + 1}")
         values = {k: float(numbers[k][i] * unit(units[k]).factor) for k in numbers}
         sign = -1 if signs is not None and signs[i] < 0 else 1
         rows.append(Row(name, kind=kind, direction=sign, **values))
     return DhTable(tuple(rows), modified, tuple(told))
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """A number, the unit that its cell shows, and whether it stands beside a joint's variable."""
+
+    value: float
+    unit: str = ""
+    variable: bool = False
+
+
+def _cell(text: str, decimal: str, place: str) -> _Cell:
+    """A number as tables of robots write it: -90, -90°, -pi/2, or q2 - 90 beside a variable.
+
+    Raises InputError for anything else.
+    """
+    plain = text.strip().replace("−", "-").replace("π", "pi").replace(decimal, ".").lower()
+    if is_missing(plain):
+        return _Cell(0.0)
+    found = _CELL.fullmatch(plain)
+    if found is None or not (found["variable"] or found["number"] or found["pi"]):
+        raise InputError(
+            f"{text!r} is not a number",
+            code="invalid-number",
+            place=place,
+            remedy="write a number, -pi/2, or an offset beside the joint's variable (q2 - 90)",
+        )
+    sign = -1.0 if found["sign"] == "-" else 1.0
+    value = float(found["number"] or (1.0 if found["pi"] else 0.0))
+    value *= math.pi / float(found["below"] or 1.0) if found["pi"] else 1.0
+    shown = "rad" if found["pi"] else "deg" if found["degrees"] else ""
+    return _Cell(sign * value, shown, bool(found["variable"]))
 
 
 def _kind(text: str, name: str, place: str) -> str:

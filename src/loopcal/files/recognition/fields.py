@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -186,20 +186,37 @@ def _by_ids(sources: Sequence[Source], common: Sequence[str]) -> Fields:
 
 def _of_file(path: Path, number: int) -> Source:
     table = read_table(path)
-    every = np.arange(len(table.rows))
     numeric = table.numeric()
     names = [table.names[i] if i < len(table.names) else "" for i in range(_width(table))]
     headings = [heading(name) if name else None for name in names]
+    units = _row_of_units(table, numeric)
+    every = np.arange(1 if units else 0, len(table.rows))
+    for i, its in units.items():
+        headings[i] = replace(headings[i] or Heading("", ""), unit=its or None)
     pose = _pose_column(table, headings, numeric)
     fields = tuple(
         Field(number, i, headings[i] if i < len(headings) else None, table.numbers(i, every))
         for i in numeric
         if i != pose
     )
-    ids = None if pose is None else table.ids(pose)
+    ids = None if pose is None else tuple(table.ids(pose)[i] for i in every)
     sheet = table.part.split("'")[1] if table.part and table.part.startswith("sheet") else None
     named = None if pose is None else column_key(names, pose)
-    return _checked(Source(path, sheet, fields, ids, named, tuple(names)))
+    # a row of units is no row of readings: what is below it is written into a file of its own
+    return _checked(Source(None if units else path, sheet, fields, ids, named, tuple(names)))
+
+
+def _row_of_units(table: Table, numeric: Sequence[int]) -> dict[int, str]:
+    """Position -> unit, of the first row below a header if it holds units; else empty."""
+    if not table.names or len(table.rows) < 2:
+        return {}
+    found = {}
+    for i in numeric:
+        text = table.first(i)
+        if text is None:
+            return {}
+        found[i] = heading(f"x [{text}]").unit or ""
+    return found if any(found.values()) else {}
 
 
 def column_key(names: Sequence[str], position: int) -> str | int:

@@ -89,6 +89,11 @@ class Table:
                 remedy=_remedy(text, self.decimal),
             ) from None
 
+    def first(self, position: int) -> str | None:
+        """The first cell of a column as it stands, None where it holds a number."""
+        cell = self.columns[position][0]
+        return None if cell_rules.is_number(cell, self.decimal) else str(cell or "")
+
     def ids(self, position: int) -> tuple[str, ...]:
         """One column as ids of poses, all rows."""
         if position < 0:

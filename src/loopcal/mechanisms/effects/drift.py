@@ -17,8 +17,10 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.units import difference_to_si, to_si, unit
 
-DRIFT_SD, SHIFT_SD = 1e-3, 1e-2
-"""Prior sds [m or rad]: 1 mm or 1 mrad over a drift's span, 10 mm or 10 mrad at a shift."""
+DRIFT_SD = 1e-3
+"""Prior sd [m or rad]: 1 mm or 1 mrad over a drift's span."""
+SHIFT_SD = {"rad": 0.1}
+"""Prior sd of a shift by unit, else 0.01: 10 mm, and 6 degrees, for what slips may turn far."""
 
 Moving = Annotated[
     tuple[str, ...], Key("Parameters by names or globs, and readings by name.", least=1)
@@ -86,6 +88,7 @@ class Shift:
     such as the number of the pose; unit: of at; at: values of t at which a new segment begins,
     rising.
     Before the first, P itself holds; each segment adds its own P_fromA [m or rad], A in SI.
+    Readings to predict from that lack the column are taken as after the last change.
 
     Raises InputError where no change is stated, or they do not rise.
     """
@@ -109,7 +112,7 @@ class Shift:
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """P_fromA of each parameter and segment, in the parameter's unit."""
         return {
-            (own := _from_name(name, a)): Parameter(own, 0.0, its, SHIFT_SD)
+            (own := _from_name(name, a)): Parameter(own, 0.0, its, SHIFT_SD.get(its, 0.01))
             for name, its in _units(mechanism, self.changing).items()
             for a in self._at
         }
@@ -131,6 +134,10 @@ class Shift:
             )
             for name in _units(mechanism, self.changing)
         }
+
+    def latest(self) -> dict[str, float]:
+        """The column, after the last change."""
+        return {self.column: max(self._at)}
 
     @property
     def _at(self) -> list[float]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 from loopcal.errors import InputError
 from loopcal.expressions.substitution import substituted
@@ -48,6 +48,14 @@ class Effect(Protocol):
 
     def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
         """New values of readings or parameters by name, of traced values."""
+
+
+@runtime_checkable
+class Dated(Protocol):
+    """An effect that says in which state a machine is now."""
+
+    def latest(self) -> dict[str, float]:
+        """Known constant -> value [SI] from which on nothing changes any more."""
 
 
 def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
@@ -87,6 +95,11 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
             parameters=[p.name for p in added],
         )
     )
+    latest = dict(mechanism.latest)
+    for effect in effects:
+        for name, value in effect.latest().items() if isinstance(effect, Dated) else ():
+            for end in ends:
+                latest[name + end] = max(latest.get(name + end, value), value)
     described = dict(mechanism.description or {"type": "function"})
     told = [*described.get("effect", []), *(description(effect) for effect in effects)]
     return replace(
@@ -95,6 +108,7 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
         parameters=Parameters((*mechanism.parameters, *added)),
         description=described | {"effect": told},
         effects={**mechanism.effects, **{name: tuple(its) for name, its in own.items()}},
+        latest=latest,
     )
 
 

@@ -1,0 +1,202 @@
+"""The gauntlet: what the verdict says of clean data sets and of each fault of the field.
+
+Every kind of data set (`analyses.gauntlet_kinds`) is drawn many times and given to the default
+call, `loopcal.calibrate` with the drawing, the readings and what sds a user would state. The truth
+is `analyses.gauntlet_truth`, which is not loopcal's code. Of each draw is kept what the verdict
+said, and how large the true error at fresh poses is beside the stated 95 % region. Counted are
+
+- false alarms: clean sets that are not called sound;
+- missed: sets called sound whose true error at fresh poses, in the region called valid, exceeds
+  the stated region by half: the 95th percentile over poses of sqrt(e^T C^-1 e / q) is above 1.5,
+  with q the 95 % quantile of chi-squared;
+- named: whether a finding speaks of the cause.
+
+    python -m analyses.gauntlet [--draws 100] [--processes 2] [--only WORD ...] [--write FILE]
+
+Draws are kept in .cache/gauntlet.jsonl as they end, and a run goes on where an earlier one stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+import time
+import warnings
+import zlib
+from collections import defaultdict
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+import loopcal as lc
+from analyses.gauntlet_kinds import KINDS, Kind
+from analyses.gauntlet_truth import Array
+from analyses.gauntlet_worlds import Fresh
+from analyses.written import write_block
+
+KEPT = Path(".cache/gauntlet.jsonl")
+PAGE = Path("docs/explanation/gauntlet.md")
+BEYOND = 1.5
+"""True error over the stated 95 % region, from which a stated region is wrong."""
+
+
+def run(name: str, draw: int) -> dict[str, Any]:
+    """What became of one data set."""
+    kind = KINDS[name]
+    rng = np.random.default_rng([zlib.crc32(name.encode()), draw])
+    trial = kind.world.made(rng)
+    begun = time.process_time()
+    found: dict[str, Any] = {"kind": name, "draw": draw}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            result = lc.calibrate(trial.mechanism, trial.readings, noise=trial.noise, method="auto")
+            verdict = lc.verdict(result)
+        except (lc.InputError, lc.LoopcalError) as refused:
+            words = f"{refused.code}: {refused}"
+            named = bool(re.search(kind.cause, words, re.IGNORECASE)) if kind.cause else None
+            return found | {"refused": words[:300], "named": named, "cpu": _since(begun)}
+        answers = verdict.answers
+        told = " ".join([*(f"{a.code} {a.words} {a.next}" for a in answers.values())])
+        told = " ".join([told, *result.warnings])
+        found |= {name: answer.passed for name, answer in answers.items()}
+        found |= {"codes": [answer.code for answer in answers.values()], "cpu": _since(begun)}
+        found |= {"method": result.fit.method.label, "told": told[:600]}
+        if kind.cause:
+            found["named"] = bool(re.search(kind.cause, told, re.IGNORECASE))
+        found["inside"] = _beyond(result, trial.inside, kind)
+        found["outside"] = None if trial.outside is None else _beyond(result, trial.outside, kind)
+    return found
+
+
+def _since(begun: float) -> float:
+    return round(time.process_time() - begun, 3)
+
+
+def _beyond(result: lc.Result, fresh: Fresh, kind: Kind) -> dict[str, float] | None:
+    """True error over the stated region at fresh poses; error and sd [SI], root mean squares."""
+    predicted = lc.predict(result, fresh.readings)
+    computed = np.column_stack([predicted.outputs[q] for q in fresh.outputs])
+    if kind.placed:
+        computed = _placed(computed, fresh.true)
+    index = [list(predicted.outputs).index(q) for q in fresh.outputs]
+    C = predicted.covariance[:, index][:, :, index]
+    off = computed - fresh.true
+    usable = np.isfinite(off).all(axis=1) & np.isfinite(C).all(axis=(1, 2))
+    if not usable.any():
+        return None
+    off, C = off[usable], C[usable]
+    tiny = 1e-24 * np.eye(len(index))
+    squares = np.einsum("ni,ni->n", off, np.linalg.solve(C + tiny, off[:, :, None])[:, :, 0])
+    ratio = np.sqrt(squares / float(chi2.ppf(0.95, len(index))))
+    return {
+        "ratio": float(np.quantile(ratio, 0.95)),
+        "held": float((ratio <= 1.0).mean()),
+        "error": math.sqrt(float(np.square(off).sum(axis=1).mean())),
+        "sd": math.sqrt(float(np.einsum("nii->n", C).mean())),
+    }
+
+
+def _placed(points: Array, onto: Array) -> Array:
+    """Points (N, 3) moved rigidly onto others."""
+    a, b = points - points.mean(axis=0), onto - onto.mean(axis=0)
+    U, _, Vt = np.linalg.svd(b.T @ a)
+    U[:, -1] *= np.sign(np.linalg.det(U @ Vt))
+    moved: Array = a @ (U @ Vt).T + onto.mean(axis=0)
+    return moved
+
+
+def wrong(draw: dict[str, Any]) -> bool:
+    """Whether the true error at fresh poses, where the result is called valid, is far beyond."""
+    regions = [draw.get("inside")]
+    if draw.get("valid"):
+        regions.append(draw.get("outside"))
+    return any(region is not None and region["ratio"] > BEYOND for region in regions)
+
+
+def table(draws: Sequence[dict[str, Any]]) -> str:
+    """Rates of each kind, and over all."""
+    by: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for draw in draws:
+        by[draw["kind"]].append(draw)
+    lines = [
+        f"{'kind':34} {'draws':>5} {'sound':>6} {'refused':>7} {'wrong':>6} {'missed':>6}"
+        f" {'named':>6}"
+    ]
+    alarms, missed, named = [], [], []
+    for name, kind in KINDS.items():
+        its = by.get(name, [])
+        if not its:
+            continue
+        sound = [bool(d.get("sound")) for d in its]
+        off = [wrong(d) for d in its]
+        both = [s and w for s, w in zip(sound, off, strict=True)]
+        calls = [d["named"] for d in its if d.get("named") is not None]
+        missed += both
+        if kind.clean:
+            alarms += [not s for s in sound]
+        named += calls
+        refused = sum("refused" in d for d in its)
+        lines.append(
+            f"{name:34} {len(its):5d} {_share(sound)} {refused:7d} {_share(off)} {_share(both)}"
+            f" {_share(calls) if calls else '     -'}"
+        )
+    lines += [
+        "",
+        f"false alarms on clean sets    {_share(alarms)} %  of {len(alarms)}",
+        f"called sound, yet wrong       {_share(missed)} %  of {len(missed)}",
+        f"cause named                   {_share(named)} %  of {len(named)}",
+    ]
+    return "\n".join(lines)
+
+
+def _share(of: Sequence[bool]) -> str:
+    return f"{100.0 * sum(of) / max(len(of), 1):6.1f}"
+
+
+def kept(path: Path = KEPT) -> list[dict[str, Any]]:
+    """The draws that earlier runs have kept; a line that broke off is left out."""
+    found = []
+    for line in path.read_text("utf-8").splitlines() if path.exists() else []:
+        try:
+            found.append(json.loads(line))
+        except json.JSONDecodeError:
+            continue
+    return found
+
+
+def main() -> None:
+    """Run what is missing and print the table."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--draws", type=int, default=100)
+    options.add_argument("--processes", type=int, default=2)
+    options.add_argument("--only", nargs="*", default=[])
+    options.add_argument("--keep", type=Path, default=KEPT)
+    options.add_argument("--write", type=Path, help=f"the page to write into, {PAGE}")
+    chosen = options.parse_args()
+    names = [name for name in KINDS if all(word in name for word in chosen.only)]
+    done = {(d["kind"], d["draw"]) for d in kept(chosen.keep)}
+    todo = [(n, i) for i in range(chosen.draws) for n in names if (n, i) not in done]
+    chosen.keep.parent.mkdir(parents=True, exist_ok=True)
+    with (
+        chosen.keep.open("a", encoding="utf-8") as file,
+        ProcessPoolExecutor(chosen.processes) as pool,
+    ):
+        for future in as_completed([pool.submit(run, *which) for which in todo]):
+            file.write(json.dumps(future.result()) + "\n")
+            file.flush()
+    draws = [d for d in kept(chosen.keep) if d["kind"] in names and d["draw"] < chosen.draws]
+    text = table(draws)
+    print(text)
+    if chosen.write:
+        write_block(chosen.write, "gauntlet", text)
+
+
+if __name__ == "__main__":
+    main()

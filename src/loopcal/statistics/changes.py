@@ -1,0 +1,151 @@
+"""What happened during a run, modelled before methods compete: slips, and poses that do not fit.
+
+A reflector that slipped bends every machine that is fitted to all poses alike. Change points that
+are certain become effects, and gross outliers beside them are discarded. Only a fit with a
+structured model error is trusted to tell: under a plain fit the error of the machine model itself
+changes from region to region, and looks the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.change_points import ChangePoint, ChangePoints
+from loopcal.document.findings import Outlier
+from loopcal.document.result_document import ResultDocument
+from loopcal.errors import InputError, NoTrustworthyResult
+from loopcal.estimation.result import Result
+from loopcal.statistics.change_points import LEAST, Shifts, find_shifts
+from loopcal.statistics.outliers import find_outliers
+from loopcal.statistics.predictive import taken
+from loopcal.statistics.shifted import shift_lines, with_shifts
+from loopcal.statistics.validation import Case
+
+CERTAIN = 1e-6
+"""Changes of so small a p-value, corrected for the search, are modelled; such poses discarded."""
+ROUNDS = 2
+"""Searches: the second on the fit with what the first found."""
+MOST_OUTLIERS = 0.03
+"""Where more of the poses do not fit, none is discarded: the model is at fault, or the sds."""
+NUMBER = "pose_of_calibration"
+"""The known constant that dates the changes: no file has it, so predictions hold after the last."""
+
+
+@dataclass(frozen=True, eq=False)
+class Changes:
+    """A case with what happened during its run.
+
+    case: with effects for the changes, without the outliers; kept: positions of its poses in the
+    case as asked for; plain: that case without the effects; found: what was modelled; outliers:
+    what was discarded; searched: the last search; toml: the lines that state the changes.
+    """
+
+    case: Case
+    plain: Case
+    kept: NDArray[np.intp]
+    found: tuple[ChangePoint, ...] = ()
+    outliers: Mapping[str, Outlier] = field(default_factory=dict)
+    searched: Shifts | None = None
+    toml: str = ""
+
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """The parameters of the effects."""
+        before = self.plain.mechanism.parameters.names
+        return tuple(n for n in self.case.mechanism.parameters.names if n not in before)
+
+    def words(self) -> str:
+        """For the sentence on the choice."""
+        words = ""
+        if self.found:
+            words += f"; changes modelled from pose {', '.join(p.pose for p in self.found)} on"
+        if self.outliers:
+            words += f"; without the outlier{'s' if len(self.outliers) > 1 else ''} "
+            words += ", ".join(self.outliers)
+        return words
+
+    def added_to(self, document: ResultDocument) -> ResultDocument:
+        """The document of a result of the case, with this."""
+        if self.searched is None or not self.found:
+            return document
+        level, poses = self.searched.level, self.searched.tested
+        told = ChangePoints(self.found, level, poses, self.toml)
+        return replace(
+            document,
+            change_points=told,
+            outliers=tuple(self.outliers.values()) or None,
+            warnings=(*told.warnings(), *document.warnings),
+        )
+
+
+def unchanged(case: Case) -> Changes:
+    """A case in which nothing happened."""
+    return Changes(case, case, np.arange(len(case.data)))
+
+
+def changes(case: Case, way: Case, whole: Result) -> Changes:
+    """What is certain to have happened during the run of a case.
+
+    way: the case as fitted by the structured candidate that fits best; whole: that fit of all
+    poses. Where the machine cannot have such effects, or is not fitted better by them, nothing.
+    """
+    told = unchanged(case)
+    for _ in range(ROUNDS):
+        searched = find_shifts(whole)
+        new = [p for p in searched.found if _certain(p, told.found)]
+        if not new:
+            break
+        try:
+            told, whole = _modelled(case, way, replace(told, searched=searched), new)
+        except (InputError, NoTrustworthyResult):
+            break
+    return told
+
+
+def _certain(point: ChangePoint, known: Sequence[ChangePoint]) -> bool:
+    """Whether a step is beyond doubt, and none that is known with its date shifted by a little."""
+    return point.shape == "step" and point.p_value < CERTAIN and apart(point, known)
+
+
+def apart(point: ChangePoint, known: Sequence[ChangePoint]) -> bool:
+    """Whether a change is none of those known, whose date is uncertain by some poses."""
+    return all(abs(point.number - other.number) > LEAST for other in known)
+
+
+def _modelled(
+    case: Case, way: Case, told: Changes, new: Sequence[ChangePoint]
+) -> tuple[Changes, Result]:
+    """The case with further changes, without what then does not fit; and the fit of the rest."""
+    number = {pose: i + 1 for i, pose in enumerate(case.data.poses)}
+    points = (replace(p, modelled=True, number=number[p.pose]) for p in new)
+    found = tuple(sorted((*told.found, *points), key=lambda point: point.number))
+    made = with_shifts(case.mechanism, case.data, found, column=NUMBER)
+    full = replace(case, mechanism=made.mechanism, data=made.data)
+    told = replace(told, found=found, toml=shift_lines(case.data, found))
+    told = _kept(told, case, full, told.kept)
+    fitted = replace(told.case, fit=way.fit).calibrated()
+    if not fitted.status.converged:
+        raise NoTrustworthyResult("the fit with the changes did not converge", code="not-converged")
+    tests = find_outliers(fitted)
+    bad = {one.pose: one for one in tests.found if one.p_value * tests.tested < CERTAIN}
+    if not bad or len(bad) + len(told.outliers) > MOST_OUTLIERS * len(case.data):
+        return told, fitted
+    kept = np.array([i for i in told.kept if case.data.poses[i] not in bad], dtype=np.intp)
+    told = _kept(replace(told, outliers={**told.outliers, **bad}), case, full, kept)
+    fitted = replace(told.case, fit=way.fit).calibrated()
+    return told, fitted
+
+
+def _kept(told: Changes, case: Case, full: Case, kept: NDArray[np.intp]) -> Changes:
+    gone = np.setdiff1d(np.arange(len(case.data)), kept)
+
+    def without(one: Case) -> Case:
+        if not gone.size:
+            return one
+        return replace(one, data=one.data.without_outliers(gone), noise=taken(one.noise, kept))
+
+    return replace(told, case=without(full), plain=without(case), kept=kept)

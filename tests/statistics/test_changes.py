@@ -1,0 +1,149 @@
+"""What the method "auto" makes of a run in which something slipped, or a pose does not fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from loopcal.files.result import result_file
+from loopcal.statistics.changes import NUMBER, changes
+from loopcal.statistics.choice import choose
+from loopcal.statistics.folds import Scheme
+from loopcal.statistics.validation import Case
+from loopcal.workflow.checking import run_prediction
+from tests.estimation.test_real_data import RIGHT, measured
+from tests.reference.simulated import MA1400_RANGES
+from tests.statistics.test_change_points import ARM, Array, Find, joined, joints, read, sagging
+
+FIT = lc.Fit(method="least-squares", model_error="structured")
+SLIP = {"x6B": 3e-3, "z6B": -2e-3}
+
+
+def regional(seed: int, regions: int = 6, poses: int = 20) -> dict[str, Array]:
+    """Joints of an arm that is measured region by region."""
+    rng = np.random.default_rng(seed)
+    low, high = 0.6 * MA1400_RANGES.T
+    near = 0.06 * (high - low)
+    middles = rng.uniform(low, high, (regions, 6))
+    values = np.concatenate([m + rng.normal(0.0, near, (poses, 6)) for m in middles])
+    return {f"theta_{i}": values[:, i - 1] for i in range(1, 7)}
+
+
+def slipped(seed: int = 3, poses: int = 48, at: int = 28, wrong: int = 12) -> lc.Dataset:
+    """A target that slips, on an arm that sags, and one pose whose y is off by 20 mm."""
+    where = joints(poses, seed)
+    data = sagging(joined(read(where, seed), read(where, seed, SLIP), at))
+    return data.with_readings({"y": data["y"] + 0.02 * (np.arange(poses) == wrong)})
+
+
+def told(data: lc.Dataset) -> lc.Result:
+    case = Case(ARM, data, None, lc.Fit(method="auto"))
+    return choose(case, Scheme(folds=2, blocks=0)).calibrated
+
+
+@pytest.fixture(scope="module")
+def result() -> lc.Result:
+    return told(slipped())
+
+
+def test_a_slip_is_modelled_and_an_outlier_discarded_and_both_are_said(result: lc.Result) -> None:
+    document = result.document
+    assert document.change_points is not None
+    (point,) = document.change_points.found
+    assert point.modelled
+    assert abs(point.number - 29) <= 1
+    assert document.data.discarded == ("13",)
+    assert (document.data.poses, document.data.used) == (48, 47)
+    assert [o.pose for o in document.outliers or ()] == ["13"]
+    text = str(document)
+    for words in (
+        f"from pose {point.pose} on",
+        "without the outlier 13",
+        "The fit models 1 change",
+    ):
+        assert words in text
+    assert "[[mechanism.effect]]" in document.change_points.toml
+    assert document.accuracy is not None
+    assert document.accuracy.after.rms < 3e-4
+    assert document.validation is not None
+    assert document.validation.accuracy is not None
+    assert document.validation.accuracy.rms < 4e-4
+
+
+@pytest.fixture(scope="module")
+def findings(result: lc.Result) -> lc.Findings:
+    return lc.findings(result)
+
+
+def test_predictions_hold_after_the_last_change(
+    result: lc.Result, findings: lc.Findings, tmp_path: Path
+) -> None:
+    where = joints(40, 11)
+    now = sagging(read(where, 11, SLIP))
+    found = lc.predict(result, lc.Dataset.from_arrays(where))
+    gaps = np.array([found.outputs[q] - now[q] for q in "xyz"])
+    assert np.sqrt(np.square(gaps).sum(axis=0).mean()) < 1e-3
+    before = np.full(40, 1.0)
+    past = lc.predict(result, lc.Dataset.from_arrays({**where, NUMBER: before}))
+    moved = np.array([past.outputs[q] - found.outputs[q] for q in "xyz"])
+    size = float(np.linalg.norm(list(SLIP.values())))
+    assert np.linalg.norm(moved, axis=0).mean() == pytest.approx(size, rel=0.2)
+    result_file.write_result(result, findings.added_to(result.document), tmp_path)
+    lines = [",".join(["pose", *where])]
+    lines += [
+        f"{i}," + ",".join(map(repr, row))
+        for i, row in enumerate(zip(*_lists(where), strict=True), 1)
+    ]
+    (tmp_path / "new.csv").write_text("\n".join(lines) + "\n")
+    again = run_prediction(tmp_path, tmp_path / "new.csv", out=None)
+    for q in "xyz":
+        np.testing.assert_allclose(again.outputs[q], found.outputs[q], atol=1e-12)
+
+
+def _lists(values: dict[str, Array]) -> list[list[float]]:
+    return [column.tolist() for column in values.values()]
+
+
+def test_findings_keep_what_was_modelled_and_name_it_once(
+    result: lc.Result, findings: lc.Findings
+) -> None:
+    assert [p.modelled for p in findings.shifts.found] == [True]
+    assert [o.pose for o in findings.outliers.found] == ["13"]
+    document = findings.added_to(result.document)
+    assert sum("along the run" in words for words in document.warnings) == 1
+
+
+@pytest.mark.parametrize("sag", [1e-3, 3e-3])
+def test_a_sagging_arm_measured_region_by_region_has_no_certain_change(sag: float) -> None:
+    for seed in range(2):
+        case = Case(ARM, sagging(read(regional(seed), seed), sag), None, FIT)
+        assert changes(case, case, case.calibrated()).found == ()
+
+
+def test_a_calibration_needs_the_column_that_dates_its_changes() -> None:
+    data = read(joints(30, 1), 1)
+    effect = lc.effects.Shift(("x6B",), (11.0,), "number")
+    machine = lc.with_effects(ARM, [effect])
+    assert machine.latest == {"number": 11.0}
+    with pytest.raises(lc.InputError, match="known constant 'number' is missing"):
+        lc.calibrate(machine, data, method="least-squares")
+
+
+def test_the_workspace_set_is_calibrated_as_if_its_slips_were_known(shared_data: Find) -> None:
+    data = measured(shared_data("motoman_ma1400_leica/right_arm_workspace.csv"))
+    document = lc.calibrate(lc.motoman_ma1400(RIGHT), data, method="auto").document
+    assert document.change_points is not None
+    numbers = [int(p.pose) for p in document.change_points.found if p.modelled]
+    for pose in (14, 86, 170):
+        assert any(abs(number - pose) <= 4 for number in numbers)
+    assert "13" in document.data.discarded
+    validation = document.validation
+    assert validation is not None
+    assert validation.blocked is not None
+    assert validation.accuracy is not None
+    assert validation.blocked.accuracy is not None
+    assert validation.accuracy.rms <= 0.22e-3
+    assert validation.blocked.accuracy.rms <= 0.40e-3
