@@ -88,7 +88,11 @@ def column_faults(problem: Problem) -> tuple[ColumnFault, ...]:
 
 
 def _blind(problem: Problem) -> bool:
-    return unread(problem) and not can_be_placed(problem.mechanism)
+    """Whether loops close whatever the readings, or no point that is seen can be computed."""
+    if unread(problem) and not can_be_placed(problem.mechanism):
+        return True
+    seen = seen_points(problem, problem.start)
+    return bool(seen) and all(np.isnan(own).any(axis=0).all() for _, own, _ in seen)
 
 
 def _thinned(problem: Problem, most: int) -> Problem:
