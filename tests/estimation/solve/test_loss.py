@@ -131,7 +131,11 @@ def test_unmeasured_quantities_are_allowed() -> None:
             "'implicit-loop-undamped'",
         ),
         (
-            {"loss": "huber", "noise": lc.Noise(SDS, estimate={"xP": "each"})},
+            {
+                "loss": "huber",
+                "noise": lc.Noise(SDS, estimate={"xP": "each"}),
+                "method": "implicit-loop",
+            },
             "unsupported",
             "'huber'",
         ),
