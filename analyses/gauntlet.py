@@ -5,7 +5,7 @@ call, `loopcal.calibrate` with the drawing, the readings and what sds a user wou
 is `analyses.gauntlet_truth`, which is not loopcal's code. Of each draw is kept what the verdict
 said, and how large the true error at fresh poses is beside the stated 95 % region. Counted are
 
-- false alarms: clean sets that are not called sound;
+- false alarms: clean sets that are not called sound, be it "no" or "open";
 - missed: sets called sound whose true error at fresh poses, in the region called valid, exceeds
   the stated region by half: the 95th percentile over poses of sqrt(e^T C^-1 e / q) is above 1.5,
   with q the 95 % quantile of chi-squared;
@@ -87,6 +87,10 @@ def _beyond(result: lc.Result, fresh: Fresh, kind: Kind) -> dict[str, float] | N
         computed = _placed(computed, fresh.true)
     index = [list(predicted.outputs).index(q) for q in fresh.outputs]
     C = predicted.covariance[:, index][:, :, index]
+    if predicted.from_readings is None:  # of least squares the noise floor stands for them
+        accuracy = result.document.accuracy
+        floor = None if accuracy is None else accuracy.noise_floor
+        C = C + (floor or 0.0) ** 2 / len(index) * np.eye(len(index))
     off = computed - fresh.true
     usable = np.isfinite(off).all(axis=1) & np.isfinite(C).all(axis=(1, 2))
     if not usable.any():

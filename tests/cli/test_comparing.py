@@ -101,6 +101,19 @@ def test_a_validation_that_cannot_be_is_bad_input(folder: Path, fit: str, words:
     assert words in done.stderr
 
 
+def test_a_column_of_groups_alone_leaves_out_whole_groups(folder: Path) -> None:
+    head, *rows = (folder / "a.csv").read_text().splitlines()
+    lines = [f"{head},day", *(f"{row},{n // 10}" for n, row in enumerate(rows))]
+    (folder / "days.csv").write_text("\n".join(lines))
+    fit = 'validation = { group = "day" }'
+    (folder / "days.toml").write_text(PROJECT.format(data="days", fit=fit))
+    done = run("calibrate", str(folder / "days.toml"))
+    assert done.returncode == 0, done.stderr
+    document = json.loads((folder / "days-result" / "result.json").read_text("utf-8"))
+    assert document["validation"]["scheme"] == {"groups": 4, "place_anew": True}
+    assert document["validation"]["parts"] == 4
+
+
 def test_a_result_beside_another_ones_mechanism_is_refused(folder: Path, tmp_path: Path) -> None:
     document = json.loads((folder / "a-result" / "result.json").read_text("utf-8"))
     document["parameters"][0]["name"] = "else"

@@ -228,3 +228,16 @@ def test_neighbours_in_joint_space_are_apart_in_order() -> None:
     assert len(i) > 40
     assert (np.abs(i - j) > 4).all()
     assert near(points[:5], apart=3).shape == (2, 0)
+
+
+def test_pairs_that_an_instrument_did_not_read_do_not_dilute_a_correlation() -> None:
+    rng = np.random.default_rng(4)
+    y = np.repeat(rng.standard_normal((30, 1)), 2, axis=0)  # neighbours are equal
+    whole = Seen(y, np.zeros((60, 1, 0)), np.ones((60, 1, 1)))
+    half = Seen(y.copy(), whole.A, whole.M.copy())
+    half.y[30:], half.M[30:] = 0.0, 0.0
+    pairs = np.array([np.arange(0, 60, 2), np.arange(1, 60, 2)])
+    for seen in (whole, half):
+        found = likeness(seen, pairs, float(np.square(seen.y).sum()), int(seen.read.sum()))
+        assert found is not None
+        assert found.correlation == pytest.approx(1.0)

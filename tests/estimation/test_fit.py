@@ -32,7 +32,8 @@ def test_every_registered_method_fits_and_says_what_it_is(name: str) -> None:
     assert pickle.loads(pickle.dumps(method)) == method
     found = lc.calibrate(ARM.truth, DATA, noise=SDS, method=name)
     assert found.status.converged
-    assert found.method == name
+    assert found.document.method == name
+    assert (found.method == name) == (not method.choice)  # a choice names what it took
     assert (found.chi_squared is None) == method.exact
 
 

@@ -93,4 +93,4 @@ def test_there_is_a_report_all_the_same(name: str, tmp_path: Path) -> None:
     text = page_text(page)
     assert "nan" not in text.lower().split()
     assert all(entry.name in text for entry in written.document.parameters)
-    assert ("Not converged" in text) == (not result.status.converged)
+    assert ("did not converge" in text) == (not result.status.converged)

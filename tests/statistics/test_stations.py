@@ -11,6 +11,7 @@ from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from tests.estimation.test_contacts import READINGS
+from tests.refusals import refused
 
 
 def stations(*names: str) -> Mechanism:
@@ -68,3 +69,39 @@ def test_one_instrument_keeps_its_columns() -> None:
     )
     found = lc.predict(result, {q: values[:4] for q, values in READINGS.items()})
     assert {"sd [m]", "sd from parameters [m]", "sd from readings [m]"} <= set(found.columns())
+
+
+def test_a_station_left_out_is_placed_by_its_own_readings() -> None:
+    arm = stations("a", "b", "c")
+    noise = lc.Noise({"q*": 1e-6, "[xyz]_*": 1e-4})
+    standing = [n for family in arm.families for n in family.standing]
+    prior = lc.Prior({n: 1e-3 for n in arm.parameters.names if n not in standing})
+    draw = np.random.default_rng(5)
+    truth = {
+        p.name: p.nominal + draw.normal(0.0, 0.05 if p.name in standing else 1e-3)
+        for p in arm.parameters
+        if not p.fixed
+    }
+    poses = {q: np.random.default_rng(i).uniform(-1, 1, 90) for i, q in enumerate(READINGS)}
+    data = lc.simulate(arm, poses, noise=noise, seed=2, truth=truth).dataset
+    seen_by = [name for name in "abc" for _ in range(30)]
+    data = data.with_readings(
+        {
+            f"{axis}_{name}": np.where(np.array(seen_by) == name, data[f"{axis}_{name}"], np.nan)
+            for axis in "xyz"
+            for name in "abc"
+        }
+    )
+    found = lc.validate(arm, data, noise=noise, prior=prior, groups=seen_by, place_anew=True)
+    assert found.failed == ()
+    assert found.parts == 3
+    assert "placed by the readings of the group" in found.words
+    assert found.accuracy is not None
+    assert 1.4e-4 < found.accuracy.rms < 2.5e-4
+    assert found.coverage is None
+    # a fit that never saw a station does not know where it stands
+    apart = lc.validate(arm, data, noise=noise, prior=prior, groups=seen_by, folds=3)
+    assert apart.accuracy is not None
+    assert apart.accuracy.rms > 10.0 * found.accuracy.rms
+    with refused("too-few-poses"):
+        lc.validate(arm, data, noise=noise, prior=prior, place_anew=True)

@@ -15,7 +15,7 @@ def _watched() -> bool:
 
 
 def ask_on_terminal() -> Callable[[str, Sequence[str]], int] | None:
-    """Asks which of several answers is right; None where nobody could answer."""
+    """A function that asks which answer is right; None without a terminal."""
     return _ask if _watched() else None
 
 

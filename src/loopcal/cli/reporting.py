@@ -19,7 +19,7 @@ def run_report(results: Sequence[str | Path], out: str | Path | None) -> Path:
     """
     if out is None and len(results) > 1:
         raise UsageError(
-            "a report of several results needs a file of its own",
+            "several results are given, but no file for their report",
             remedy="name it: --out report.html",
         )
     page = report_html([read_source(path) for path in results])

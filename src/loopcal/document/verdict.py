@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 QUESTIONS = ("sound", "valid", "better", "tolerance")
@@ -57,11 +58,17 @@ class Verdict:
 
     def lines(self) -> list[str]:
         """The headline, and a line for each question with what to do."""
-        found = [self.headline]
-        for name, answer in self.answers.items():
-            if answer.code == "no-tolerance":
-                continue
-            found.append(f"  {name:<9}  {answer.mark:<4}  {answer.words}")
-            if answer.next:
-                found.append(f"{'':<17}  {answer.next}")
-        return found
+        return [self.headline, *answer_lines(self.answers)]
+
+
+def answer_lines(answers: Mapping[str, Answer]) -> list[str]:
+    """A line for each question that was asked, and what to do."""
+    found = []
+    wide = max(map(len, answers))
+    for name, answer in answers.items():
+        if answer.code == "no-tolerance":
+            continue
+        found.append(f"  {name:<{wide}}  {answer.mark:<4}  {answer.words}")
+        if answer.next:
+            found.append(f"{'':<{wide + 10}}{answer.next}")
+    return found

@@ -35,6 +35,8 @@ from loopcal.mechanisms.mechanism import Mechanism
 
 FAULTY = 3
 """Iterations of the fit of a file that is at fault as a whole."""
+TRIED, ROUGHLY = 30, 1e-2
+"""Iterations, and tolerance, of the fit that shows whether only the drawing is far off."""
 LEARNT = 1e-5
 """With terms a fit converges to so many sds, unless the user says otherwise: their own sds are
 learnt from it, and are never known to so many digits."""
@@ -68,6 +70,7 @@ def calibrate(
     if copied.size:
         kept = np.delete(np.arange(len(data)), copied)
         data, stated = data.without_copies(copied), stated and stated.take(kept)
+        near = near and {name: values[kept] for name, values in near.items()}
     mechanism = modelled(fit, fit.with_prior(mechanism), len(data))
     told = noise_told(fit, mechanism, data, stated)
     refuse_learning(fit, mechanism, told)
@@ -123,6 +126,10 @@ def calibrate(
             found = solved(problem)
             faults = faults and left_after(faults, problem, found)
             return Result(fit, data, problem, found, problem, faults=faults)
+        if faults:  # nothing is learnt before a fit at the stated sds has come near
+            tried = fitted(problem, ROUGHLY, min(fit.max_iterations, TRIED))
+            if left := left_after(faults, problem, tried):
+                return Result(fit, data, problem, tried, problem, faults=left)
         from loopcal.estimation.noise.estimation import estimate_noise
 
         estimate = estimate_noise(

@@ -88,6 +88,8 @@ class Result:
     notes: tuple[str, ...] = ()
     additions: tuple[Addition, ...] = ()
     """What the document gains beyond the fit: a choice of method, a validation, a verdict."""
+    taken_as_independent: bool = False
+    """Whether the covariance ignores what residuals of neighbouring poses say, on request."""
     variance_factor_applied: bool = False
     """Whether covariance and sds were multiplied by the variance factor, on request."""
     errors: Mapping[str, float] | None = None
@@ -221,7 +223,7 @@ class Result:
     @cached_property
     def _depending(self) -> Depending | None:
         tested = self.all_poses is None and self.fit.robust_loss is None
-        if not tested or not self.status.converged:
+        if not tested or not self.status.converged or self.taken_as_independent:
             return None
         method = self.fit.solver
         with one_blas_thread():
@@ -400,6 +402,14 @@ class Result:
     def noted(self, *notes: str) -> Result:
         """The same result with further warnings."""
         return replace(self, notes=(*self.notes, *notes))
+
+    def as_if_independent(self) -> Result:
+        """The same result, whose covariance takes the errors of all poses as independent.
+
+        The covariance of the methods as they were published; where residuals depend on the pose
+        order it is too small.
+        """
+        return replace(self, taken_as_independent=True)
 
     def with_variance_factor(self) -> Result:
         """The same result with its covariance multiplied by the variance factor.

@@ -39,11 +39,13 @@ def copies(data: Dataset, quantities: Sequence[str], outputs: Collection[str]) -
     none = np.zeros(0, dtype=np.intp)
     if data.source.drawn or not names or len(data) < 2:
         return none
-    told = np.isfinite(_numbers(data, read or names)).any(axis=0)
+    if not read:  # nothing tells what was set from what was read, and so what may agree by chance
+        return none
+    told = np.isfinite([data.readings[q] for q in read]).any(axis=0)
     first, of = _alike(_numbers(data, names))
     again = np.flatnonzero((first[of] != np.arange(len(data))) & told)
-    if not again.size or not read:
-        return again
+    if not again.size:
+        return none
     by_chance = _by_chance(data, [q for q in names if q not in outputs], read)
     return again if _rare(again.size, _ROUGHLY * by_chance) else none
 

@@ -37,7 +37,8 @@ class Calibrated:
     prior_sd: (n_all,) what was known before; poses: its readings; data: what tells the readings
     apart from others; rejected: chi-squared, where it rejects the stated sds; carried: whether
     parameters with learnt sds (terms) carry the error of the model; noise: the sds of its sensors;
-    residual: of a method that takes the readings as exact.
+    residual: of a method that takes the readings as exact; gain: the covariance at the sds that the
+    fit used, were no residuals dependent, by which the prior weighed; None is `covariance`.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Calibrated:
     carried: bool
     noise: tuple[NoiseEntry, ...] = ()
     residual: ResidualVariance | None = None
+    gain: Array | None = None
 
     @classmethod
     def of(cls, result: Result, name: str) -> Calibrated:
@@ -73,6 +75,7 @@ class Calibrated:
             bool(result.terms),
             result.noise,
             _residual(result.solution.chi_squared, result.freedom) if exact else None,
+            _spread(LearntCovariance.known(result.spectrum.covariance()), free, size).matrix,
         )
 
     @classmethod

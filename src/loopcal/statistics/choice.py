@@ -136,6 +136,7 @@ def choose(
             return Choice(case.fit.method.name, whole, none, None, None)
     if not any(one.whole for one in judged):
         raise next(one.error for one in judged if one.error)
+    case = replace(case, trusted=True)
     told = _changes(case, judged)
     if told.found:
         case, judged = told.case, [_fitted(entrant) for entrant in entrants(told.case, told.moved)]
@@ -194,7 +195,8 @@ def _plan(case: Case, scheme: Scheme | None) -> Plan | None:
     if scheme is None:
         scheme = Scheme(min(FOLDS, different))
     if scheme.blocks is None:
-        scheme = replace(scheme, blocks=BLOCKS if different >= FEWEST else 0)
+        regions = different >= FEWEST and not scheme.place_anew
+        scheme = replace(scheme, blocks=BLOCKS if regions else 0)
     return planned(case, scheme)
 
 
@@ -216,7 +218,7 @@ def _validated(
             if one.failed or one.whole is None:
                 found[one.name] = one
                 continue
-            made = left_out(one.entrant.case, one.whole, half, executor, told)
+            made = left_out(one.entrant.case, one.whole, half, executor, told, anew=plan.anew)
             before += len(half)
             found[one.name] = replace(one, made=(*one.made, *made))
         judged = _without_hopeless(list(found.values())) if half is halves[0] else [*found.values()]
@@ -322,7 +324,8 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
     if plan is None or not any(one.made for one in judged):
         taken = _unvalidated(judged)
         assert taken.whole is not None
-        words = f"{taken.name}; not validated: no pose could be left out"
+        why = "there are too few different poses" if plan is None else "fits without some failed"
+        words = f"{taken.name}; not validated: {why}"
         chosen = Chosen(taken.name, _terms(taken), words, tuple(map(_bare, judged)))
         return Choice(case.fit.method.name, taken.whole, chosen, None, nominal)
     risks = {one.name: _risk(one, plan, len(case.data)) for one in judged if one.made}

@@ -214,6 +214,7 @@ def _brought(b: Calibrated, points: _Points) -> tuple[Calibrated, Array]:
         b,
         mechanism=machine.with_nominal(named),
         covariance=b.covariance.through(M),
+        gain=None if b.gain is None else M @ b.gain @ M.T,
         undetermined=M @ b.undetermined,
     )
     return brought, np.column_stack([motion.rotation, motion.shift])
@@ -225,17 +226,21 @@ def _covariance(a: Calibrated, b: Calibrated) -> LearntCovariance:
     close = np.abs(a.nominal - b.nominal) <= 1e-6 * np.where(same, a.prior_sd, 1.0)
     precision = np.where(same & close, 1.0 / np.square(np.where(same, a.prior_sd, 1.0)), 0.0)
 
-    def less(one: Array, other: Array) -> Array:
-        """One covariance, or its slopes, without its share in what both took from the drawing."""
-        shared = one @ (precision[:, None] * other)
-        rest: Array = one - shared - np.swapaxes(shared, -1, -2)
-        return rest
+    def shared(one: Array, other: Array) -> Array:
+        """What both, or its slopes, took from the drawing."""
+        half = one @ (precision[:, None] * other)
+        both: Array = half + np.swapaxes(half, -1, -2)
+        return both
 
     A, B = a.covariance, b.covariance
+    # by what the prior weighed in the fit, however large the covariance has become since
+    G = A.plain if a.gain is None else a.gain
+    H = B.plain if b.gain is None else b.gain
+    common = shared(G, H)
     return LearntCovariance(
-        less(A.matrix, B.matrix) + B.matrix,
-        less(A.plain, B.plain) + B.plain,
-        np.concatenate([less(A.slopes, B.plain), less(B.slopes, A.plain)]),
+        A.matrix + B.matrix - common,
+        A.plain + B.plain - common,
+        np.concatenate([A.slopes - shared(A.slopes, H), B.slopes - shared(B.slopes, G)]),
     )
 
 

@@ -36,6 +36,7 @@ class SchemeOptions(TypedDict, total=False):
     other_noise: NoiseLike | None
     seed: int
     groups: Sequence[object] | None
+    place_anew: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,9 @@ class Scheme:
     the joint space, left out one by one besides, 0 for none, None for none but 5 with a method that
     chooses; hold_out: instead leave out this share once; other: instead calibrate on all and
     predict these readings (other_noise: their noise where it is not the same); seed: of the choice;
-    groups: one per pose, never split, by default poses with the same driven readings.
+    groups: one per pose, never split, by default poses with the same driven readings; place_anew:
+    instead leave out each of these groups, such as the poses of one station or session, and place
+    the instrument by the readings of the group that is predicted.
     """
 
     folds: int = 10
@@ -56,6 +59,7 @@ class Scheme:
     other_noise: NoiseLike | None = None
     seed: int = 0
     groups: Sequence[object] | None = None
+    place_anew: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +76,8 @@ def parts_of(scheme: Scheme, data: Dataset, chosen: Index) -> Parts:
 
     Raises InputError for a choice that cannot be made.
     """
+    if scheme.place_anew:
+        return _whole_groups(scheme, data, chosen)
     if scheme.hold_out is not None:
         indices: tuple[Index, ...] = (held_out(chosen, scheme.hold_out, scheme.seed),)
         stated: dict[str, Any] = {"hold_out": scheme.hold_out, "seed": scheme.seed}
@@ -85,6 +91,19 @@ def parts_of(scheme: Scheme, data: Dataset, chosen: Index) -> Parts:
         stated["groups"] = different
         words += f", {different} of them different"
     return Parts(indices, stated, words)
+
+
+def _whole_groups(scheme: Scheme, data: Dataset, chosen: Index) -> Parts:
+    found = np.unique(chosen)
+    if scheme.groups is None or len(found) < 2:
+        raise InputError(
+            "place_anew leaves out whole groups, but there are no two of them",
+            code="too-few-poses",
+            remedy="give the station or session of every pose as groups",
+        )
+    indices = tuple(np.flatnonzero(chosen == group) for group in found)
+    words = f"{len(found)} groups of {len(data)} poses left out one by one"
+    return Parts(indices, {"groups": len(found), "place_anew": True}, words)
 
 
 def driven(mechanism: Mechanism, data: Dataset) -> tuple[str, ...]:

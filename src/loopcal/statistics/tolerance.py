@@ -75,7 +75,7 @@ def judged(quantile: Quantile | None, tolerance: float | None, unit: str, where:
     if tolerance is None:
         return Answer(None, "no-tolerance", None, "No tolerance is stated.", "State a tolerance.")
     if quantile is None:
-        words = f"The distances {where} are too few for a decision."
+        words = f"There are too few distances {where} for a decision."
         return Answer(None, "unknown-accuracy", None, words, "Measure more poses.")
     limit = with_unit(tolerance, unit)
     if not math.isfinite(quantile.value):

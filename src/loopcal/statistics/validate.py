@@ -40,7 +40,8 @@ def validate(
     regions of the joint space, left out one by one besides (default none); hold_out: instead leave
     out this share once; other: instead calibrate on all and predict these readings
     (other_noise: their noise where it is not the same); seed: of the choice; groups: one per pose,
-    never split, by default poses with the same driven readings.
+    never split, by default poses with the same driven readings; place_anew: instead leave out each
+    of these groups, such as a station or a session, and place the instrument by its own readings.
 
     The method "auto" chooses by these very poses; its validation is that of the chosen candidate.
 

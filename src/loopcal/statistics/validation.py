@@ -33,6 +33,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.blocks import blocks_of
+from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.folds import (
     Index,
     Parts,
@@ -43,6 +44,8 @@ from loopcal.statistics.folds import (
     stated_sds,
 )
 from loopcal.statistics.predictive import LEVEL, Held, Predictive, held_problem, predictive, taken
+from loopcal.statistics.replacing import Freedom, replaced
+from loopcal.statistics.verification import day_problem
 
 Array = NDArray[np.float64]
 NEARLY = 1e-3
@@ -143,7 +146,7 @@ def validated(
         words = f"{len(other)} poses of {name}"
         return _pooled(whole, [part], Parts((), {"file": name}, words), other)
     plan = planned(case, scheme)
-    made = left_out(case, whole, plan.indices, executor, progress)
+    made = left_out(case, whole, plan.indices, executor, progress, anew=plan.anew)
     return pooled(whole, made, plan, case.data)
 
 
@@ -151,12 +154,13 @@ def validated(
 class Plan:
     """Which poses of a case are left out together: at random, and by regions where asked for.
 
-    groups: (N,) of poses that are never split.
+    groups: (N,) of poses that are never split; anew: whether each part places the instrument.
     """
 
     random: Parts
     blocked: Parts | None
     groups: Index
+    anew: bool = False
 
     @property
     def indices(self) -> tuple[Index, ...]:
@@ -172,7 +176,12 @@ def planned(case: Case, scheme: Scheme) -> Plan:
     sds = stated_sds(case.noise, case.mechanism, case.data)
     groups = grouped(case.mechanism, case.data, scheme.groups, sds)
     blocked = blocks_of(scheme, case.mechanism, case.data, groups) if scheme.blocks else None
-    return Plan(parts_of(scheme, case.data, groups), blocked, groups)
+    parts = parts_of(scheme, case.data, groups)
+    freedom = Freedom.of(case.mechanism) if scheme.place_anew else Freedom(())
+    if freedom.names or freedom.whole:
+        placed = "the instrument is placed by the readings of the group"
+        parts = replace(parts, words=f"{parts.words}; {placed}")
+    return Plan(parts, blocked, groups, scheme.place_anew)
 
 
 def left_out(
@@ -181,9 +190,15 @@ def left_out(
     indices: Sequence[Index],
     executor: Executor | None = None,
     progress: Progress | None = None,
+    *,
+    anew: bool = False,
 ) -> list[Outcome]:
-    """Each part predicted by a fit of all other poses, in their order."""
-    return gathered(executor, _left_out, _Begun.at(case, whole), indices, progress)
+    """Each part predicted by a fit of all other poses, in their order.
+
+    anew: whether the readings of the part say where its instrument stands.
+    """
+    begun = replace(_Begun.at(case, whole), anew=anew)
+    return gathered(executor, _left_out, begun, indices, progress)
 
 
 def pooled(whole: Result, made: Sequence[Outcome], plan: Plan, data: Dataset) -> Validation:
@@ -277,12 +292,13 @@ def _of_poses(
 class _Begun:
     """What the fits of all parts share: the calibration, and where that of all poses ended.
 
-    drifts: whether all poses show serial dependence.
+    drifts: whether all poses show serial dependence; anew: whether a part places its instrument.
     """
 
     case: Case
     near: Case
     drifts: bool
+    anew: bool = False
 
     @classmethod
     def at(cls, case: Case, whole: Result) -> _Begun:
@@ -317,6 +333,9 @@ def _left_out(begun: _Begun, index: Index) -> Outcome:
             found = begun.calibrated(rest)
             if not found.status.converged:
                 return Failed(index, f"the fit did not converge ({found.status.reason})")
+            if begun.anew:
+                part = case.data.take(index)
+                return _placed_anew(found, part, taken(case.noise, index), index)
             covariance = found.covariance if begun.drifts else found.covariance_if_independent
             near = _of_poses(begun.near.near, index)
             held = held_problem(found, case.data.take(index), taken(case.noise, index), near)
@@ -330,6 +349,21 @@ def _predicted(fit: Result, held: Held, index: Index, covariance: Array) -> Pred
     differences = output_differences(held.problem, held.problem.start, held.corrections)
     stated = predictive(fit, held, covariance)
     return Predicted(index, held.problem.readings[rows], differences, stated)
+
+
+def _placed_anew(fit: Result, data: Dataset, noise: Noise | None, index: Index) -> Predicted:
+    """With every instrument placed by the readings of these poses; all else is held.
+
+    Their probability is not stated: they say where the instrument stands.
+    """
+    known = Calibrated.of(fit, "")
+    own = None if noise is None or noise.estimate else noise
+    problem = day_problem(known, data, own)
+    variance = None if known.residual is None else known.residual.value
+    here = replaced(problem, Freedom.of(known.mechanism), variance=variance)
+    rows = [known.mechanism.tape.quantities.index(q) for q in known.mechanism.compared]
+    differences = output_differences(problem, here.parameters, here.corrections)
+    return Predicted(index, problem.readings[rows], differences, None)
 
 
 def _pooled(

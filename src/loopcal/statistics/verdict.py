@@ -82,11 +82,25 @@ def _not_converged(document: ResultDocument) -> Said | None:
 
 
 def _moved(document: ResultDocument) -> Said | None:
-    found = () if document.change_points is None else document.change_points.found
+    points = () if document.change_points is None else document.change_points.found
+    found = [point for point in points if not point.modelled]
     if not found:
         return None
     words = "; ".join(map(str, found[:3])) + ("; ..." if len(found) > 3 else "")
     return Said(f"Something moved along the run: {words}.", float(len(found)))
+
+
+def _moved_and_modelled(document: ResultDocument) -> Said | None:
+    points = () if document.change_points is None else document.change_points.found
+    found = [point for point in points if point.modelled]
+    if not found:
+        return None
+    words = "; ".join(map(str, found[:3])) + ("; ..." if len(found) > 3 else "")
+    return Said(
+        f"The fit models what changed along the run: {words}. Predictions hold after the last "
+        f"change.",
+        float(len(found)),
+    )
 
 
 def _plain_model(document: ResultDocument) -> Said | None:
@@ -310,7 +324,7 @@ def _rows_copied(document: ResultDocument) -> Said | None:
 
 
 def _no_test(document: ResultDocument) -> Said | None:
-    if document.sensors_exact:
+    if document.sensors_exact and document.validation is None:
         return Said("Least squares states no sds of sensors, so nothing tests them.")
     chi = document.chi_squared
     if chi is not None and chi.degrees_of_freedom <= 0:
@@ -360,6 +374,12 @@ SOUND: tuple[Rule, ...] = (
         False,
         _noise_too_large,
         "Check the units of the sds, state smaller ones, or estimate them.",
+    ),
+    Rule(
+        "changes-modelled",
+        None,
+        _moved_and_modelled,
+        "Check what happened at these poses, or measure again.",
     ),
     Rule("sds-generous", None, _noise_generous, "State smaller sds, or estimate them."),
     Rule("serial-dependence", None, _serial, "Look for shifts, or measure in random order."),
@@ -431,7 +451,7 @@ def _valid(document: ResultDocument) -> Answer:
     there, ratio = with_unit(region.sd, region.unit, 2), significant(region.ratio, 2)
     both = f"the predicted sd is {there} in {where} and {here} at the measured poses"
     if region.ratio > NEAR_ONLY:
-        words = f"Valid near the measured poses only: {both}, {ratio} times as large."
+        words = f"{both[0].upper()}{both[1:]}, {ratio} times as large in the region."
         remedy = "Measure poses all over the region, or state the region in which you work."
         return Answer(False, "near-poses-only", region.ratio, words, remedy)
     words = f"Valid: {both}."
@@ -445,7 +465,7 @@ def _better(document: ResultDocument) -> Answer:
         return Answer(None, "no-outputs", None, words, None)
     unseen = None if validation is None else validation.accuracy
     if unseen is None:
-        words = "Not validated: in-sample accuracy only; expect worse on other poses."
+        words = "No other poses were predicted. Expect a larger error there."
         return Answer(None, "not-validated", None, words, "Validate on other poses (--folds 10).")
     rivals = _rivals(document, unseen)
     unit = accuracy.unit
@@ -489,6 +509,14 @@ def _good_enough(document: ResultDocument, tolerance: float | None) -> Answer:
     unit = "m" if accuracy is None else accuracy.unit
     unseen = None if validation is None else (validation.blocked or validation).accuracy
     quantile = None
+    if tolerance is not None and accuracy is None:
+        words = "The accuracy is unknown: the mechanism has no measured outputs."
+        return Answer(None, "unknown-accuracy", None, words, None)
+    if tolerance is not None and unseen is None:
+        words = "No pose was left out to test the tolerance."
+        return Answer(
+            None, "unknown-accuracy", None, words, "Validate on other poses (--folds 10)."
+        )
     if unseen is not None:
         quantile = Quantile.of_summary(unseen.p95, unseen.poses or document.data.used)
         quantile = quantile and quantile.widened(_beyond(document))
@@ -527,4 +555,7 @@ def _headline(answers: Sequence[Answer]) -> str:
 def _first(words: str) -> str:
     """The first sentence, to follow a colon."""
     sentence = words.split(". ")[0].rstrip(".") + "."
-    return sentence[0].lower() + sentence[1:] if sentence.split()[0].isalpha() else sentence
+    word = sentence.split()[0]
+    # a name stays as it is written
+    usual = word.isalpha() and len(word) > 1 and word.istitle()
+    return sentence[0].lower() + sentence[1:] if usual else sentence

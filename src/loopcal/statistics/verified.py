@@ -9,7 +9,7 @@ from typing import Any
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.tables import distances_shown
-from loopcal.document.verdict import Answer
+from loopcal.document.verdict import Answer, answer_lines
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import by_sd, chance, size, unit_shown, with_unit
 from loopcal.presentation.text_table import columns
@@ -164,13 +164,7 @@ class Verification:
         }
 
     def __str__(self) -> str:
-        lines = [self.headline]
-        for name, answer in self.verdict.items():
-            if answer.code == "no-tolerance":
-                continue
-            lines.append(f"  {name:<10} {answer.mark:<4} {answer.words}")
-            if answer.next:
-                lines.append(f"{'':<17} {answer.next}")
+        lines = [self.headline, *answer_lines(self.verdict)]
         lines += ["", *self._accuracy_table()]
         if self.placed:
             lines += ["", *self._placed_table()]

@@ -13,6 +13,7 @@ import loopcal as lc
 from loopcal.estimation.noise.term_scales import (
     Sums,
     TermSystem,
+    _root,
     begun,
     evaluate,
     learn_scales,
@@ -163,7 +164,8 @@ def test_scales_are_recovered_and_intervals_hold() -> None:
         bounded.append(term.interval[0] < tau < term.interval[1])
         sigmas.append(next(n.sd for n in result.noise if n.quantities == ("y",)))
         said = lc.predict(result, {"q": fresh["q"]})
-        z = (said.outputs["y"] - fresh["y"]) / said.sd["y"]
+        # the machine itself is here without error, so parameters alone cause one
+        z = (said.outputs["y"] - fresh["y"]) / np.sqrt(said.from_parameters[:, 0, 0])
         points += (np.abs(z) < 1.96).tolist()
     assert np.mean(scales) == pytest.approx(math.log(tau), abs=0.1)
     assert np.mean(sigmas) == pytest.approx(1e-3, rel=0.03)
@@ -242,3 +244,24 @@ def test_a_robust_loss_learns_no_terms() -> None:
             loss="huber",
             method="implicit-loop",
         )
+
+
+def test_a_system_whose_scales_span_sixteen_decades_has_a_root() -> None:
+    vectors = np.linalg.qr(np.random.default_rng(1).standard_normal((30, 30)))[0]
+    K = (vectors * np.logspace(0.0, 17.0, 30)) @ vectors.T
+    L = np.tril(_root(K))
+    assert np.allclose(L @ L.T, K, rtol=0.0, atol=1e-14 * np.abs(K).max())
+    plain = np.eye(3) + 0.5
+    assert np.allclose(np.tril(_root(plain)) @ np.tril(_root(plain)).T, plain)
+
+
+def test_a_term_whose_parameters_are_all_fixed_says_nothing() -> None:
+    machine, drawn = waves(2e-3, columns=3)
+    fixed = machine.with_parameters(machine.parameters.with_fixed(["c_*"]))
+    data, _, _ = drawn(1)
+    result = lc.calibrate(
+        fixed, data, noise={"q": 0.0, "y": 1e-3}, prior=PRIORS, method="implicit-loop"
+    )
+    assert result.status.converged
+    assert result.terms == ()
+    assert np.isfinite(result.covariance).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -152,3 +153,18 @@ def test_cells_of_a_dh_table_may_hold_variables_and_pi(tmp_path: Path) -> None:
 def test_a_table_without_alpha_is_refused(tmp_path: Path) -> None:
     with refused("missing-column", "alpha"):
         read_dh(written(tmp_path, "a,d,theta\n0,400,0\n"))
+
+
+def test_each_angle_of_a_table_has_the_unit_that_it_shows(tmp_path: Path) -> None:
+    path = tmp_path / "dh.csv"
+    path.write_text("a,d,alpha [deg]\n0,0.4,-pi/2\n0.3,0,0\n0,0.1,90\n", "utf-8")
+    assert [row.alpha for row in read_dh(path).rows] == pytest.approx(
+        [-math.pi / 2, 0.0, math.pi / 2]
+    )
+    path.write_text("a,d,alpha\n0,0.4,-pi/2\n0.3,0,90°\n0,1/2,0\n", "utf-8")
+    rows = read_dh(path).rows
+    assert [row.alpha for row in rows] == pytest.approx([-math.pi / 2, math.pi / 2, 0.0])
+    assert rows[2].d == pytest.approx(0.5)
+    path.write_text("a,d,alpha\n0,0.4,pi/0\n0.3,0,0\n", "utf-8")
+    with refused("invalid-number", "pi/0"):
+        read_dh(path)

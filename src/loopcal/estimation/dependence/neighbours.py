@@ -43,7 +43,7 @@ def likeness(seen: Seen, pairs: Pairs, square: float, freedom: int) -> Likeness 
     seen: in directions z of the parameters with D^T D + P = I; square: |E|^2 and that of the prior;
     freedom: nu.
     """
-    i, j = pairs
+    i, j = pairs[:, seen.read[pairs].all(axis=0)]
     if freedom < _LEAST or len(i) < _LEAST or not square > 0.0:
         return None
     y, A, M = seen.y, seen.A, seen.M

@@ -78,6 +78,8 @@ def misfit(
     try:
         find = _apart(problem, scales) if unread(problem) else _misplaced(problem, scales, steps)
         away = find(None)
+        if not np.isfinite(away).any():
+            return Misfit(math.inf, math.inf, scales.unit, away)
         for _ in range(rounds):
             away = find(_better(away, kept))
         good = _better(away, kept)

@@ -82,8 +82,8 @@ class _Maker:
         ]
         x = problem.readings
         self.moving = [j for j in self.real if np.ptp(x[j]) > PARKED * np.abs(x[j]).max()]
-        families = self.mechanism.families
-        its = [f.readings for f in families if f.form != "closure"] or [self.mechanism.outputs]
+        self.families = [f for f in self.mechanism.families if f.form != "closure"]
+        its = [f.readings for f in self.families] or [self.mechanism.outputs]
         self.seen = [[j for j in self.real if self.names[j] in readings] for readings in its]
         outputs = {j for rows in self.seen for j in rows}
         self.driven = [j for j in self.moving if j not in outputs]
@@ -177,12 +177,14 @@ class _Maker:
 
     def _inverted(self, orientation: Orientation, known: dict[str, Array]) -> Iterator[Repair]:
         """The pose of the station in the target's frame, in place of the target's."""
-        for family, rows in zip(self.mechanism.families, self.seen, strict=False):
+        for family, rows in zip(self.families, self.seen, strict=False):
             if not set(orientation.turns) & set(family.readings):
                 continue
             R = np.array([np.asarray(axis) for axis in orientation.axes(known)])  # (axis, xyz, N)
             inverse = _written(orientation, np.moveaxis(R, 2, 0))
             point = [j for j in rows if self.unit[j] == "m"]
+            if len(point) != 3:
+                continue
             moved = -np.einsum("axn,xn->an", R, self.problem.readings[point])
             names = ", ".join([*(self.names[j] for j in point), *orientation.columns])
             words = f"{names} hold the inverse pose (the station seen from the target)"
@@ -198,14 +200,17 @@ class _Maker:
         known = [i for i, n in enumerate(self.mechanism.tape.known) if n in columns]
         names = tuple(self.names[j] for j in rows)
         what = self._listed(rows)
-        steps = [(shift, _shifted(N, shift)) for shift in SHIFTS if 4 * abs(shift) < N]
-        for shift, (machine, seen) in steps:
-            plural = "s" if abs(shift) > 1 else ""
-            where = "late" if shift > 0 else "early"
-            words = (
-                f"the readings of {what} stand {abs(shift)} row{plural} too {where} beside those "
-                "of the joints"
+        every = np.arange(N)
+        steps = {
+            f"the readings of {what} stand {_apart(shift)} beside those of the joints": _shifted(
+                N, shift
             )
+            for shift in SHIFTS
+            if 4 * abs(shift) < N
+        }
+        opposite = f"the readings of {what} stand in the opposite order of those of the joints"
+        steps[opposite] = (every, every[::-1])
+        for words, (machine, seen) in steps.items():
             moved = taken(problem, machine)
             readings, constants = moved.readings.copy(), moved.known.copy()
             readings[rows] = problem.readings[rows][:, seen]
@@ -213,8 +218,12 @@ class _Maker:
             yield Repair(
                 "rows-shifted", names, words, replace(moved, readings=readings, known=constants)
             )
-        words = f"the readings of {what} stand in the opposite order of those of the joints"
-        yield self._changed("rows-shifted", words, rows, problem.readings[rows][:, ::-1])
+
+
+def _apart(shift: int) -> str:
+    """How many rows late or early, in words."""
+    plural = "s" if abs(shift) > 1 else ""
+    return f"{abs(shift)} row{plural} too {'late' if shift > 0 else 'early'}"
 
 
 def _shifted(N: int, shift: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

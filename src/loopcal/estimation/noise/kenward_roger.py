@@ -168,7 +168,7 @@ def _by_pose(estimate: NoiseEstimate) -> _Sensors:
 def _errors(sensors: _Sensors, first: Array, terms: Sequence[_Term]) -> Array:
     """A root (c + t, c + t) of the covariance W of ratios and log variances of terms."""
     c = len(sensors.ratios)
-    flat = first.reshape(len(first), -1)
+    flat = first.reshape(len(first), int(np.prod(first.shape[1:])))
     information = 0.5 * flat @ flat.T
     information[:c, :c] = sensors.information
     for j, term in enumerate(terms, c):

@@ -147,9 +147,23 @@ def term_system(
     )
 
 
+def _root(K: Array) -> Array:
+    """L, lower triangular, with L L^T = K, no eigenvalue of which is below 1."""
+    from scipy.linalg import LinAlgError, cho_factor
+
+    try:
+        factor: Array = cho_factor(K, lower=True, check_finite=False)[0]
+        return factor
+    except LinAlgError:  # rounding hides the 1 beside eigenvalues of 1e16
+        values, vectors = np.linalg.eigh(K)
+        R = np.linalg.qr(np.sqrt(np.maximum(values, 1.0))[:, None] * vectors.T, mode="r")
+        turned: Array = (R * np.sign(np.diag(R))[:, None]).T
+        return turned
+
+
 def evaluate(system: TermSystem, x: Array) -> TermFit:
     """The criterion and its derivatives at x = (log phi, log sd^2 of each term)."""
-    from scipy.linalg import cho_factor, lapack
+    from scipy.linalg import lapack
 
     phi, own = float(np.exp(x[0])), system.owner
     T = (
@@ -160,7 +174,7 @@ def evaluate(system: TermSystem, x: Array) -> TermFit:
     m = len(T)
     K = system.S * np.outer(T, T) / phi
     K.reshape(-1)[:: m + 1] += 1.0
-    factor, _ = cho_factor(K, lower=True, check_finite=False) if m else (K, True)
+    factor = _root(K) if m else K
     log_K = 2.0 * float(np.log(np.diag(factor)).sum())
     B = lapack.dpotri(factor, lower=1)[0] if m else K
     B = np.tril(B) + np.tril(B, -1).T

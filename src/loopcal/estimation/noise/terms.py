@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from loopcal.document.terms import TermEntry
-from loopcal.estimation.noise.term_scales import Start, learn_scales
+from loopcal.estimation.noise.term_scales import Start, TermFit, TermSystem, learn_scales
 from loopcal.presentation.shown import with_unit
 
 if TYPE_CHECKING:
@@ -48,28 +48,27 @@ def judged_terms(found: TermVariances) -> tuple[EstimatedTerm, ...]:
     """What the last linearisation says of each term with estimated parameters."""
     system, at, sds = found.system, found.at, curvature_sds(found)
     judged = []
+    present = learn_scales(system, Start(at.x, np.ones(len(at.x), dtype=bool)))
     for i, term in enumerate(system.terms):
         columns = int((system.owner == i).sum())
         if columns:
             scale, spread = float(at.scales[i]), math.exp(0.5 * _QUANTILE * sds[1 + i])
-            freedom, gain = max(float(at.freedom[i]), 0.0), _gain(found, i)
+            freedom, gain = max(float(at.freedom[i]), 0.0), _gain(system, present, i)
             judged.append(
                 EstimatedTerm(term, scale, scale / spread, scale * spread, columns, freedom, gain)
             )
     return tuple(judged)
 
 
-def _gain(found: TermVariances, term: int) -> float:
+def _gain(system: TermSystem, present: TermFit, term: int) -> float:
     """By how much the criterion is lower with a term than without it.
 
-    Beside it all noise may grow by a factor, and the other terms may change: without a term the
-    rest makes up for it where it can.
+    present: with all terms, and all noise free to have a factor. Without a term the other terms and
+    that factor make up for it where they can.
     """
-    free = np.ones(len(found.at.x), dtype=bool)
-    present = learn_scales(found.system, Start(found.at.x, free))
-    x, others = present.x.copy(), free.copy()
-    x[1 + term], others[1 + term] = 2.0 * math.log(_ABSENT * found.system.terms[term].sd), False
-    without = learn_scales(found.system, Start(x, others))
+    x, others = present.x.copy(), np.ones(len(present.x), dtype=bool)
+    x[1 + term], others[1 + term] = 2.0 * math.log(_ABSENT * system.terms[term].sd), False
+    without = learn_scales(system, Start(x, others))
     gain = without.criterion - present.criterion
     return gain - float(without.penalties[term] - present.penalties[term])
 

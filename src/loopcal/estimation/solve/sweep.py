@@ -33,8 +33,6 @@ NEAR = 0.1
 """On the way, loops count as closed when the next correction will be at most so many sds."""
 _SEARCHED = 1024
 """Poses in a block when unmeasured quantities are searched."""
-_ASTRAY = 100.0
-"""A pose whose corrections cost so many times those of the middle pose may close elsewhere."""
 _SAMPLE = 64
 """Poses from which the rounding of loop values is estimated."""
 
@@ -225,44 +223,13 @@ class Sweeper:
         tolerance = max(tolerance, 8.0 * (self.rounding or 0.0))
         closed = self.kernel(pattern).close(block, tolerance, contraction)
         self.evaluations += closed.evaluations
-        # near a singular pose Gauss-Newton strays: Newton begins where the pose stood before
-        for begun in (block, block.at(closed.corrections.copy())):
-            if (some := np.flatnonzero(closed.open)).size:
-                found = self._newton(pattern, begun.of(some), tolerance)
-                closed.corrections[:, some], closed.open[some] = found.corrections, found.open
-                closed = replace(closed, contraction=1.0)
-        if np.isfinite(tolerance):
-            self._recall(pattern, block, closed, tolerance)
-        return closed
-
-    def _newton(self, pattern: Pattern, block: Block, tolerance: float) -> Closed:
-        tape = self.problem.tape(pattern)
-        return close_by_newton(tape, self.parameters, block, min(tolerance, 1e-3))
-
-    def _recall(self, pattern: Pattern, block: Block, closed: Closed, tolerance: float) -> None:
-        """Close poses that went astray again, from their readings; keep what is nearer.
-
-        Loops of a stretched arm close at several points; the far ones cost much more than the
-        other poses do.
-        """
-        sd = block.noise.sd
-        usable = np.isfinite(sd) & (sd > 0.0)
-        cost = np.square(np.where(usable, closed.corrections / np.where(usable, sd, 1.0), 0.0))
-        far = cost.sum(axis=0)
-        some = np.flatnonzero(far > _ASTRAY * max(float(np.median(far)), 1.0))
-        if not some.size:
-            return
-        readings = np.zeros((len(sd), some.size))
-        rows = list(pattern.unmeasured)
-        readings[rows] = block.corrections[rows][:, some]
-        part = block.of(some)
-        found = self._newton(pattern, part.at(readings), tolerance)
-        before = self.misfit(pattern, part.at(closed.corrections[:, some]))
-        nearer = ~found.open & (
-            closed.open[some] | (self.misfit(pattern, part.at(found.corrections)) < before)
-        )
-        closed.corrections[:, some[nearer]] = found.corrections[:, nearer]
-        closed.open[some[nearer]] = False
+        if not closed.open.any():
+            return closed
+        some = np.flatnonzero(closed.open)
+        near, tape = block.at(closed.corrections).of(some), self.problem.tape(pattern)
+        found = close_by_newton(tape, self.parameters, near, min(tolerance, 1e-3))
+        closed.corrections[:, some], closed.open[some] = found.corrections, found.open
+        return replace(closed, contraction=1.0)
 
     def blocks(self, corrections: Array, most: int = BLOCK) -> Iterator[tuple[Pattern, Block]]:
         """All poses in blocks with corrections (k, N); a pose without any loop is in none."""

@@ -77,12 +77,12 @@ def calibrate_stream(
         import scipy.linalg  # noqa: F401  before the limit on threads of linear algebra
 
         refuse_learning(fit, mechanism, told)
-        stream = weighed = Weighed(fit, mechanism, stream)
+        stream = weighed = Weighed(stream, mechanism, fit)
         told = weighed.told(first)
         refuse_several(fit, told)
         first = weighed.chunk(0)
     if not exact:
-        stream = Disturbed(mechanism, stream)
+        stream = Disturbed(stream, mechanism)
         mechanism, data = with_model(mechanism, first.data, first.noise)
         first = Chunk(data, first.noise)
     with one_blas_thread():

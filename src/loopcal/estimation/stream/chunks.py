@@ -81,11 +81,11 @@ class Stream(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Disturbed:
-    """A stream with the readings of the machine model's own error, where the noise names it."""
+class Derived:
+    """A stream whose chunks are those of another, changed by `chunk`."""
 
-    mechanism: Mechanism
     stream: Stream
+    mechanism: Mechanism
 
     @property
     def poses(self) -> int:
@@ -94,6 +94,11 @@ class Disturbed:
     @property
     def count(self) -> int:
         return self.stream.count
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbed(Derived):
+    """A stream with the readings of the machine model's own error, where the noise names it."""
 
     def chunk(self, number: int) -> Chunk:
         chunk = self.stream.chunk(number)

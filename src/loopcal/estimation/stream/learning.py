@@ -25,30 +25,19 @@ from loopcal.estimation.noise.variances import (
 )
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.solution import End, Solution
-from loopcal.estimation.stream.chunks import Chunk, Stream
+from loopcal.estimation.stream.chunks import Chunk, Derived
 from loopcal.measurements.noise import Noise
-from loopcal.mechanisms.mechanism import Mechanism
 
 _MOST = 30
 """Rounds."""
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
+class Weighed(Derived):
     """A stream with the noise that a fit uses; factor: of the sds that it learns."""
 
     fit: Fit
-    mechanism: Mechanism
-    stream: Stream
     factor: float = 1.0
-
-    @property
-    def poses(self) -> int:
-        return self.stream.poses
-
-    @property
-    def count(self) -> int:
-        return self.stream.count
 
     def chunk(self, number: int) -> Chunk:
         chunk = self.stream.chunk(number)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class ValidationSpec:
     """One of folds, hold_out and file is stated, blocks beside the first two; group: the column of
-    numbers that name groups."""
+    numbers that name groups, which by itself leaves out whole groups."""
 
     folds: int | None = None
     blocks: int | None = None
@@ -71,6 +71,8 @@ def validation_spec(entry: ValidationEntry | None, place: Place) -> ValidationSp
     stated = [k for k in ("folds", "hold_out", "file") if getattr(entry, k) is not None]
     if not stated and entry.blocks is not None:
         return ValidationSpec(**(entry.model_dump() | {"folds": 10}))
+    if not stated and entry.group is not None:
+        return ValidationSpec(**entry.model_dump())
     if entry.file is not None and entry.blocks is not None:
         raise InputError(
             "the validation states blocks and file, but another file has no regions to leave out",
@@ -83,7 +85,7 @@ def validation_spec(entry: ValidationEntry | None, place: Place) -> ValidationSp
             f"the validation states {' and '.join(stated) or 'no way to leave poses out'}",
             code="missing-key",
             place=str(place),
-            remedy='give one of folds = 10, hold_out = 0.3 and file = "other.csv"',
+            remedy='give one of folds = 10, hold_out = 0.3, file = "other.csv", group = "column"',
         )
     return ValidationSpec(**entry.model_dump())
 

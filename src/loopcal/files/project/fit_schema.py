@@ -62,7 +62,8 @@ class ValidationEntry(Model):
     group: NameOrNumber | None = Field(
         default=None,
         description="Column of numbers: poses with the same one stay together. Without it those "
-        "with the same driven readings do.",
+        "with the same driven readings do. Alone it leaves out each group, such as a station or a "
+        "session, and places the instrument by the readings of that group.",
     )
 
 

@@ -36,6 +36,7 @@ def validation_arguments(
         found |= {"other": other.dataset, "other_noise": other.noise}
     if asked.group is not None:
         found["groups"] = _groups(project, asked.group, poses)
+        found["place_anew"] = not any((asked.folds, asked.hold_out, asked.file))
     return {**found, "seed": asked.seed}
 
 

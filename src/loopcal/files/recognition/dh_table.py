@@ -32,7 +32,7 @@ _KEYS = {
 _CELL = re.compile(
     r"(?P<variable>(?!pi)[a-zθϑ][a-zθϑ_]*_?\d*\*?)?\s*(?P<sign>[-+])?\s*"
     r"(?P<number>\d+\.?\d*(?:e[-+]?\d+)?|\.\d+)?\s*\*?\s*"
-    r"(?P<pi>pi)?(?:\s*/\s*(?P<below>\d+))?\s*(?P<degrees>°)?"
+    r"(?P<pi>pi)?(?:\s*/\s*(?P<below>[1-9]\d*))?\s*(?P<degrees>°)?"
 )
 _MODIFIED = {"a_i_1": "a", "ai_1": "a", "a_prev": "a", "alpha_i_1": "alpha", "alphai_1": "alpha"}
 _KINDS = {
@@ -111,14 +111,16 @@ def read_dh(path: str | Path) -> DhTable:
         for key in ("a", "d", "alpha", "offset")
         if key in headings
     }
+    for key in ("alpha", "offset"):
+        if key in cells and any(cell.unit for cell in cells[key]):
+            column, its = headings[key]
+            shared = its.unit or _shared(cells[key])
+            headings[key] = (column, replace(its, unit=shared))
+            cells[key] = [cell.written_in(shared) for cell in cells[key]]
     numbers: dict[str, Any] = {
         key: np.array([cell.value for cell in cells[key]]) if key in cells else np.zeros(len(every))
         for key in ("a", "d", "alpha", "offset")
     }
-    for key in ("alpha", "offset"):
-        stated = {cell.unit for cell in cells.get(key, []) if cell.unit}
-        if stated and headings[key][1].unit is None:
-            headings[key] = (headings[key][0], replace(headings[key][1], unit=stated.pop()))
     texts = {k: table.ids(headings[k][0]) for k in ("name", "kind", "form") if k in headings}
     signs = table.numbers(headings["direction"][0], every) if "direction" in headings else None
     units, told = _units(numbers, {k: h for k, (_, h) in headings.items()}, path.name)
@@ -144,6 +146,22 @@ class _Cell:
     unit: str = ""
     variable: bool = False
 
+    def written_in(self, name: str) -> _Cell:
+        """The same angle in this unit; a cell without a unit is in it already."""
+        if not self.unit:
+            return self
+        return replace(self, value=self.value * unit(self.unit).factor / unit(name).factor)
+
+
+def _shared(cells: Sequence[_Cell]) -> str:
+    """The unit of a column of angles whose header states none, but some of whose cells do.
+
+    Cells without a unit are degrees where others are, or where they exceed a turn in rad.
+    """
+    plain = [abs(cell.value) for cell in cells if not cell.unit]
+    degrees = any(cell.unit == "deg" for cell in cells) or max(plain, default=0.0) > 2.0 * math.pi
+    return "deg" if degrees else "rad"
+
 
 def _cell(text: str, decimal: str, place: str) -> _Cell:
     """A number as tables of robots write it: -90, -90°, -pi/2, or q2 - 90 beside a variable.
@@ -163,7 +181,7 @@ def _cell(text: str, decimal: str, place: str) -> _Cell:
         )
     sign = -1.0 if found["sign"] == "-" else 1.0
     value = float(found["number"] or (1.0 if found["pi"] else 0.0))
-    value *= math.pi / float(found["below"] or 1.0) if found["pi"] else 1.0
+    value *= (math.pi if found["pi"] else 1.0) / float(found["below"] or 1.0)
     shown = "rad" if found["pi"] else "deg" if found["degrees"] else ""
     return _Cell(sign * value, shown, bool(found["variable"]))
 

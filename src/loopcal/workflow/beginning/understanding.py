@@ -33,7 +33,7 @@ FAR = 10.0
 _SAMPLE, _FEW, _SHIFTS = 120, 40, (1, -1, 2, -2, 3, -3)
 
 Ask = Callable[[str, Sequence[str]], int]
-"""Asks which of several answers holds, and gives its number from 0."""
+"""Asks which answer is right and returns its number, counted from 0."""
 
 
 @dataclass(frozen=True, eq=False)
