@@ -25,8 +25,9 @@ def test_lengths_that_the_rest_makes_up_for_set_no_size(
     text = file.read_text()
     assert '"a_2" = { fixed = true }' in text
     file.write_text(text.replace('"a_2" = { fixed = true }', ""))
-    with refused("unknown-size"):
-        run_calibration("arm/project.toml", Request(method="implicit-loop"))
+    for method in (None, "implicit-loop"):
+        with refused("unknown-size"):
+            run_calibration("arm/project.toml", Request(method=method))
 
 
 @pytest.mark.parametrize("machine", [lc.machines.stewart_gough(), lc.machines.linear_delta()])

@@ -28,6 +28,7 @@ from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
@@ -270,13 +271,19 @@ class Case:
     trusted: bool = False
     """Whether faults of the file were sought, and there are none."""
 
-    def calibrated(self, index: Index | None = None) -> Result:
-        """The calibration of these poses, by default of all."""
+    def calibrated(self, index: Index | None = None, progress: Iterated | None = None) -> Result:
+        """The calibration of these poses, by default of all; progress: called at iterations."""
         data = self.data if index is None else self.data.take(index)
         noise = taken(self.noise, index)
         near = _of_poses(self.near, index)
         return calibrate(
-            self.mechanism, data, noise=noise, fit=self.fit, near=near, trusted=self.trusted
+            self.mechanism,
+            data,
+            noise=noise,
+            fit=self.fit,
+            progress=progress,
+            near=near,
+            trusted=self.trusted,
         )
 
 
