@@ -58,7 +58,7 @@ $(STAMP): pyproject.toml CMakeLists.txt $(wildcard engine/*)
 	@$(BIN)/python -m compileall -q src # pip compiles what it copies, not what it links
 	@touch $@
 
-demo: $(STAMP) ## calibrate the examples by both methods, the truth beside them
+demo: $(STAMP) ## calibrate three simulated arms, one with a fault, and print their true errors
 	@$(BIN)/python examples/demo.py
 
 test: lint types suite ## the whole suite, lint and types included

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.estimation.fit import Fit
 from loopcal.measurements.copies import copies
+from loopcal.statistics.validation import Case
 from tests.reference.simulated import planar_arm
 
 ARM = planar_arm(40)
@@ -33,6 +35,14 @@ def test_copied_rows_count_once_and_are_said() -> None:
     sound = lc.verdict(again).sound
     assert (sound.passed, sound.code, sound.number) == (None, "rows-copied", 20.0)
     assert not once.document.data.warnings()
+
+
+def test_copies_are_judged_by_all_rows_once() -> None:
+    """A part of the rows may look otherwise than all of them."""
+    case = Case(ARM.truth, doubled(ARM.read(SDS, 1), 20), lc.Noise(SDS), Fit())
+    part = case.calibrated(np.arange(10, 60))
+    assert len(part.dataset) == 30
+    assert part.document.data.copied == ()
 
 
 def test_methods_compete_on_rows_that_count_once() -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import Code, InputError
 from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.datasheet import DatasheetSd
 from loopcal.measurements.noise import Noise, ReadingUncertainty, resolve_noise
 from tests.refusals import refused
 
@@ -57,6 +58,18 @@ def test_names_globs_and_groups_say_one_sd() -> None:
 def test_later_entries_win() -> None:
     assert resolved({**ALL, "t?": 2.0, "t2": 3.0}).sd.ravel().tolist() == [2, 3, 1, 1, 1]
     assert resolved({"t2": 3.0, "t?": 2.0, "*": 1.0}).sd.ravel().tolist() == [1] * 5
+
+
+def test_a_further_learnt_sd_leaves_the_rest_as_it_was() -> None:
+    noise = Noise({"*": DatasheetSd(1e-4)}).begun_at({"*": 2.0})
+    more = noise.with_learnt("model", 1e-3)
+    assert more.entries["model"] == 1e-3
+    assert more.estimate == {"model": "group"}
+    assert more.by_maker == frozenset({"*"})
+    assert more.begin == {"*": 2.0}
+    assert noise.estimate == {}
+    given = more.learnt_at(3.0)
+    assert (given.entries["model"], given.estimate) == (pytest.approx(3e-3), {})
 
 
 def test_roles_are_told_by_nought_and_infinity() -> None:

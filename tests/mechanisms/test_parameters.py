@@ -148,6 +148,14 @@ def test_a_term_gives_its_parameters_its_sd() -> None:
     assert [p.prior_sd for p in made.parameters][:2] == [2e-3, 2e-3]
 
 
+def test_a_fixed_member_of_a_term_may_have_any_prior() -> None:
+    made = machine().with_terms(Term("lengths", ("l1", "l2"), 2e-3))
+    one = made.with_parameters(made.parameters.with_fixed(["l2"]).with_prior({"l2": 0.0}))
+    assert one.learnt_terms == made.terms
+    none = one.with_parameters(one.parameters.with_fixed(["l1"]))
+    assert (none.terms, none.learnt_terms) == (made.terms, ())
+
+
 def test_a_group_of_a_prior_is_a_term_and_what_is_stated_later_leaves_it() -> None:
     prior = Prior({"*": math.inf, "l*": (2.0, "mm")}, estimate={"l*": "group"})
     assert prior.apply(machine()).terms == (Term("l*", ("l1", "l2"), 2e-3),)
@@ -159,6 +167,7 @@ def test_a_group_of_a_prior_is_a_term_and_what_is_stated_later_leaves_it() -> No
 
 
 def test_terms_that_cannot_be_learnt_are_refused() -> None:
+    made = machine().with_terms(Term("lengths", ("l1", "l2"), 2e-3))
     cases: list[tuple[Code, str, Callable[[], object]]] = [
         ("unknown-name", "'l3'", lambda: machine().with_terms(Term("a", ("l3",), 1.0))),
         ("wrong-unit", "'all'", lambda: machine().with_terms(Term("all", ("l1", "phi1"), 1.0))),
@@ -175,6 +184,16 @@ def test_terms_that_cannot_be_learnt_are_refused() -> None:
         ("duplicate-name", "'a'", lambda: Term("a", ("l1", "l1"), 1.0)),
         ("no-free-parameter", "'a'", lambda: Term("a", (), 1.0)),
         ("invalid-value", "sd", lambda: Term("a", ("l1",), math.inf)),
+        (
+            "conflicting-keys",
+            "'l2'",
+            lambda: made.with_parameters(made.parameters.with_prior({"l2": 1e-4})),
+        ),
+        (
+            "conflicting-keys",
+            "'l1'",
+            lambda: made.with_parameters(made.parameters.with_prior({"l1": math.inf})),
+        ),
         ("invalid-value", "spread", lambda: Term("a", ("l1",), 1.0, 0.0)),
         ("missing-sd", "'l1'", lambda: Prior({"l1": math.inf}, estimate={"l1": "group"})),
         ("missing-sd", "'l2'", lambda: Prior({"l1": 1.0}, estimate={"l2": "group"})),

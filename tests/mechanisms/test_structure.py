@@ -381,6 +381,8 @@ def test_gravity_needs_a_direction() -> None:
 def test_sag_that_an_arm_cannot_have_is_refused() -> None:
     with refused("unknown-name", "theta_6_sag_x_tool"):
         structured(motoman_ma1400(), sag=("theta_6_sag_x_tool",))
+    with refused("unsupported", "theta_1_sag_x_tool"):
+        structured(planar_two_link(), sag=("theta_1_sag_x_tool",))
 
 
 def test_effects_stated_by_the_user_are_not_added_again() -> None:

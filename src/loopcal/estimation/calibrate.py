@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loopcal.document.findings import ColumnFault
 from loopcal.errors import InputError
 from loopcal.estimation.faults.misfit import at_start
-from loopcal.estimation.faults.search import PLAUSIBLE, UNREPAIRED, column_faults, suspicious
+from loopcal.estimation.faults.search import PLAUSIBLE, UNREPAIRED, column_faults
 from loopcal.estimation.fit import Fit, FitOptions, Start
 from loopcal.estimation.methods.registry import PLAIN, names_where
 from loopcal.estimation.model_error import modelled, noise_told, weighed
@@ -90,10 +90,10 @@ def calibrate(
             return solve_robust(problem, loss, method=fit.solver, **limits)
         return fit.solver.solve(problem, **limits)
 
-    learns = told is not None and bool(told.estimate or mechanism.terms)
+    learns = told is not None and bool(told.estimate or mechanism.learnt_terms)
     judged = not (near is not None or fit.solver.exact or fit.robust_loss or learns)
 
-    own = (fit.tolerance or LEARNT) if told is not None and mechanism.terms else fit.tolerance
+    own = (fit.tolerance or LEARNT) if learns and mechanism.learnt_terms else fit.tolerance
 
     def solved(problem: Problem, *, tolerance: float | None = None) -> Solution:
         def once(problem: Problem) -> Solution:
@@ -116,8 +116,8 @@ def calibrate(
             arrays = problem.readings, problem.known, problem.uncertainty.sd
             refuse_collapse(problem.mechanism, *arrays, priors=not fit.solver.exact)
         faults: tuple[ColumnFault, ...] = ()
-        if not trusted and isinstance(fit.start, str) and suspicious(problem):
-            faults = column_faults(problem)
+        if not trusted and isinstance(fit.start, str):
+            faults = column_faults(problem, suspected=False)
         if any(fault.code not in UNREPAIRED for fault in faults):
             # no fit is of use: a short one, so that there is a result to say so
             short = fitted(problem, fit.tolerance, min(fit.max_iterations, FAULTY))
@@ -174,7 +174,7 @@ def refuse_noise(fit: Fit, noise: Noise | None) -> None:
 
 def refuse_learning(fit: Fit, mechanism: Mechanism, noise: Noise | None) -> None:
     """Raise InputError where a loss would have to learn the sds of terms."""
-    if noise is not None and (noise.estimate or mechanism.terms):
+    if noise is not None and (noise.estimate or mechanism.learnt_terms):
         _refuse_loss(fit)
 
 

@@ -35,19 +35,12 @@ def noise_told(fit: Fit, mechanism: Mechanism, data: Dataset, noise: Noise | Non
         return None
     if fit.model_error == "none":
         return noise
-    begin = None if noise is None else noise.begin
     if fit.method.exact:
-        noise = instrument_noise(mechanism, data)
-    elif noise is not None and _isotropic(mechanism) and MODEL not in noise.entries:
-        estimate = {**noise.estimate, MODEL: "group"}
-        noise = Noise({**noise.entries, MODEL: BEGIN}, estimate=estimate)
-    return noise if begin is None or noise is None else noise.begun_at(begin)
-
-
-def learnt_at(noise: Noise, factor: float) -> Noise:
-    """The noise with the sds that are to be learnt multiplied by a factor, and then as given."""
-    learnt = {n for key in noise.estimate for n in (key if isinstance(key, tuple) else (key,))}
-    return Noise({k: v * factor if k in learnt else v for k, v in noise.entries.items()})
+        own = instrument_noise(mechanism, data)
+        return own if noise is None or noise.begin is None else own.begun_at(noise.begin)
+    if noise is not None and _isotropic(mechanism) and MODEL not in noise.entries:
+        return noise.with_learnt(MODEL, BEGIN)
+    return noise
 
 
 def weighed(fit: Fit, data: Dataset) -> Dataset:

@@ -7,11 +7,10 @@ run away to make up for a wrong machine, and the comparison would flatter the dr
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
 
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.structure.structured import MOUNTED, unstated_mountings
+from loopcal.mechanisms.structure.structured import mounted
 
 
 def nominal_machine(mechanism: Mechanism, moved: Collection[str] = ()) -> Mechanism:
@@ -20,13 +19,7 @@ def nominal_machine(mechanism: Mechanism, moved: Collection[str] = ()) -> Mechan
     moved: parameters of what slipped during the run, which is no fault of the drawing's.
     """
     kinds = mechanism.kinds
-    unknown = {name for names in unstated_mountings(mechanism) for name in names}
     placed = {name for name, kind in kinds.items() if kind in ("placement", "mounting")} | {*moved}
     fixed = [p.name for p in mechanism.parameters if p.name not in placed]
-    priors = {
-        p.name: MOUNTED[p.unit]
-        for p in mechanism.parameters
-        if kinds[p.name] == "mounting" and math.isinf(p.prior_sd) and p.name not in unknown
-    }
-    parameters = mechanism.parameters.with_prior(priors).with_fixed(fixed)
-    return mechanism.with_parameters(parameters)
+    made = mounted(mechanism)
+    return made.with_parameters(made.parameters.with_fixed(fixed))

@@ -173,21 +173,22 @@ class Result:
             sums = self.robust_sums if self.all_poses is None else self.all_poses.robust
             return LearntCovariance.known(sums.covariance(self.spectrum, self.problem.prior_sd))
         if method.exact:
-            return self._by_residuals(self.solution.chi_squared)
+            return self._by_residuals()
         factor = self._variance_factor if self.variance_factor_applied else None
         if self._learnt is not None:
             learnt = self._learnt.covariance
             return learnt if factor is None else learnt.scaled_by(factor)
         if factor is not None:
-            return self._by_residuals(self.solution.chi_squared)
+            return self._by_residuals()
         return LearntCovariance.known(self.spectrum.covariance())
 
-    def _by_residuals(self, square: float) -> LearntCovariance:
+    def _by_residuals(self) -> LearntCovariance:
         """Scaled by the mean square of the residuals."""
         plain = self.spectrum.covariance()
         if self.freedom <= 0:
             return LearntCovariance.known(plain * math.inf)
-        return LearntCovariance.scaled(plain * (square / self.freedom), self.freedom)
+        variance = self.solution.chi_squared / self.freedom
+        return LearntCovariance.scaled(plain * variance, self.freedom)
 
     @cached_property
     def _learnt(self) -> LearntParameters | None:

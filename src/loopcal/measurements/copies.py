@@ -31,13 +31,13 @@ def copies(data: Dataset, quantities: Sequence[str], outputs: Collection[str]) -
     """Positions of the rows that copy an earlier one in all of these quantities.
 
     outputs: those that an instrument reads while the others say where the machine stands. None
-    where rows were taken several times on purpose (`Dataset.take`), or where measuring a pose again
-    may well have read the same.
+    where they were sought already or rows were taken several times on purpose (`Source.judged`),
+    or where measuring a pose again may well have read the same.
     """
     names = [q for q in quantities if q in data.readings]
     read = [q for q in names if q in outputs]
     none = np.zeros(0, dtype=np.intp)
-    if data.source.drawn or not names or len(data) < 2:
+    if data.source.judged or not names or len(data) < 2:
         return none
     if not read:  # nothing tells what was set from what was read, and so what may agree by chance
         return none

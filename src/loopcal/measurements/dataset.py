@@ -168,7 +168,8 @@ class Dataset:
     def without_copies(self, copied: NDArray[np.intp]) -> Dataset:
         """All poses but those at these positions, whose rows copy others; the source lists them."""
         names = tuple(self.poses[i] for i in copied)
-        return self._without(copied, replace(self.source, copied=(*self.source.copied, *names)))
+        told = replace(self.source, copied=(*self.source.copied, *names), judged=True)
+        return self._without(copied, told)
 
     def without_outliers(self, outlying: NDArray[np.intp]) -> Dataset:
         """All poses but those at these positions, which do not fit; the source lists them."""

@@ -100,6 +100,21 @@ class Noise:
         begun.begin = dict(factors)
         return begun
 
+    def with_learnt(self, key: str, sd: float) -> Noise:
+        """The same noise with one further sd, which is learnt; sd: where its search begins."""
+        more = copy(self)
+        more.entries = {**self.entries, key: _checked_entry(key, sd)}
+        more.estimate = {**self.estimate, key: "group"}
+        return more
+
+    def learnt_at(self, factor: float) -> Noise:
+        """The noise as given, with the sds that are to be learnt multiplied by a factor."""
+        names = {n for key in self.estimate for n in (key if isinstance(key, tuple) else (key,))}
+        given = copy(self)
+        given.entries = {k: v * factor if k in names else v for k, v in self.entries.items()}
+        given.estimate = {}
+        return given
+
     def take(self, index: NDArray[np.intp]) -> Noise:
         """The noise of the poses at these positions."""
         part = copy(self)

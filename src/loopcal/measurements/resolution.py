@@ -25,12 +25,11 @@ _FINEST, _COARSEST = 14, -3
 class Grid:
     """decimals: step of the numbers as written; step: of the readings, never finer; both [unit].
 
-    None where there is none. levels: how many different values were read.
+    None where there is none.
     """
 
     decimals: float | None
     step: float | None
-    levels: int
 
 
 def grid(values: Array) -> Grid:
@@ -40,7 +39,7 @@ def grid(values: Array) -> Grid:
     if decimals is not None:  # one value, however it was rounded on the way
         levels = np.unique(np.round(levels / decimals)) * decimals
     coarse = None if decimals is None else _counts(levels, decimals, len(values))
-    return Grid(decimals, decimals if coarse is None else coarse, len(levels))
+    return Grid(decimals, decimals if coarse is None else coarse)
 
 
 def written_step(values: Array) -> float | None:

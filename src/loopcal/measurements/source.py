@@ -27,8 +27,8 @@ class Source:
     """Ids of poses left out because their rows copy others."""
     discarded: tuple[str, ...] = ()
     """Ids of poses left out because they do not fit the others."""
-    drawn: bool = False
-    """Whether some poses were taken several times, on purpose."""
+    judged: bool = False
+    """Whether no copies are to be sought: they are known, or poses were taken several times."""
     every: int = 1
     """Thinning: the 1st, (every + 1)th, ... row was kept."""
     rows: NDArray[np.int64] | None = None
@@ -54,9 +54,9 @@ class Source:
     def take(self, index: NDArray[np.int64]) -> Source:
         """The source of those poses alone."""
         rows = None if self.rows is None else self.rows[index]
-        drawn = self.drawn or len(np.unique(index)) < len(index)
+        judged = self.judged or len(np.unique(index)) < len(index)
         joined = tuple(part.take(index) for part in self.joined)
-        return replace(self, rows=rows, joined=joined, drawn=drawn)
+        return replace(self, rows=rows, joined=joined, judged=judged)
 
     def place(self, index: int, pose: str, quantity: str | None = None, *, sd: bool = False) -> str:
         """How messages call one value: "left.csv, row 14, column 'S'", or its pose and quantity."""

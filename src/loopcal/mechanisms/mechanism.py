@@ -206,6 +206,12 @@ class Mechanism:
             )
         check_terms(self.terms, self.parameters)
 
+    @property
+    def learnt_terms(self) -> tuple[Term, ...]:
+        """The terms with a parameter that is not fixed: only their sds can be learnt."""
+        free = frozenset(self.parameters.free)
+        return tuple(term for term in self.terms if not free.isdisjoint(term.parameters))
+
     def with_parameters(self, parameters: Parameters) -> Mechanism:
         """The same machine with other nominal values, priors or fixed parameters."""
         if parameters.names != self.parameters.names:
@@ -225,10 +231,11 @@ class Mechanism:
 
         Raises InputError for a parameter that is in another term, or is not there.
         """
-        stated = {name: term.sd for term in terms for name in term.parameters}
-        check_terms((*self.terms, *terms), self.parameters)
+        every = (*self.terms, *terms)
+        stated = {n: t.sd for t in terms for n in t.parameters if n in self.parameters.names}
         parameters = self.parameters.with_prior(stated)
-        return replace(self, parameters=parameters, terms=(*self.terms, *terms))
+        check_terms(every, parameters)
+        return replace(self, parameters=parameters, terms=every)
 
     def with_gravity(self, direction: Sequence[float]) -> Mechanism:
         """The same machine on a wall or ceiling: gravity pulls along this vector in its base.

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from loopcal.errors import InputError, nearest
-from loopcal.mechanisms.parameters import Parameters
+from loopcal.mechanisms.parameters import Parameter, Parameters
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class Term:
 
 
 def check_terms(terms: Sequence[Term], parameters: Parameters) -> None:
-    """Raise InputError for terms that share a name or a parameter, name one that is not there, or
-    mix units."""
+    """Raise InputError for terms that share a name or a parameter, name one that is not there, mix
+    units, or have members whose prior sds are not one finite number."""
     owner: dict[str, str] = {}
     units = {p.name: p.unit for p in parameters}
     for term in terms:
@@ -96,6 +96,22 @@ def check_terms(terms: Sequence[Term], parameters: Parameters) -> None:
                 f"the parameters of the term {term.name!r} are in {' and '.join(mixed)}",
                 code="wrong-unit",
                 remedy="make one term for each unit: these share one sd",
+            )
+        _check_sds([p for p in parameters if p.name in term.parameters and not p.fixed], term)
+
+
+def _check_sds(members: Sequence[Parameter], term: Term) -> None:
+    """Raise InputError for estimated members whose prior sds are flat or differ."""
+    for member in members:
+        sd, first = member.prior_sd, members[0].prior_sd
+        if math.isinf(sd) or not math.isclose(sd, first, rel_tol=1e-9):
+            state = "a flat prior" if math.isinf(sd) else f"the prior sd {sd:.6g}"
+            raise InputError(
+                f"{member.name!r} has {state}, but it is in the term {term.name!r}, whose "
+                f"parameters share one prior sd ({first:.6g} of {members[0].name!r})",
+                code="conflicting-keys",
+                remedy="give all of them the same prior sd, or state this one as a prior "
+                "(fit.prior, Prior): it then leaves the term",
             )
 
 

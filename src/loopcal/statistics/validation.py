@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, cast
 
@@ -30,6 +31,7 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
+from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
@@ -271,9 +273,21 @@ class Case:
     trusted: bool = False
     """Whether faults of the file were sought, and there are none."""
 
+    @cached_property
+    def copied(self) -> Index:
+        """Positions of the rows that copy others."""
+        own = self.mechanism
+        return copies(self.data, [*own.quantities, *own.known], own.outputs)
+
     def calibrated(self, index: Index | None = None, progress: Iterated | None = None) -> Result:
-        """The calibration of these poses, by default of all; progress: called at iterations."""
-        data = self.data if index is None else self.data.take(index)
+        """The calibration of these poses, by default of all; what copies are, all rows say.
+
+        progress: called at every iteration.
+        """
+        data = self.data
+        if index is not None:
+            index = index[~np.isin(index, self.copied)]
+            data = replace(data, source=replace(data.source, judged=True)).take(index)
         noise = taken(self.noise, index)
         near = _of_poses(self.near, index)
         return calibrate(
@@ -315,7 +329,7 @@ class _Begun:
             noise = (noise or Noise({})).begun_at(learnt.factors)
         # the mechanism of the calibration has the prior already
         fit = replace(case.fit, start=dict(whole.value), prior=None)
-        if whole.mechanism.terms:
+        if whole.mechanism.learnt_terms:
             fit = replace(fit, tolerance=fit.tolerance or NEARLY)
         sds = dict(zip(whole.mechanism.tape.quantities, whole.problem.uncertainty.sd, strict=True))
         unread = {q: v for q, v in whole.corrections.items() if np.isinf(sds[q]).all()}

@@ -263,5 +263,9 @@ def test_a_term_whose_parameters_are_all_fixed_says_nothing() -> None:
         fixed, data, noise={"q": 0.0, "y": 1e-3}, prior=PRIORS, method="implicit-loop"
     )
     assert result.status.converged
-    assert result.terms == ()
+    assert (result.terms, result.estimate) == ((), None)
     assert np.isfinite(result.covariance).all()
+    under_a_loss = lc.calibrate(
+        fixed, data, noise={"q": 0.0, "y": 1e-3}, prior=PRIORS, method="implicit-loop", loss="huber"
+    )
+    assert under_a_loss.status.converged

@@ -14,7 +14,6 @@ from loopcal.estimation.dependence.seen import instruments, seen
 from loopcal.estimation.dependence.serial import Whole, serial_model
 from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.estimation.solve.solution import Solution
 
 Array = NDArray[np.float64]
@@ -44,7 +43,7 @@ def dependence(
     equations = pose_equations(
         problem, solution.parameters, solution.corrections, exact=exact, at_readings=at_readings
     )
-    root = _root(solution.spectrum)
+    root = solution.spectrum.root
     whole = _whole(problem, solution, equations, root, exact=exact)
     informed = 0 if exact else int(np.isfinite(problem.prior_sd).sum())
     freedom = whole.equations + informed - root.shape[1]
@@ -75,13 +74,6 @@ def pose_order(problem: Problem) -> NDArray[np.intp]:
     if len(times) != 1:
         return np.arange(len(problem.poses))
     return np.argsort(problem.known[times[0]], kind="stable")
-
-
-def _root(spectrum: Spectrum) -> Array:
-    """(n, k) root of the covariance: dp = root z with D^T D + P = I in z."""
-    kept = spectrum.kept
-    root: Array = spectrum.scale[:, None] * spectrum.directions[:, kept]
-    return root / spectrum.singular_values[kept]
 
 
 def _whole(

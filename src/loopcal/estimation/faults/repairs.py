@@ -177,7 +177,7 @@ class _Maker:
 
     def _inverted(self, orientation: Orientation, known: dict[str, Array]) -> Iterator[Repair]:
         """The pose of the station in the target's frame, in place of the target's."""
-        for family, rows in zip(self.families, self.seen, strict=False):
+        for family, rows in zip(self.families, self.seen, strict=True):
             if not set(orientation.turns) & set(family.readings):
                 continue
             R = np.array([np.asarray(axis) for axis in orientation.axes(known)])  # (axis, xyz, N)

@@ -10,6 +10,8 @@ be. Where no repair helps and the machine as drawn explains next to nothing, tha
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +31,7 @@ from loopcal.estimation.faults.misfit import (
 from loopcal.estimation.faults.repairs import Repair, repairs
 from loopcal.estimation.problem.alignment import can_be_placed, seen_points
 from loopcal.estimation.problem.problem import Problem, taken
+from loopcal.mechanisms.mechanism import Family
 from loopcal.presentation.shown import size, unit_shown
 
 Array = NDArray[np.float64]
@@ -56,43 +59,85 @@ SAME = 0.05
 _SAMPLE, _FEW, _FEWEST, _MOST, _STEPS, _FIRST, _BEST = 120, 40, 10, 3, 15, 3, 8
 
 
-def suspicious(problem: Problem) -> bool:
-    """Whether the machine as drawn misses the readings by more than a drawing may.
+def column_faults(problem: Problem, *, suspected: bool = True) -> tuple[ColumnFault, ...]:
+    """The faults of a whole file, the gravest first.
 
-    Always without what the drawing does not state: a machine of which nothing says what is drawn
-    and what is not gives no measure before its fit.
+    suspected: whether something else than the drawing speaks for a fault already; otherwise they
+    are only sought where the machine as drawn misses the readings by more than a drawing may.
     """
-    if not undrawn(problem.mechanism) or _blind(problem):
-        return False
-    some = _thinned(problem, _SAMPLE)
-    limit = NEAR + mounting(some)
-    return at_start(some) > limit and misfit(some).share > limit
-
-
-def column_faults(problem: Problem) -> tuple[ColumnFault, ...]:
-    """The faults of a whole file, the gravest first."""
-    found: list[ColumnFault] = []
-    if _blind(problem):
+    file = _File(problem)
+    if file.blind or not (suspected or file.suspicious):
         return ()  # loops that unread quantities close meet altered readings as well
-    still = _still(problem)
+    still = file.still
     if still:
         return still
+    found: list[ColumnFault] = []
     for _ in range(_MOST):
-        fault = _gravest(problem, found=bool(found))
+        fault = _gravest(file, found=bool(found))
         if fault is None:
             break
         repair, told = fault
         found.append(told)
-        problem = repair.problem
-    return tuple(found) or _hopeless(problem)
+        file = _File(repair.problem)
+    return tuple(found) or _hopeless(file.problem)
 
 
-def _blind(problem: Problem) -> bool:
-    """Whether loops close whatever the readings, or no point that is seen can be computed."""
-    if unread(problem) and not can_be_placed(problem.mechanism):
-        return True
-    seen = seen_points(problem, problem.start)
-    return bool(seen) and all(np.isnan(own).any(axis=0).all() for _, own, _ in seen)
+@dataclass(frozen=True, eq=False)
+class _File:
+    """The readings of a problem as they stand, and what the machine as drawn says of them."""
+
+    problem: Problem
+
+    @cached_property
+    def seen(self) -> list[tuple[Family, Array, Array]]:
+        """The points that the machine as drawn computes, and those that were measured."""
+        return seen_points(self.problem, self.problem.start)
+
+    @cached_property
+    def some(self) -> Problem:
+        """A sample of the poses."""
+        return _thinned(self.problem, _SAMPLE)
+
+    @cached_property
+    def left(self) -> float:
+        """The misfit of the sample."""
+        return misfit(self.some).share
+
+    @cached_property
+    def blind(self) -> bool:
+        """Whether loops close whatever the readings, or no point that is seen can be computed."""
+        if unread(self.problem) and not can_be_placed(self.problem.mechanism):
+            return True
+        return bool(self.seen) and all(np.isnan(own).any(axis=0).all() for _, own, _ in self.seen)
+
+    @property
+    def suspicious(self) -> bool:
+        """Whether the machine as drawn misses the readings by more than a drawing may.
+
+        Always without what the drawing does not state: a machine of which nothing says what is
+        drawn and what is not gives no measure before its fit.
+        """
+        if not undrawn(self.problem.mechanism):
+            return False
+        limit = NEAR + mounting(self.some)
+        return at_start(self.some) > limit and self.left > limit
+
+    @property
+    def still(self) -> tuple[ColumnFault, ...]:
+        """Instruments that read the same in every pose, although the machine moves there."""
+        found = []
+        outputs = self.problem.mechanism.outputs
+        for family, computed, measured in self.seen:
+            if family.form not in ("point", "pose") or measured.shape[1] < 10:
+                continue
+            names = [q for q in family.readings if q in outputs][: len(measured)]
+            spread = np.nanmax(np.nanstd(computed, axis=1))
+            for name, own, read in zip(names, computed, measured, strict=True):
+                away = float(np.nanstd(own))
+                if np.isfinite(read).all() and np.ptp(read) == 0.0 and away > NEAR * spread:
+                    words = f"{name} reads the same value in every pose, although the machine moves"
+                    found.append(ColumnFault((name,), words, away, None, True, "constant"))
+        return tuple(found)
 
 
 def _thinned(problem: Problem, most: int) -> Problem:
@@ -100,9 +145,8 @@ def _thinned(problem: Problem, most: int) -> Problem:
     return taken(problem, np.unique(np.linspace(0, N - 1, min(N, most)).round().astype(np.intp)))
 
 
-def _gravest(problem: Problem, *, found: bool) -> tuple[Repair, ColumnFault] | None:
-    some = _thinned(problem, _SAMPLE)
-    before = misfit(some).share
+def _gravest(file: _File, *, found: bool) -> tuple[Repair, ColumnFault] | None:
+    problem, before = file.problem, file.left
     if found and before <= NEAR:
         return None
     few = _FEWEST if unread(problem) else _FEW
@@ -140,25 +184,6 @@ def _gravest(problem: Problem, *, found: bool) -> tuple[Repair, ColumnFault] | N
 def _fitted(problem: Problem, good: NDArray[np.intp]) -> float:
     good = good[good < problem.count]
     return fit_of_all(_thinned(taken(problem, good), _SAMPLE), _STEPS)
-
-
-def _still(problem: Problem) -> tuple[ColumnFault, ...]:
-    """Instruments that read the same number in every pose, although the machine moves there."""
-    found = []
-    mechanism = problem.mechanism
-    for family, computed, measured in seen_points(problem, problem.start):
-        if family.form not in ("point", "pose") or measured.shape[1] < 10:
-            continue
-        if np.isnan(computed).all(axis=1).any():
-            continue  # what has no sensor leaves the machine nowhere
-        names = [q for q in family.readings if q in mechanism.outputs][: len(measured)]
-        spread = np.nanmax(np.nanstd(computed, axis=1))
-        for name, own, read in zip(names, computed, measured, strict=True):
-            if np.isfinite(read).all() and np.ptp(read) == 0.0 and np.nanstd(own) > NEAR * spread:
-                words = f"{name} reads the same value in every pose, although the machine moves"
-                away = float(np.nanstd(own))
-                found.append(ColumnFault((name,), words, away, None, True, "constant"))
-    return tuple(found)
 
 
 def _hopeless(problem: Problem) -> tuple[ColumnFault, ...]:

@@ -21,7 +21,6 @@ from loopcal.estimation.noise.terms import EstimatedTerm, curvature_sds, judged_
 from loopcal.estimation.noise.variance_components import (
     Component,
     Estimate,
-    estimate_ratios,
     upper_bound,
     without_component,
 )
@@ -115,10 +114,11 @@ class NoiseEstimate:
             at_readings=self.at_readings,
         )
 
-    @cached_property
+    @property
     def found(self) -> Estimate:
-        """The variance ratios of the sensor components."""
-        return self.variances.sensors or estimate_ratios(self.model, self.variances.ratios)
+        """The variance ratios of the sensor components, where one is not common to all noise."""
+        assert self.variances.sensors is not None
+        return self.variances.sensors
 
     @cached_property
     def criterion(self) -> float:
@@ -265,7 +265,7 @@ class _Search:
         """Whether the sums over all poses say everything: sensors have one factor, or none."""
         learnt = len(self.positions)
         alone = not learnt or (learnt == 1 and self.common)
-        return bool(self.stated.mechanism.terms) and alone and not self.at_readings
+        return bool(self.stated.mechanism.learnt_terms) and alone and not self.at_readings
 
     def doubtful(self, end: _Round) -> Iterator[Array]:
         """Other ratios to begin from, where the end is far from what was stated.
@@ -288,8 +288,8 @@ class _Search:
         the loops were left mean nothing, and a second fit from there is the last attempt.
         """
         start, before, vanish, iterations, failed = self.stated.start, math.inf, near, 0, 0
-        scales, rough = scales_of(self.stated), ROUGH if self.stated.mechanism.terms else None
-        corrections = self.stated.found
+        scales, corrections = scales_of(self.stated), self.stated.found
+        rough = ROUGH if len(scales) else None
         for number in range(_MOST):
             present = scaled(begun_with(self.stated, scales), self.positions, ratios)
             begun = replace(present, start=start, found=corrections)

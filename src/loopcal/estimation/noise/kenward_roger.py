@@ -107,11 +107,9 @@ def learnt_parameters(estimate: NoiseEstimate) -> LearntParameters:
 
     Over the directions that data and prior determine.
     """
-    own, stated = owners(estimate.problem), estimate.problem.mechanism.terms
+    own, stated = owners(estimate.problem), estimate.problem.mechanism.learnt_terms
     terms = [
-        _Term(np.flatnonzero(own == i), 0.25 / term.spread**2)
-        for i, term in enumerate(stated)
-        if (own == i).any()
+        _Term(np.flatnonzero(own == i), 0.25 / term.spread**2) for i, term in enumerate(stated)
     ]
     prior = 1.0 / estimate.problem.prior_sd
     learnt = estimate.variances
@@ -132,9 +130,7 @@ def learnt_parameters(estimate: NoiseEstimate) -> LearntParameters:
 
 def _by_sums(estimate: NoiseEstimate, prior: Array) -> _Sensors:
     """Of one factor of all noise, or of none: V_0 = V / s, so all is the share of the readings."""
-    system, ratios = estimate.solution.spectrum, estimate.variances.ratios
-    kept = system.kept
-    root = system.scale[:, None] * system.directions[:, kept] / system.singular_values[kept]
+    root, ratios = estimate.solution.spectrum.root, estimate.variances.ratios
     informed = prior[:, None] * root
     share = np.eye(root.shape[1]) - informed.T @ informed
     each = 1.0 / ratios

@@ -28,6 +28,8 @@ from loopcal.estimation.solve.kernel import eliminate, loadings
 from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]
+KEPT = 1e-7
+"""Directions of a triangle with a singular value this far below the largest do not count."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,7 @@ def _solved(R: Array) -> _Solved:
     # R, not R^T R = H: squaring the condition would leave the criterion some seven digits
     scale = 1.0 / np.maximum(np.linalg.norm(R, axis=0), 1e-150)
     U, values, Vt = np.linalg.svd(R * scale, full_matrices=False)
-    kept = values > 1e-7 * values[0]
+    kept = values > KEPT * values[0]
     root = scale[:, None] * Vt[kept].T / values[kept]
     log_volume = 2.0 * float(np.log(values[kept]).sum() - np.log(scale).sum())
     return _Solved(U[:, kept], root, log_volume)

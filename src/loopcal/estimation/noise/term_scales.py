@@ -20,6 +20,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.noise.linear_model import KEPT
+from loopcal.estimation.solve.reduction import SUMMED_TOLERANCE
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -33,8 +36,6 @@ _FARTHEST = 2.0
 """No logarithm of a variance changes by more in one step."""
 _FLAT = 1e-3
 """Curvature below which a direction counts as flat."""
-_KEPT = 1e-7
-"""Directions of flat parameters with a singular value this far below the largest do not count."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def term_system(
         R = np.asarray(np.linalg.qr(rows, mode="r") if n else rows)
         scale = 1.0 / np.maximum(np.linalg.norm(R[:n, :n], axis=0), 1e-150)
         U, values, _ = np.linalg.svd(R[:n, :n] * scale)
-        kept = values > _KEPT * values.max(initial=0.0)
+        kept = values > KEPT * values.max(initial=0.0)
         along = U[:, kept].T @ R[:n, n:]
         rest = np.vstack([R[:n, n:] - U[:, kept] @ along, R[n:, n:]])
         products = rest.T @ rest
@@ -130,7 +131,7 @@ def term_system(
         scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
         squares, vectors = np.linalg.eigh(A * np.outer(scale, scale))
         values = np.sqrt(np.maximum(squares, 0.0))
-        kept = values > 1e-6 * values.max(initial=0.0)
+        kept = values > SUMMED_TOLERANCE * values.max(initial=0.0)
         along = (vectors[:, kept] / values[kept]).T @ (scale[:, None] * rows[:n, n:])
         products = rows[n:, n:] - along.T @ along
     volume = 2.0 * float(np.log(values[kept]).sum() - np.log(scale).sum())

@@ -45,18 +45,17 @@ class EstimatedTerm:
 
 
 def judged_terms(found: TermVariances) -> tuple[EstimatedTerm, ...]:
-    """What the last linearisation says of each term with estimated parameters."""
+    """What the last linearisation says of each term."""
     system, at, sds = found.system, found.at, curvature_sds(found)
     judged = []
     present = learn_scales(system, Start(at.x, np.ones(len(at.x), dtype=bool)))
     for i, term in enumerate(system.terms):
         columns = int((system.owner == i).sum())
-        if columns:
-            scale, spread = float(at.scales[i]), math.exp(0.5 * _QUANTILE * sds[1 + i])
-            freedom, gain = max(float(at.freedom[i]), 0.0), _gain(system, present, i)
-            judged.append(
-                EstimatedTerm(term, scale, scale / spread, scale * spread, columns, freedom, gain)
-            )
+        scale, spread = float(at.scales[i]), math.exp(0.5 * _QUANTILE * sds[1 + i])
+        freedom, gain = max(float(at.freedom[i]), 0.0), _gain(system, present, i)
+        judged.append(
+            EstimatedTerm(term, scale, scale / spread, scale * spread, columns, freedom, gain)
+        )
     return tuple(judged)
 
 

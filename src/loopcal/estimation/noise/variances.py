@@ -83,20 +83,16 @@ class Variances:
 
 
 def owners(problem: Problem) -> NDArray[np.intp]:
-    """(n,) which term each estimated parameter is in, -1 if none."""
-    by_name = {n: i for i, term in enumerate(problem.mechanism.terms) for n in term.parameters}
+    """(n,) which learnt term each estimated parameter is in, -1 if none."""
+    terms = problem.mechanism.learnt_terms
+    by_name = {n: i for i, term in enumerate(terms) for n in term.parameters}
     return np.array([by_name.get(name, -1) for name in problem.names], dtype=np.intp)
 
 
 def scales_of(problem: Problem) -> Array:
-    """The present sd of each term [SI]; the median of what is expected where none is estimated."""
-    own = owners(problem)
-    return np.array(
-        [
-            float(problem.prior_sd[own == i][0]) if (own == i).any() else term.sd
-            for i, term in enumerate(problem.mechanism.terms)
-        ]
-    )
+    """The present sd of each learnt term [SI], which all its parameters share."""
+    _, first = np.unique(own := owners(problem), return_index=True)
+    return problem.prior_sd[first[own[first] >= 0]]
 
 
 def begun_with(problem: Problem, scales: Array) -> Problem:
@@ -109,7 +105,7 @@ def begun_with(problem: Problem, scales: Array) -> Problem:
 
 def with_scales(problem: Problem) -> Problem:
     """The problem with the sds of its terms in its mechanism too."""
-    if not problem.mechanism.terms:
+    if not problem.mechanism.learnt_terms:
         return problem
     machine = problem.mechanism
     stated = dict(zip(problem.names, problem.prior_sd.tolist(), strict=True))
@@ -120,7 +116,8 @@ def with_scales(problem: Problem) -> Problem:
 def system_of(problem: Problem, sums: Sums, parameters: Array) -> TermSystem:
     """The system of a problem's terms where a fit has ended."""
     offset = problem.unknowns.offset(parameters)
-    return term_system(sums, problem.prior_sd, offset, owners(problem), problem.mechanism.terms)
+    terms = problem.mechanism.learnt_terms
+    return term_system(sums, problem.prior_sd, offset, owners(problem), terms)
 
 
 def sums_of(end: End[Any]) -> Sums:
@@ -152,7 +149,7 @@ def in_turn(
     lowest: (c,) what none falls below; common: whether all noise is learnt. Without terms the
     ratios are the best ones at once. Raises NoTrustworthyResult where the loops have no noise.
     """
-    if not problem.mechanism.terms:
+    if not problem.mechanism.learnt_terms:
         found = estimate_ratios(linear, ratios, lowest=lowest)
         return Variances(found.ratios, found.criterion, found.converged, None, found)
     flat = whitened(replace(linear, precision=np.zeros(len(linear.precision))), ratios)
@@ -161,7 +158,7 @@ def in_turn(
             "the sds cannot be estimated: the loops have no usable noise model where the fit ended",
             remedy="calibrate with stated sds first and check that the fit converges",
         )
-    own, terms = owners(problem), problem.mechanism.terms
+    own, terms = owners(problem), problem.mechanism.learnt_terms
     sums = Sums(flat.R, True, sum(block.e.size for block in linear.blocks))
     system = term_system(sums, problem.prior_sd, linear.offset, own, terms)
     start = begun(scales_of(problem), common=common)

@@ -217,11 +217,16 @@ class Spectrum:
         share = 1.0 - np.square(damping / np.maximum(s2 + damping, 1e-300))
         return float(share @ np.square(self.components))
 
+    @cached_property
+    def root(self) -> Array:
+        """(n, rank) [SI]: dp = root z over the determined directions, D^T D + prior = I in z."""
+        kept = self.kept
+        along: Array = self.scale[:, None] * self.directions[:, kept]
+        return along / self.singular_values[kept]
+
     def covariance(self) -> Array:
         """(sum D^T D + prior)^-1 over the determined directions, (n, n) [SI]; symmetric."""
-        inverse = np.where(self.kept, 1.0 / np.where(self.kept, self.singular_values, 1.0), 0.0)
-        root = self.scale[:, None] * self.directions * inverse
-        result: Array = root @ root.T
+        result: Array = self.root @ self.root.T
         return result
 
 

@@ -160,7 +160,7 @@ class RobustSums:
             b = psi / max(equations - n * equations / total, 1.0)
             K = 1.0 + n / total * max(squares / count - a**2, 0.0) / a**2
             A, B = A + a * M, B + K**2 * b * M
-        root = spectrum.scale[:, None] * spectrum.directions[:, spectrum.kept]
+        root = spectrum.root
         half = root @ np.linalg.inv(root.T @ A @ root)
         covariance: Array = half @ (root.T @ B @ root) @ half.T
         return covariance

@@ -72,7 +72,7 @@ def calibrate_stream(
     _refuse_estimates(fit, first.noise)
     mechanism = modelled(fit, fit.with_prior(mechanism), stream.poses)
     exact, told = fit.solver.exact, first.noise
-    learns = bool(mechanism.terms) and not exact
+    learns = bool(mechanism.learnt_terms) and not exact
     if learns:
         import scipy.linalg  # noqa: F401  before the limit on threads of linear algebra
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.estimation.fit import Fit
-from loopcal.estimation.model_error import learnt_at, noise_told, weighed
+from loopcal.estimation.model_error import noise_told, weighed
 from loopcal.estimation.noise.estimation import NEAR, ROUGH, NoiseEstimate, scaled
 from loopcal.estimation.noise.learning import components
 from loopcal.estimation.noise.variances import (
@@ -43,7 +43,7 @@ class Weighed(Derived):
         chunk = self.stream.chunk(number)
         noise = self.told(chunk)
         data = weighed(self.fit, chunk.data)
-        return Chunk(data, learnt_at(noise, self.factor) if self.fit.method.exact else noise)
+        return Chunk(data, noise.learnt_at(self.factor) if self.fit.method.exact else noise)
 
     def told(self, chunk: Chunk) -> Noise:
         """The noise of a chunk, with what is to be learnt of it."""

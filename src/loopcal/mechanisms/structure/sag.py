@@ -31,7 +31,7 @@ from loopcal.mechanisms.frame import Values, Vector
 
 Array = NDArray[np.float64]
 BASE = "base"
-TILT = "gravity"
+GRAVITY = "gravity"
 """Begins the names of the two parameters that tilt gravity against the base."""
 _POSES, _ALIKE = 24, 1e-9
 _NEXT = {"x": ("y", "z"), "y": ("z", "x"), "z": ("x", "y")}
@@ -75,7 +75,7 @@ class Sag:
     @property
     def down(self) -> Direction:
         """The direction of gravity, and the two parameters that tilt it."""
-        return Direction.near(self.gravity, name=TILT, what="gravity")
+        return Direction.near(self.gravity, name=GRAVITY, what="gravity")
 
     @property
     def joints(self) -> dict[str, int]:

@@ -11,11 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Any
 
+from loopcal.errors import InputError
 from loopcal.expressions.substitution import substituted
 from loopcal.mechanisms.effects.effect import Effect, with_effects
 from loopcal.mechanisms.effects.harmonics import Harmonics
 from loopcal.mechanisms.effects.scale import Scale
 from loopcal.mechanisms.keys import Key, described
+from loopcal.mechanisms.limits import joint_limits
 from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, matching
@@ -28,7 +30,7 @@ MANY_POSES = 300
 """From this many poses on a smooth discrepancy can be told from noise."""
 MOUNTED = {"m": 5e-3, "rad": 50e-3}
 """Prior sds of what is mounted on the body: 5 mm, and that over the 0.1 m of a typical bracket."""
-TILT = math.radians(5.0)
+TILTED = math.radians(5.0)
 """Prior sd of each tilt of gravity against the machine's base."""
 EFFECT = "structure"
 """Name of all that is added, among the effects of a mechanism."""
@@ -82,9 +84,9 @@ def structured(
         return mechanism
     old = set(mechanism.parameters.names)
     made = _with_priors(mechanism)
+    arm = _arm(mechanism) if sag else None
+    columns = _columns(mechanism, arm, sag)
     if mechanism.body is not None:
-        arm = _arm(mechanism) if sag else None
-        columns = _columns(mechanism, arm, sag)
         sag = tuple(c.parameter for c in columns)
         made = _displaced(made, arm, columns, _smooth(mechanism) if discrepancy else None)
     if harmonics:
@@ -107,15 +109,8 @@ def _known(mechanism: Mechanism) -> bool:
 
 def _with_priors(mechanism: Mechanism) -> Mechanism:
     """Default priors by kind; what is stated stays."""
-    unknown = {name for names in unstated_mountings(mechanism) for name in names}
     flat = [p for p in mechanism.parameters if not p.fixed and math.isinf(p.prior_sd)]
-    mounted = {
-        p.name: MOUNTED[p.unit]
-        for p in flat
-        if mechanism.kinds[p.name] == "mounting" and p.name not in unknown
-    }
-    made = mechanism.with_parameters(mechanism.parameters.with_prior(mounted))
-    return made.with_terms(
+    return mounted(mechanism).with_terms(
         *_term(
             "lengths",
             [p.name for p in flat if mechanism.kinds[p.name] == "length"],
@@ -129,6 +124,20 @@ def _with_priors(mechanism: Mechanism) -> Mechanism:
             "angles of the machine differ from the drawing by {scale}",
         ),
     )
+
+
+def mounted(mechanism: Mechanism) -> Mechanism:
+    """The mechanism with a default prior on the place of what is mounted, where one was drawn."""
+    unknown = {name for names in unstated_mountings(mechanism) for name in names}
+    priors = {
+        p.name: MOUNTED[p.unit]
+        for p in mechanism.parameters
+        if mechanism.kinds[p.name] == "mounting"
+        and not p.fixed
+        and math.isinf(p.prior_sd)
+        and p.name not in unknown
+    }
+    return mechanism.with_parameters(mechanism.parameters.with_prior(priors))
 
 
 def unstated_mountings(mechanism: Mechanism) -> tuple[tuple[str, ...], ...]:
@@ -168,6 +177,12 @@ def _columns(
     Raises InputError for a name that is none of the arm's.
     """
     if arm is None:
+        if not isinstance(wanted, bool) and wanted:
+            raise InputError(
+                f"{mechanism.name!r} is no arm in space, so it cannot have the sag {wanted[0]!r}",
+                code="unsupported",
+                remedy="leave sag out; it is for serial arms in space",
+            )
         return ()
     if isinstance(wanted, bool):
         return arm.columns(_turned(mechanism))
@@ -178,9 +193,7 @@ def _columns(
 def _smooth(mechanism: Mechanism) -> Smooth | None:
     """Features of the joints that are driven and read."""
     driven = driven_joints(mechanism)
-    listed = (mechanism.description or {}).get("joints", [])
-    limits = {joint.name: getattr(joint, "limits", None) for joint in listed}
-    ranges = {name: span[1] - span[0] for name, span in limits.items() if span is not None}
+    ranges = {name: limit.high - limit.low for name, limit in joint_limits(mechanism).items()}
     joints = [(name, mechanism.quantities[name]) for name in driven]
     return Smooth.of(joints, ranges) if joints else None
 
@@ -207,7 +220,7 @@ def _displaced(
     terms: list[Term] = []
     if arm is not None:
         added += [Parameter(c.parameter, 0.0, "rad/m") for c in columns]
-        added += [Parameter(n, 0.0, "rad", TILT) for n in arm.down.tilts]
+        added += [Parameter(n, 0.0, "rad", TILTED) for n in arm.down.tilts]
         terms += [
             *_term(
                 "sag",
