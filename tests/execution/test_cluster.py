@@ -121,8 +121,8 @@ def test_validation_and_profiles_are_the_same_though_a_worker_is_killed(
     cluster.start_workers("", "dying")
     executor = Cluster(cluster.address)
     told: list[int] = []
-    how: dict[str, Any] = {"noise": noise, "folds": 10}
-    here = lc.validate(arm.truth, data, **{"method": "implicit-loop", **how})
+    how: dict[str, Any] = {"noise": noise, "folds": 10, "method": "implicit-loop"}
+    here = lc.validate(arm.truth, data, **how)
     found = lc.validate(
         arm.truth, data, **how, executor=executor, progress=lambda done, of: told.append(done)
     )

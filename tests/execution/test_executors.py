@@ -184,9 +184,9 @@ DATA = ARM.read(SDS, seed=3)
 
 @pytest.mark.parametrize("executor", [Threads(2), Processes(2), Backwards()], ids=str)
 def test_validation_is_the_same_to_the_bit(executor: Executor) -> None:
-    how: dict[str, Any] = {"noise": lc.Noise(SDS), "folds": 5}
-    here = lc.validate(ARM.truth, DATA, **{"method": "implicit-loop", **how})
-    found = lc.validate(ARM.truth, DATA, executor=executor, **{"method": "implicit-loop", **how})
+    how: dict[str, Any] = {"noise": lc.Noise(SDS), "folds": 5, "method": "implicit-loop"}
+    here = lc.validate(ARM.truth, DATA, **how)
+    found = lc.validate(ARM.truth, DATA, executor=executor, **how)
     assert found.accuracy == here.accuracy
     assert found.log_likelihood == here.log_likelihood
     np.testing.assert_array_equal(found.distances, here.distances)
@@ -237,7 +237,7 @@ def test_a_calibration_is_the_same_whoever_does_its_pieces(tmp_path: Path) -> No
 def test_compared_models_are_the_same_whoever_fits_them() -> None:
     arm = lc.planar_two_link().with_nominal({"l2": 0.8})
     models = {"loose": lc.Model()}
-    how: dict[str, Any] = {"noise": lc.Noise(SDS), "folds": 3}
+    how: dict[str, Any] = {"noise": lc.Noise(SDS), "folds": 3, "method": "implicit-loop"}
     found = [
         lc.compare_models(arm, DATA, models, executor=executor, **how)
         for executor in (InProcess(), Backwards())

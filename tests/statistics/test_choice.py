@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -56,6 +57,12 @@ def test_it_tells_what_was_chosen_over_what_and_by_how_much() -> None:
         )
         assert other.sd is not None
     assert chosen.words in str(result)
+    nominal = next(other for other in others if other.name == "nominal")
+    assert nominal.sd is not None
+    told = re.search(r"nominal \+(\S+) ± (\S+) mm", chosen.words)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(1e3 * (nominal.difference or 0.0), rel=0.05)
+    assert float(told[2]) == pytest.approx(1e3 * nominal.sd, rel=0.05)
     assert document.accuracy is not None
     assert document.accuracy.nominal is not None
     assert document.accuracy.noise_floor is not None

@@ -140,7 +140,10 @@ def test_stated_groups_stay_together() -> None:
         assert len(set((part // 4).tolist())) == 2
 
 
-@pytest.mark.parametrize("how", [{"method": "least-squares"}, {"noise": NOISE}], ids=str)
+BY_NOISE = {"noise": NOISE, "method": "implicit-loop"}
+
+
+@pytest.mark.parametrize("how", [{"method": "least-squares"}, BY_NOISE], ids=str)
 def test_refits_give_nothing_away(how: dict[str, Any]) -> None:
     parts = folds(repeated(ARM.truth, DATA), 5, seed=2)
     found = validate(ARM.truth, DATA, folds=5, seed=2, **how)
@@ -190,8 +193,8 @@ def test_the_right_noise_predicts_best() -> None:
         ARM.truth,
         DATA,
         {
-            "right": {"noise": NOISE},
-            "wrong": {"noise": wrong},
+            "right": {"noise": NOISE, "method": "implicit-loop"},
+            "wrong": {"noise": wrong, "method": "implicit-loop"},
             "basic": {"method": "least-squares"},
         },
         folds=5,
@@ -312,7 +315,7 @@ def test_the_measured_workspace(
     data = lc.Dataset(data.readings, data.units, data.poses)
     methods: dict[str, dict[str, Any]] = {
         "basic": {"method": "least-squares"},
-        "new": {"noise": noise},
+        "new": {"noise": noise, "method": "implicit-loop"},
     }
     found = compare_methods(read.mechanism, data, methods, folds=10).validations
     basic, new = (found[name].accuracy for name in methods)

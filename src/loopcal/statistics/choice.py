@@ -32,7 +32,7 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.presentation.shown import size, unit_shown
+from loopcal.presentation.shown import by_sd, size, unit_shown
 from loopcal.statistics.candidates import Entrant, entrants
 from loopcal.statistics.changes import Changes, changes, unchanged
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
@@ -417,7 +417,10 @@ def _candidate(one: Judged, own: Validation | None, gain: Gain | None) -> Candid
 
 
 def _words(over: Sequence[Candidate], unit: str, better: Sequence[str]) -> str:
-    """What was chosen, over what, by how much; better: those of less risk, not significantly."""
+    """What was chosen, over what, by how much with paired standard errors.
+
+    better: the names of those of less risk, but not significantly.
+    """
     taken, *others = over
     if taken.out_of_sample is None:
         return f"{taken.name}, which predicts poses not used best or as well as any"
@@ -426,13 +429,12 @@ def _words(over: Sequence[Candidate], unit: str, better: Sequence[str]) -> str:
     if taken.blocked is not None:
         words += f", {size(taken.blocked.rms, unit)} {shown} in regions not used"
     beaten = [
-        f"{one.name} {size(one.out_of_sample.rms, unit)}"
-        + (f" and {size(one.blocked.rms, unit)}" if one.blocked and taken.blocked else "")
+        f"{one.name} {by_sd(one.difference, one.sd, unit, sign=True)} ± {size(one.sd, unit, 2)}"
         for one in others
-        if one.out_of_sample is not None
+        if one.difference is not None
     ]
     if beaten:
-        words += f"; over {', '.join(beaten)} {shown}"
+        words += f"; rms of the others minus this: {', '.join(beaten)} {shown}"
     out = [one.name for one in others if one.out_of_sample is None]
     if out:
         words += f"; out: {', '.join(out)}"
