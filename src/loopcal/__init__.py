@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from loopcal.statistics.models import ComparedModel, ModelComparison, compare_models
     from loopcal.statistics.outliers import Outliers, find_outliers
     from loopcal.statistics.prediction import Prediction, predict
+    from loopcal.statistics.reliability import ReadingReliability, reliability
     from loopcal.statistics.repeats import Repeats, repeated_readings
     from loopcal.statistics.shifted import Shifted, with_shifts
     from loopcal.statistics.validate import MethodComparison, compare_methods, validate
@@ -124,6 +125,7 @@ _HOME = {
     "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
     "statistics.change_points": ("Shifts", "find_shifts"),
     "statistics.outliers": ("Outliers", "find_outliers"),
+    "statistics.reliability": ("ReadingReliability", "reliability"),
     "statistics.shifted": ("Shifted", "with_shifts"),
     "statistics.findings": ("Findings", "findings"),
     "statistics.prediction": ("Prediction", "predict"),
@@ -173,6 +175,7 @@ __all__ = [
     "Prior",
     "Processes",
     "Project",
+    "ReadingReliability",
     "Repeats",
     "Result",
     "ResultDocument",
@@ -219,6 +222,7 @@ __all__ = [
     "read_mechanism",
     "read_project",
     "read_result",
+    "reliability",
     "repeated_readings",
     "rot_x",
     "rot_y",

@@ -10,7 +10,7 @@ import loopcal as lc
 from loopcal.chi_squared import quantile
 from loopcal.estimation.dependence.neighbours import in_order, likeness, near
 from loopcal.estimation.dependence.seen import Seen
-from loopcal.estimation.dependence.serial import Whole, _criterion, serial_model
+from loopcal.estimation.dependence.serial import Drift, Whole, _criterion, learnt_drift
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
@@ -216,10 +216,33 @@ def test_the_banded_likelihood_is_that_of_the_whole_matrix() -> None:
 
 def test_the_covariance_under_a_drift_is_never_without_the_noise() -> None:
     whole, seen, *_ = whole_system(np.random.default_rng(8))
-    model = serial_model(whole, seen)
-    assert np.linalg.eigvalsh(model.covariance).min() > 0.0
-    assert 0.0 < model.share < 1.0
-    assert model.length > 0.0
+    drift = learnt_drift(whole, seen)
+    assert np.linalg.eigvalsh(drift.covariance(whole, seen)).min() > 0.0
+    assert 0.0 < drift.share < 1.0
+    assert drift.length > 0.0
+
+
+def test_the_covariance_under_a_drift_is_the_sandwich_of_its_whole_matrix() -> None:
+    whole, seen, D, _, P, X = whole_system(np.random.default_rng(10))
+    N, q = seen.y.shape
+    drift = Drift(1.3, np.array([2.0, 30.0]), np.array([0.4, 2.0]), 0.5, 5.0)
+    apart = np.abs(np.subtract.outer(np.arange(N), np.arange(N)))
+    V = 1.3 * np.eye(N * q)
+    for length, size in ((2.0, 0.4), (30.0, 2.0)):
+        R = np.exp(-apart / length)
+        for i in range(N):
+            for j in range(N):
+                rows = slice(i * q, (i + 1) * q), slice(j * q, (j + 1) * q)
+                V[rows] += size * R[i, j] * X[i] @ X[j].T
+    assert drift.covariance(whole, seen) == pytest.approx(D.T @ V @ D + P, rel=1e-9)
+
+
+def test_a_drift_that_is_known_gives_the_covariance_of_the_fit_it_was_learnt_from() -> None:
+    rng = np.random.default_rng(11)
+    result = calibrated(path(60, rng), 3e-4 * forgetting(0.95, 60, rng), rng)
+    assert result.drifting is not None
+    assert result.covariance_if(result.drifting) == pytest.approx(result.covariance, rel=1e-9)
+    assert (np.diag(result.covariance_if(None)) < np.diag(result.covariance)).all()
 
 
 def test_neighbours_in_joint_space_are_apart_in_order() -> None:

@@ -10,13 +10,16 @@ import pytest
 
 import loopcal as lc
 from analyses.gross_errors import Counts, run, sds
-from analyses.instruments import setup
+from analyses.instruments import ARM_VALUES, setup, six_axis
 from loopcal.errors import InputError
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import build_problem
+from loopcal.mechanisms.instruments.point import point
+from loopcal.mechanisms.machine import assemble
 from loopcal.statistics import causes
 from loopcal.statistics.verdict import verdict_of
 from loopcal.units import from_si
+from tests.estimation.test_contacts import READINGS
 from tests.reference.simulated import ma1400, planar_arm
 
 ARM = ma1400(60)
@@ -356,3 +359,60 @@ def test_sds_far_too_large_are_doubted_in_the_report_as_in_the_summary() -> None
     assert told.sound.code == "sds-too-large"
     assert told.grade == "bad"
     assert any("scatter less" in warning for warning in result.warnings)
+
+
+def three_targets(names: str) -> lc.Mechanism:
+    """A six-axis arm with so many targets on its tool, seen by one tracker."""
+    seen = [
+        point(n, readings=[f"{a}_{n}" for a in "xyz"], station="tracker", target=n) for n in names
+    ]
+    values = {n: v for n, v in ARM_VALUES.items() if not n.startswith("tool")}
+    corners = np.random.default_rng(8).uniform(-0.15, 0.15, (len(names), 3))
+    for name, corner in zip(names, corners, strict=True):
+        values |= dict(zip((f"{name}_{a}" for a in "xyz"), corner.tolist(), strict=True))
+    return assemble(six_axis(), seen, values)
+
+
+@pytest.mark.parametrize("names", ["A", "AB", "ABC"])
+def test_a_hit_target_is_told_from_wrong_joints_where_other_targets_can_tell(names: str) -> None:
+    """With one target both may be to blame, and with two the joints: these fit six equations."""
+    arm, noise = three_targets(names), lc.Noise({"q*": 2e-5, "[xyz]_*": 2e-5})
+    rng = np.random.default_rng(3)
+    hits, joints = (5, 11, 17), (8, 21, 30)
+    moved = {i: rng.normal(0.0, 2e-3, 3) for i in hits}
+    data = lc.simulate(arm, READINGS, noise=noise, seed=1).dataset
+    readings = {q: v.copy() for q, v in data.readings.items()}
+    for i in hits:
+        for axis, size in zip("xyz", moved[i], strict=True):
+            readings[f"{axis}_A"][i] += size
+    for i in joints:
+        for q in ("q2", "q3", "q5"):
+            readings[q][i] += rng.normal(0.0, 3e-3)
+    prior = lc.Prior({"*": 1e-3})
+    result = lc.calibrate(arm, readings, noise=noise, prior=prior, method="implicit-loop")
+    found = {int(o.pose) - 1: o for o in lc.find_outliers(result).found}
+    assert sorted(found) == sorted((*hits, *joints))
+    assert all(o.quantity is None for o in found.values())
+    expected = {
+        "A": (("A", "the joints"), ("A", "the joints")),
+        "AB": (("A", "the joints"), ("the joints",)),
+        "ABC": (("A",), ("the joints",)),
+    }[names]
+    assert {found[i].together for i in hits} == {expected[0]}
+    assert {found[i].together for i in joints} == {expected[1]}
+    if names == "ABC":
+        for i in hits:
+            assert found[i].size == pytest.approx(np.linalg.norm(moved[i]), abs=2e-4)
+            assert "the point of 'A' is off by" in str(found[i])
+
+
+def test_a_single_bad_reading_names_the_instrument_that_read_it() -> None:
+    arm, noise = three_targets("AB"), lc.Noise({"q*": 2e-5, "[xyz]_*": 2e-5})
+    data = lc.simulate(arm, READINGS, noise=noise, seed=1).dataset
+    readings = {q: v.copy() for q, v in data.readings.items()}
+    readings["y_B"][4] += 2e-3
+    readings["q5"][9] += 2e-3
+    prior = lc.Prior({"*": 1e-3})
+    result = lc.calibrate(arm, readings, noise=noise, prior=prior, method="implicit-loop")
+    found = {o.quantity: o.instrument for o in lc.find_outliers(result).found}
+    assert found == {"y_B": "B", "q5": None}

@@ -18,7 +18,7 @@ from loopcal.document.choice import Candidate, Chosen
 from loopcal.document.dependence import Dependence, InstrumentDependence, Likeness
 from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, Undetermined
 from loopcal.document.goodness_of_fit import ChiSquared
-from loopcal.document.result_document import ResultDocument
+from loopcal.document.result_document import CoarseReadings, ResultDocument
 from loopcal.document.terms import TermEntry
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.statistics.predictor import predictor
@@ -79,6 +79,7 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
     "regions-too-small": ("validation.coverage", Coverage(0.95, 0.6, 60), False),
     "overfitted": ("accuracy.after.rms", 1e-4, None),
     "outliers": ("outliers", (OUTLIER,), None),
+    "readings-coarse": ("data.coarse", (CoarseReadings(("phi2",), "rad", 1.7e-3, 5e-4),), None),
     "other-optimum": (
         "other_optima",
         (OtherOptimum({"l2": 0.6}, 250.0, "another optimum: l2 600 mm"),),

@@ -226,13 +226,34 @@ class Outlier:
     """What probably happened."""
     verified: bool = False
     """Whether correcting it made the pose unremarkable."""
+    instrument: str | None = None
+    """The instrument that read `quantity`; null: a joint, or written by an earlier version."""
+    together: tuple[str, ...] = ()
+    """Where quantity is null: the instruments whose readings together explain the pose, and "the
+    joints"; several: these readings cannot distinguish them. Of one point, size is how far off."""
+
+    @property
+    def blamed(self) -> str:
+        """What is to blame, in words."""
+        if self.quantity is not None:
+            of = f" ({self.instrument})" if self.instrument else ""
+            return self.quantity + of
+        if not self.together:
+            return "the whole pose"
+        if self.size is not None:
+            return f"the point of {self.together[0]!r}"
+        instruments = [repr(who) for who in self.together if who != "the joints"]
+        named = [*instruments, *(["the joints"] if "the joints" in self.together else [])]
+        return f"several readings of {' or of '.join(named)}"
 
     def __str__(self) -> str:
-        who = "no single reading explains it"
-        if self.quantity is not None and self.size is not None and self.unit is not None:
-            who = f"{self.quantity} is off by {with_unit(self.size, self.unit)}"
+        who = "no single reading or instrument explains it"
+        if self.size is not None and self.unit is not None:
+            who = f"{self.blamed} is off by {with_unit(self.size, self.unit)}"
             if self.indistinct:
                 who += f" (or else {', '.join(self.indistinct)})"
+        elif self.together:
+            who = f"{self.blamed} are off"
         text = f"pose {self.pose}: {who}, "
         text += "inf" if self.statistic is None else significant(abs(self.statistic), 3)
         text += " sds" if self.quantity is not None else " chi-squared"

@@ -97,12 +97,18 @@ class NoiseEntry:
     p_value: float | None = None
     """Of so large a rise if there were no such noise."""
     share: Probability | None = None
-    """Of chi-squared: what the corrections of these quantities contribute to it. A share far above
-    what the sd deserves: the sensor is worse than stated, or the machine model lacks something."""
+    """Of chi-squared: what the corrections of these quantities contribute to it, which depends on
+    their weight."""
     role: Literal["reading", "disturbance"] = "reading"
     """reading: of sensors; disturbance: an error of the machine model, which no sensor reads."""
     slopes: tuple[float, ...] = ()
     """Relative changes of the variance, sd squared, along each of the slopes of `covariance`."""
+    redundancy: Size | None = None
+    """Sum of the redundancy numbers of these readings: degrees of freedom that test their sd; null:
+    a stream, a robust loss, or written by an earlier version."""
+    variance_factor: Size | None = None
+    """Chi-squared of their corrections over their redundancy: 1 where the sd is right (Foerstner
+    1979). The sensor with the largest is the first to suspect."""
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,14 @@ from loopcal.document.terms import TermEntry
 from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
-from loopcal.estimation.dependence.dependence import Depending, dependence
+from loopcal.estimation.dependence.dependence import (
+    Depending,
+    Drifting,
+    covariance_under,
+    dependence,
+)
 from loopcal.estimation.document_parts import (
+    coarse_readings,
     covariance_entry,
     data_entry,
     noise_entries,
@@ -37,7 +43,9 @@ from loopcal.estimation.noise.learning import entries, joint_covariances, words
 from loopcal.estimation.noise.terms import term_entries
 from loopcal.estimation.noise.variances import all_learnt
 from loopcal.estimation.prediction import output_differences
+from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.redundancy import Redundancy, redundancy
 from loopcal.estimation.residuals import Closure, by_name, residuals
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
 from loopcal.estimation.solve.robust import RobustSums
@@ -98,6 +106,13 @@ class Result:
     judge: Callable[[Result], Verdict] | None = None
     """What judges the result when its verdict is first asked for."""
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What a worker sends: the fields; what follows from them is computed where it is asked."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+
     @property
     def method(self) -> str:
         """The name of the method."""
@@ -155,13 +170,22 @@ class Result:
         return self._independent
 
     @property
-    def drifts(self) -> bool:
-        """Whether the covariance allows for serial dependence."""
-        return self._depending is not None and self._depending.covariance is not None
+    def drifting(self) -> Drifting | None:
+        """The drift that the covariance allows for, None without serial dependence."""
+        return None if self._depending is None else self._depending.drifting
 
-    @property
-    def covariance_if_independent(self) -> Array:
-        """(n, n) of the estimated parameters, were no residuals dependent. It tests nothing."""
+    def covariance_if(self, drifting: Drifting | None) -> Array:
+        """(n, n) of the estimated parameters under a known drift, or were no residuals dependent.
+        It tests nothing."""
+        if drifting is not None:
+            method = self.fit.solver
+            return covariance_under(
+                drifting,
+                self.problem,
+                self.solution,
+                exact=method.exact,
+                at_readings=method.at_readings,
+            )
         if self._learnt is not None and not self.variance_factor_applied:
             return self._learnt.matrix
         return self._independent.matrix
@@ -436,11 +460,7 @@ class Result:
 
     @property
     def chi_squared_shares(self) -> Mapping[str, float]:
-        """What the corrections of each quantity contribute to chi-squared; they add up to 1.
-
-        A sensor that takes far more than its sd deserves is worse than stated, or takes the blame
-        for what the machine model lacks.
-        """
+        """What the corrections of each quantity contribute to chi-squared; they add up to 1."""
         squares = {}
         for quantity, corrections in self.corrections.items():
             sds = self.reading_sds[quantity]
@@ -448,6 +468,20 @@ class Result:
             squares[quantity] = float(np.square(corrections[weighed] / sds[weighed]).sum())
         total = sum(squares.values()) or 1.0
         return {quantity: square / total for quantity, square in squares.items()}
+
+    @property
+    def _redundancy(self) -> Redundancy | None:
+        """What readings control of each other; None of a stream, a robust loss, exact readings."""
+        method = self.fit.solver
+        if self.all_poses is not None or self.fit.robust_loss is not None or method.exact:
+            return None
+        equations = pose_equations(
+            self.problem,
+            self.solution.parameters,
+            self.solution.corrections,
+            at_readings=method.at_readings,
+        )
+        return redundancy(self.problem, equations, self.spectrum.covariance())
 
     @property
     def calibrated(self) -> Mechanism:
@@ -489,6 +523,8 @@ class Result:
     def _document(self) -> ResultDocument:
         errors = self.errors or {}
         loose = self.identifiability.loose
+        quantities = self.mechanism.tape.quantities
+        noise = noise_entries(self.noise, self.chi_squared_shares, quantities, self._redundancy)
         return ResultDocument(
             schema=SCHEMA,
             loopcal="",
@@ -506,7 +542,7 @@ class Result:
                 for p in self.mechanism.parameters
             ),
             covariance=covariance_entry(self.estimated, self.learnt_covariance, loose),
-            noise=noise_entries(self.noise, self.chi_squared_shares),
+            noise=noise,
             noise_covariances=() if self.fit.solver.exact else joint_covariances(self.problem),
             terms=self.terms,
             sds_settled=None if self.estimate is None else self.estimate.settled,
@@ -523,7 +559,7 @@ class Result:
             prediction=None,
             outliers=None,
             column_faults=self.faults or None,
-            data=self._data,
+            data=replace(self._data, coarse=coarse_readings(self.dataset, noise)),
             warnings=self.warnings,
             inputs={},
             versions={},

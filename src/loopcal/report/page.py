@@ -88,6 +88,7 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "accuracy": tables.accuracy_tables(document),
         "models": tables.model_table(document),
         "sensors": tables.sensor_table(source),
+        "reliability": tables.reliability_table(document),
         "terms": tables.term_table(document),
         "parameters": tables.parameter_table(document),
         "outliers": tables.outlier_table(document),

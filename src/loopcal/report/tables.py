@@ -112,12 +112,17 @@ def sensor_table(source: Source) -> Table | None:
                 entry.source,
                 rms,
                 mean,
+                NONE if entry.variance_factor is None else f"{entry.variance_factor:.2f}",
             )
         )
     if not rows:
         return None
     head = ("sensor", "sd", "sd of sd", "at most", "unit", "from", "rms corr./sd", "mean corr./sd")
-    return Table("Sds of the sensors, and corrections over them", head, tuple(rows))
+    caption = (
+        "Sds of the sensors, and corrections over them; factor: chi-squared of the sensor over its "
+        "redundancy, 1 where its sd is right"
+    )
+    return Table(caption, (*head, "factor"), tuple(rows))
 
 
 def term_table(document: ResultDocument) -> Table | None:
@@ -172,7 +177,7 @@ def outlier_table(document: ResultDocument) -> Table | None:
     rows = [
         (
             entry.pose,
-            entry.quantity or "the whole pose",
+            entry.blamed,
             size(entry.statistic, "1", 3),
             chance(entry.p_value),
             NONE if entry.size is None else with_unit(entry.size, entry.unit or "1"),
@@ -182,6 +187,41 @@ def outlier_table(document: ResultDocument) -> Table | None:
     ]
     head = ("pose", "reading", "statistic", "p-value", "off by", "probable cause")
     return Table("Poses that do not fit the others", head, tuple(rows))
+
+
+def reliability_table(document: ResultDocument) -> Table | None:
+    """What single readings can hide, by sensor."""
+    found = document.reliability
+    if found is None or not found.sensors:
+        return None
+    rows = [
+        (
+            one.quantity,
+            percent(one.redundancy),
+            NONE if one.detectable is None else with_unit(one.detectable, one.unit, 2),
+            NONE if one.largest is None else with_unit(one.largest, one.unit, 2),
+            NONE if one.effect is None else with_unit(one.effect, found.unit or "1", 2),
+            one.pose or NONE,
+            str(one.uncontrolled),
+        )
+        for one in found.sensors
+    ]
+    caption = (
+        f"What single readings can hide: smallest error that a test at {100 * found.alpha:g} % "
+        f"finds with a probability of {found.power:.0%} (median and largest), and how far such an "
+        "error moves the predictions (rms over the measured poses)"
+    )
+    head = (
+        "sensor",
+        "redundancy",
+        "detectable",
+        "largest",
+        "unit",
+        "effect",
+        "at pose",
+        "unchecked",
+    )
+    return Table(caption, head, tuple(rows))
 
 
 def facts_table(document: ResultDocument) -> Table:

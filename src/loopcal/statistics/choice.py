@@ -31,7 +31,6 @@ from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress
-from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.presentation.shown import by_sd, size, unit_shown
 from loopcal.statistics.candidates import Entrant, entrants
 from loopcal.statistics.changes import Changes, changes, unchanged
@@ -276,20 +275,19 @@ def _rms(one: Judged) -> float:
     assert one.whole is not None
     if not one.whole.mechanism.outputs:
         return 0.0
-    parts = [_risks(one.whole.mechanism, p) for p in one.made if isinstance(p, Predicted)]
+    parts = [_risks(one.whole, p) for p in one.made if isinstance(p, Predicted)]
     values = np.concatenate(parts) if parts else np.empty(0)
     values = values[np.isfinite(values)]
     return math.sqrt(float(values.mean())) if values.size else math.inf
 
 
-def _risks(mechanism: Mechanism, part: Predicted) -> Array:
+def _risks(whole: Result, part: Predicted) -> Array:
     """(n,) squared distances; without outputs minus twice the log densities."""
-    distances = by_pose(deviations(mechanism, part.measured, part.differences))
+    distances = by_pose(deviations(whole.mechanism, part.measured, part.differences))
     if distances is not None:
         return np.square(distances)
-    if part.stated is None:
-        return np.full(len(part.index), np.nan)
-    return -2.0 * part.stated.log_density
+    stated = part.stated(whole.drifting)
+    return np.full(len(part.index), np.nan) if stated is None else -2.0 * stated.log_density
 
 
 def _risk(one: Judged, plan: Plan, poses: int) -> Array:
@@ -299,7 +297,7 @@ def _risk(one: Judged, plan: Plan, poses: int) -> Array:
         for number, part in enumerate(one.made):
             if isinstance(part, Predicted):
                 row = int(number >= len(plan.random.indices))
-                found[row, part.index] = _risks(one.whole.mechanism, part)
+                found[row, part.index] = _risks(one.whole, part)
     return found
 
 
@@ -321,7 +319,7 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
     taken = _taken([one for one in judged if one.made], risks, plan)
     assert taken.whole is not None
     found = {
-        one.name: pooled(one.whole, one.made, plan, one.entrant.case.data)
+        one.name: pooled(one.whole, one.made, plan, one.entrant.case.data, stating=one is taken)
         for one in judged
         if one.made and one.whole is not None
     }

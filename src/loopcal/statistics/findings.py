@@ -23,6 +23,7 @@ from loopcal.statistics.optima import other_optima
 from loopcal.statistics.outliers import Outliers, find_outliers
 from loopcal.statistics.predictor import Predictor, predictor, usual_words
 from loopcal.statistics.region import Span, region_of
+from loopcal.statistics.reliability import ReadingReliability, reliability
 from loopcal.statistics.shifted import shift_lines
 from loopcal.statistics.validation import Case
 
@@ -33,7 +34,7 @@ class Findings:
     outliers: what does not fit; shifts: what moved along the run, toml: the lines that model it;
     optima: others that fit about as well; region: where the machine works, and the sd there;
     nominal: accuracy of the nominal machine, placed and mounted; noise_floor: what the noise of the
-    readings alone causes.
+    readings alone causes; reliability: what single readings can hide.
 
     Poses that fit with the shifts modelled are not outliers.
     """
@@ -48,6 +49,7 @@ class Findings:
     region: RegionEntry | None = None
     nominal: Distances | None = None
     noise_floor: float | None = None
+    reliability: ReadingReliability | None = None
 
     def added_to(self, document: ResultDocument) -> ResultDocument:
         """The document of the result with these figures."""
@@ -69,6 +71,7 @@ class Findings:
             else replace(self.predictor.entry, region=self.region),
             outliers=self.outliers.found,
             outlier_tests=self.outliers.tests,
+            reliability=None if self.reliability is None else self.reliability.entry,
             column_faults=self.outliers.columns,
             other_optima=self.optima,
         )
@@ -81,7 +84,9 @@ class Findings:
                 f"prediction: {words} at 95 % of these poses"
                 for words in usual_words(self.predictor.usual)
             ]
-        lines += self.identifiability.words() + self.outliers.lines() + self.shifts.lines()
+        lines += self.identifiability.words() + self.outliers.lines()
+        lines += [] if self.reliability is None else self.reliability.entry.lines()
+        lines += self.shifts.lines()
         return "\n".join(lines + [str(optimum) for optimum in self.optima])
 
 
@@ -119,6 +124,7 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
             None if known is None else region_of(result, known, region),
             None if result.all_poses is not None or chosen else nominal_distances(result),
             None if result.all_poses is not None else noise_floor(result),
+            reliability(result),
         )
 
 

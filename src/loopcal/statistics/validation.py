@@ -6,7 +6,8 @@ computed from their other readings. Stone (1974), cross-validatory choice and as
 statistical predictions. The refits begin at the solution of all poses, which saves iterations
 and gives nothing away: the optimum does not depend on where the search began. Where a part
 leaves a direction undetermined, it would; there the refit begins where the first fit did. Whether
-residuals of neighbouring poses depend is asked of all poses once, not of each part again.
+residuals of neighbouring poses depend is asked of all poses once, not of each part again, and a
+drift that all poses show is that of each part.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import Accuracy, accuracy, by_pose, deviations
 from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Result
@@ -51,8 +53,9 @@ from loopcal.statistics.replacing import Freedom, replaced
 from loopcal.statistics.verification import day_problem
 
 Array = NDArray[np.float64]
-NEARLY = 1e-3
-"""Where sds of terms are learnt, refits converge to so many sds: far less than these are known."""
+NEARLY = 1e-2
+"""Where sds of terms are learnt, refits converge to so many sds: far less than these are known, and
+no prediction moves by more than a hundredth of its error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +148,7 @@ def validated(
         known = case.noise if scheme.other_noise is None else Noise.of(scheme.other_noise)
         name = other.source.name or "other readings"
         held = held_problem(whole, other, known)
-        part = _predicted(whole, held, np.arange(len(other)), whole.covariance)
+        part = _predicted(whole, held, np.arange(len(other)))
         words = f"{len(other)} poses of {name}"
         return _pooled(whole, [part], Parts((), {"file": name}, words), other)
     plan = planned(case, scheme)
@@ -204,17 +207,20 @@ def left_out(
     return gathered(executor, _left_out, begun, indices, progress)
 
 
-def pooled(whole: Result, made: Sequence[Outcome], plan: Plan, data: Dataset) -> Validation:
-    """The parts of a plan together.
+def pooled(
+    whole: Result, made: Sequence[Outcome], plan: Plan, data: Dataset, *, stating: bool = True
+) -> Validation:
+    """The parts of a plan together; stating: with what the fits stated of them.
 
     Raises NoTrustworthyResult where no part at random could be predicted.
     """
     count = len(plan.random.indices)
-    found = _pooled(whole, made[:count], plan.random, data)
+    found = _pooled(whole, made[:count], plan.random, data, stating=stating)
     if plan.blocked is None:
         return found
     try:
-        return replace(found, blocked=_pooled(whole, made[count:], plan.blocked, data))
+        blocked = _pooled(whole, made[count:], plan.blocked, data, stating=stating)
+        return replace(found, blocked=blocked)
     except NoTrustworthyResult:
         return found
 
@@ -238,14 +244,28 @@ class Asked:
 class Predicted:
     """Poses that a fit has not seen, n of them, at these positions.
 
-    measured, differences (c, n) [SI]: what is compared, and computed minus measured ones; stated:
-    what the fit stated of them, None where it states nothing.
+    measured, differences (c, n) [SI]: what is compared, and computed minus measured ones; fit,
+    held: the fit and these poses, None where it states nothing of them.
     """
 
     index: Index
     measured: Array
     differences: Array
-    stated: Predictive | None
+    fit: Result | None = None
+    held: Held | None = None
+
+    def stated(self, drifting: Drifting | None) -> Predictive | None:
+        """What the fit stated of them under the drift of all poses; None where it states nothing.
+
+        Computed on request: it costs as much as the fit, and what loses a choice never needs it.
+        """
+        if self.fit is None or self.held is None:
+            return None
+        try:
+            with one_blas_thread():
+                return predictive(self.fit, self.held, self.fit.covariance_if(drifting))
+        except (InputError, NoTrustworthyResult):
+            return None
 
 
 @dataclass(frozen=True)
@@ -313,12 +333,11 @@ def _of_poses(
 class _Begun:
     """What the fits of all parts share: the calibration, and where that of all poses ended.
 
-    drifts: whether all poses show serial dependence; anew: whether a part places its instrument.
+    anew: whether a part places its instrument.
     """
 
     case: Case
     near: Case
-    drifts: bool
     anew: bool = False
 
     @classmethod
@@ -335,7 +354,7 @@ class _Begun:
         unread = {q: v for q, v in whole.corrections.items() if np.isinf(sds[q]).all()}
         same = len(case.data) == whole.problem.count  # no copied rows went
         near = Case(whole.mechanism, case.data, noise, fit, near=unread if same else {})
-        return cls(case, near, whole.drifts)
+        return cls(case, near)
 
     def calibrated(self, index: Index) -> Result:
         """The calibration of these poses, begun where that of all poses ended."""
@@ -357,19 +376,17 @@ def _left_out(begun: _Begun, index: Index) -> Outcome:
             if begun.anew:
                 part = case.data.take(index)
                 return _placed_anew(found, part, taken(case.noise, index), index)
-            covariance = found.covariance if begun.drifts else found.covariance_if_independent
             near = _of_poses(begun.near.near, index)
             held = held_problem(found, case.data.take(index), taken(case.noise, index), near)
-            return _predicted(found, held, index, covariance)
+            return _predicted(found, held, index)
         except (InputError, NoTrustworthyResult) as error:
             return Failed(index, error.message)
 
 
-def _predicted(fit: Result, held: Held, index: Index, covariance: Array) -> Predicted:
+def _predicted(fit: Result, held: Held, index: Index) -> Predicted:
     rows = [fit.mechanism.tape.quantities.index(q) for q in fit.mechanism.compared]
     differences = output_differences(held.problem, held.problem.start, held.corrections)
-    stated = predictive(fit, held, covariance)
-    return Predicted(index, held.problem.readings[rows], differences, stated)
+    return Predicted(index, held.problem.readings[rows], differences, fit, held)
 
 
 def _placed_anew(fit: Result, data: Dataset, noise: Noise | None, index: Index) -> Predicted:
@@ -384,7 +401,7 @@ def _placed_anew(fit: Result, data: Dataset, noise: Noise | None, index: Index) 
     here = replaced(problem, Freedom.of(known.mechanism), variance=variance)
     rows = [known.mechanism.tape.quantities.index(q) for q in known.mechanism.compared]
     differences = output_differences(problem, here.parameters, here.corrections)
-    return Predicted(index, problem.readings[rows], differences, None)
+    return Predicted(index, problem.readings[rows], differences)
 
 
 def _pooled(
@@ -392,6 +409,8 @@ def _pooled(
     made: Sequence[Outcome],
     parts_left: Parts,
     data: Dataset,
+    *,
+    stating: bool = True,
 ) -> Validation:
     mechanism, words = whole.mechanism, parts_left.words
     failed = tuple(
@@ -411,13 +430,15 @@ def _pooled(
         words += f"; {len(parts)} of {len(made)} {kind} predicted"
     measured, differences = np.full((2, len(mechanism.compared), len(data)), np.nan)
     terms, inside = np.full((2, len(data)), np.nan)
+    judged = stating
     for part in parts:
         measured[:, part.index] = part.measured
         differences[:, part.index] = part.differences
-        if part.stated is not None:
-            terms[part.index] = part.stated.log_density
-            inside[part.index] = part.stated.inside()
-    judged = all(part.stated is not None for part in parts)
+        stated = part.stated(whole.drifting) if stating else None
+        if stated is not None:
+            terms[part.index] = stated.log_density
+            inside[part.index] = stated.inside()
+        judged = judged and stated is not None
     apart = deviations(mechanism, measured, differences)
     off = by_pose(apart)
     predicted = np.unique(np.concatenate([part.index for part in parts]))

@@ -127,8 +127,22 @@ def _noise_too_small(document: ResultDocument) -> Said | None:
     factor = significant(chi.variance_factor, 2)
     return Said(
         f"The corrections are larger than the stated sds allow: chi-squared per degree of freedom "
-        f"is {factor} (p = {chance(chi.p_value)}).",
+        f"is {factor} (p = {chance(chi.p_value)}).{_first_suspects(document)}",
         chi.variance_factor,
+    )
+
+
+def _first_suspects(document: ResultDocument) -> str:
+    """The sensors whose corrections are largest beside their redundancy, where some stand out."""
+    tested = [e for e in document.noise if e.variance_factor]
+    largest = max((e.variance_factor or 0.0 for e in tested), default=0.0)
+    named = [e for e in tested if (e.variance_factor or 0.0) > 0.5 * largest]
+    if len(named) == len(tested):
+        return ""
+    names = ", ".join(q for e in named for q in e.quantities)
+    return (
+        f" Beside their redundancy the corrections of {names} are the largest (factor "
+        f"{significant(largest, 2)})."
     )
 
 
@@ -323,6 +337,14 @@ def _rows_copied(document: ResultDocument) -> Said | None:
     return Said(said[0], float(len(document.data.copied))) if document.data.copied else None
 
 
+def _coarse(document: ResultDocument) -> Said | None:
+    coarse = document.data.coarse
+    if not coarse:
+        return None
+    listed = "; ".join(map(str, coarse))
+    return Said(f"Readings are recorded coarsely: {listed}.", max(one.sd for one in coarse))
+
+
 def _no_test(document: ResultDocument) -> Said | None:
     if document.sensors_exact and document.validation is None:
         return Said("Least squares states no sds of sensors, so nothing tests them.")
@@ -392,6 +414,12 @@ SOUND: tuple[Rule, ...] = (
     ),
     Rule("outliers", None, _outliers, "Inspect these poses; correct or exclude them."),
     Rule("rows-copied", None, _rows_copied, "Check how the file was made; delete the copies."),
+    Rule(
+        "readings-coarse",
+        None,
+        _coarse,
+        "Record more digits. Poses that repeat a coarse value repeat its error.",
+    ),
     Rule("sds-not-converged", None, _unsettled, "State more of the sds."),
     Rule("sd-not-detectable", None, _undetected, "State its sd, or repeat readings of one pose."),
     Rule("mounting-unstated", None, _mounting, "State where target or reflector is mounted."),
