@@ -213,7 +213,7 @@ def test_a_calibration_is_the_same_whoever_does_its_pieces(tmp_path: Path) -> No
     def calibrated(name: str, executor: Executor | None) -> ResultDocument:
         done = run_calibration(
             project,
-            Request(folds=5, profile=["l?"]),
+            Request(folds=5, profile=["l?"], method="implicit-loop"),
             out=tmp_path / name,
             executor=executor,
             listeners=Listeners(sharing=shared.append, pieces=lambda *seen: told.append(seen)),
