@@ -241,8 +241,10 @@ def test_a_drift_that_is_known_gives_the_covariance_of_the_fit_it_was_learnt_fro
     rng = np.random.default_rng(11)
     result = calibrated(path(60, rng), 3e-4 * forgetting(0.95, 60, rng), rng)
     assert result.drifting is not None
-    assert result.covariance_if(result.drifting) == pytest.approx(result.covariance, rel=1e-9)
-    assert (np.diag(result.covariance_if(None)) < np.diag(result.covariance)).all()
+    every = np.eye(len(result.estimated))
+    under, alone = (result.covariance_through(every, d).matrix for d in (result.drifting, None))
+    assert under == pytest.approx(result.covariance, rel=1e-9)
+    assert (np.diag(alone) < np.diag(result.covariance)).all()
 
 
 def test_neighbours_in_joint_space_are_apart_in_order() -> None:

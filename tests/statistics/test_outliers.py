@@ -303,9 +303,9 @@ def test_pose_13_of_the_measured_workspace_is_named(shared_data, monkeypatch) ->
     monkeypatch.setenv("LOOPCAL_DATA", str(path.parents[1]))
     project = lc.read_project("examples/motoman/right_arm_workspace.toml")
     data = lc.load_dataset(project)
-    for how in ({"method": "least-squares"}, {"noise": data.noise}):
+    for method, noise in (("least-squares", None), ("implicit-loop", data.noise)):
         found = lc.find_outliers(
-            lc.calibrate(project.mechanism, data.dataset, **{"method": "implicit-loop", **how})
+            lc.calibrate(project.mechanism, data.dataset, noise=noise, method=method)
         )
         assert found.by_residuals
         assert found.found[0].pose == "13"

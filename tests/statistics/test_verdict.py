@@ -304,7 +304,7 @@ def test_every_code_is_described() -> None:
     assert {rule.code for rule in SOUND} <= described
     source = "".join(
         Path(ROOT / "src" / "loopcal" / "statistics" / name).read_text("utf-8")
-        for name in ("verdict.py", "tolerance.py", "verified.py")
+        for name in ("answers.py", "verdict.py", "tolerance.py", "verified.py")
     )
     given = set(re.findall(r"Answer\(\s*(?:True|False|None),\s*\"([a-z-]+)\"", source))
     assert given <= described

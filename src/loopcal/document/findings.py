@@ -52,6 +52,9 @@ class WeakDirection:
     condition: Size | None
     """Largest singular value over that of this direction; null: not determined."""
     words: str
+    size: Size | None = None
+    """Of the direction that changes the size of the machine, all lengths alike: the share of it
+    that the data allow within one sd; null: another direction."""
 
 
 @dataclass(frozen=True)
@@ -169,17 +172,37 @@ class RegionRange:
 
 
 @dataclass(frozen=True)
-class RegionEntry:
-    """The working region, and the sd that the parameters cause there beside the measured poses."""
+class RegionSd:
+    """The predicted sd in the working region, beside that at the measured poses.
 
-    ranges: tuple[RegionRange, ...]
+    Of what the parameters cause and of what the fit leaves unexplained at its poses.
+    """
+
     unit: str
     sd_at_poses: Size
     """Rms over the measured poses, root of the trace over the outputs."""
     sd: Size | None
     """Rms over the region; null: unbounded, the data leave a direction open."""
     ratio: Size | None
-    """Of the two; of the instrument with the largest."""
+    """Of the two."""
+
+
+@dataclass(frozen=True)
+class RegionEntry:
+    """The working region, and how sure the calibration is there."""
+
+    ranges: tuple[RegionRange, ...]
+    by: tuple[RegionSd, ...]
+    """For each unit of outputs that of the instrument with the largest ratio; the worst first."""
+
+    @property
+    def worst(self) -> RegionSd:
+        """The largest ratio of any unit."""
+        return self.by[0]
+
+    def of(self, unit: str) -> RegionSd | None:
+        """Of one unit; None where no output has it."""
+        return next((one for one in self.by if one.unit == unit), None)
 
 
 @dataclass(frozen=True)

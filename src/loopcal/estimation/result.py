@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from loopcal.estimation.noise.kenward_roger import LearntParameters
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 Addition = Callable[[ResultDocument], ResultDocument]
 """Adds to the document of a result what was found beside the fit."""
 
@@ -105,10 +106,12 @@ class Result:
     faults: tuple[ColumnFault, ...] = ()
     judge: Callable[[Result], Verdict] | None = None
     """What judges the result when its verdict is first asked for."""
+    memory: dict[object, Any] = field(default_factory=dict)
+    """What was found of this fit at some cost, shared by results that differ in words alone."""
 
     def __getstate__(self) -> dict[str, Any]:
         """What a worker sends: the fields; what follows from them is computed where it is asked."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {one.name: getattr(self, one.name) for one in fields(self)} | {"memory": {}}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -174,21 +177,31 @@ class Result:
         """The drift that the covariance allows for, None without serial dependence."""
         return None if self._depending is None else self._depending.drifting
 
-    def covariance_if(self, drifting: Drifting | None) -> Array:
-        """(n, n) of the estimated parameters under a known drift, or were no residuals dependent.
-        It tests nothing."""
+    def covariance_through(self, S: Array, drifting: Drifting | None) -> LearntCovariance:
+        """Covariance of S times the estimated parameters, S (N, m, n), under a known drift, or were
+        no residuals dependent. It tests nothing."""
         if drifting is not None:
             method = self.fit.solver
-            return covariance_under(
+            known = covariance_under(
                 drifting,
                 self.problem,
                 self.solution,
                 exact=method.exact,
                 at_readings=method.at_readings,
             )
+            return LearntCovariance.known(known).through(S)
         if self._learnt is not None and not self.variance_factor_applied:
-            return self._learnt.matrix
-        return self._independent.matrix
+            return self._learnt.through(S)
+        return self._independent.through(S)
+
+    @property
+    def learnt_noise(self) -> tuple[tuple[tuple[int, ...], Array], ...]:
+        """Of each learnt sd of sensors: the quantities, by position, and the relative changes (a,)
+        of its variance along the slopes of `covariance_through`."""
+        if self._learnt is None or self.estimate is None:
+            return ()
+        stated = self.estimate.stated
+        return tuple(zip((c.quantities for c in stated), self._learnt.relative, strict=True))
 
     @cached_property
     def _independent(self) -> LearntCovariance:
@@ -297,7 +310,7 @@ class Result:
         """The sds that were used."""
         if self.fit.solver.exact:
             return ()
-        errors = None if self._learnt is None else self._learnt.errors
+        errors = None if self._learnt is None else self._learnt.errors[: len(self._learnt.ratios)]
         return entries(self.problem, self.estimate, self.stated, errors)
 
     @cached_property
@@ -434,7 +447,7 @@ class Result:
         The covariance of the methods as they were published; where residuals depend on the pose
         order it is too small.
         """
-        return replace(self, taken_as_independent=True)
+        return replace(self, taken_as_independent=True, memory={})
 
     def with_variance_factor(self) -> Result:
         """The same result with its covariance multiplied by the variance factor.
@@ -491,6 +504,13 @@ class Result:
     @property
     def _data(self) -> DataEntry:
         return data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities])
+
+    def remembered(self, what: object, found: Callable[[], T]) -> T:
+        """What was found of this fit under this name, found once."""
+        if what not in self.memory:
+            self.memory[what] = found()
+        value: T = self.memory[what]
+        return value
 
     def adding(self, *additions: Addition) -> Result:
         """The same result with a document that gains these."""

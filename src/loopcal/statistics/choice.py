@@ -139,10 +139,15 @@ def choose(
             return Choice(case.fit.method.name, whole, none, None, None)
     _refuse(judged)
     case = replace(case, trusted=True)
-    told = _changes(case, judged)
+    best = _closest(judged)
+    told = (
+        changes(case, best.entrant.case.fit, best.whole) if best and best.whole else unchanged(case)
+    )
     if told.found:
-        case, able = told.case, entrants(told.case, told.moved)
-        judged = [_fitted(entrant, iterated) for entrant in able]
+        case = told.case
+        known = {best.name: told.whole} if best else {}
+        able = entrants(case, told.moved)
+        judged = [_fitted(one, iterated, known.get(one.name)) for one in able]
     other = scheme if scheme and scheme.other is not None else None
     plan = _plan(told.plain, None if other else _of(scheme, told))
     if plan is not None:
@@ -170,19 +175,15 @@ def _refuse(judged: Sequence[Judged]) -> None:
         raise next(one.error for one in able if one.error)
 
 
-def _changes(case: Case, judged: Sequence[Judged]) -> Changes:
-    """What happened during the run, by the structured candidate that fits best."""
+def _closest(judged: Sequence[Judged]) -> Judged | None:
+    """The structured candidate that fits best: it tells what happened during the run."""
     able = [one for one in judged if one.entrant.structured and one.whole and not one.failed]
-    if not able:
-        return unchanged(case)
 
     def misfit(one: Judged) -> float:
         after = one.whole and one.whole.accuracy_after
         return after.rms if after else math.inf
 
-    best = min(able, key=misfit)
-    assert best.whole is not None
-    return changes(case, best.entrant.case, best.whole)
+    return min(able, key=misfit, default=None)
 
 
 def _of(scheme: Scheme | None, told: Changes) -> Scheme | None:
@@ -192,9 +193,10 @@ def _of(scheme: Scheme | None, told: Changes) -> Scheme | None:
     return replace(scheme, groups=[scheme.groups[i] for i in told.kept])
 
 
-def _fitted(one: Entrant, iterated: Iterated | None) -> Judged:
+def _fitted(one: Entrant, iterated: Iterated | None, whole: Result | None = None) -> Judged:
+    """A candidate with its fit of all poses; whole: that fit, where it is at hand."""
     try:
-        whole = one.case.calibrated(progress=iterated)
+        whole = one.case.calibrated(progress=iterated) if whole is None else whole
     except (InputError, NoTrustworthyResult) as error:
         return Judged(one, None, failed=error.message, error=error)
     if not whole.status.converged:
@@ -222,23 +224,20 @@ def _validated(
 ) -> list[Judged]:
     """All candidates on the parts of a plan; costly ones that are hopeless at half time go."""
     halves = plan.indices[::2], plan.indices[1::2]
-    alive = [one for one in judged if not one.failed]
-    total, before = len(plan.indices) * len(alive), 0
+    total, before = len(plan.indices) * sum(not one.failed for one in judged), 0
 
     def told(done: int, _: int) -> None:
         if progress:
             progress(before + done, total)
 
     for half in halves:
-        found = {}
-        for one in judged:
-            if one.failed or one.whole is None:
-                found[one.name] = one
-                continue
-            made = left_out(one.entrant.case, one.whole, half, executor, told, anew=plan.anew)
-            before += len(half)
-            found[one.name] = replace(one, made=(*one.made, *made))
-        judged = _without_hopeless(list(found.values())) if half is halves[0] else [*found.values()]
+        fitted = {one.name: (one.entrant.case, one.whole) for one in judged if one.whole}
+        alive = [one.name for one in judged if not one.failed and one.name in fitted]
+        found = left_out([fitted[name] for name in alive], half, executor, told, anew=plan.anew)
+        before += len(half) * len(alive)
+        made = dict(zip(alive, found, strict=True))
+        judged = [replace(one, made=(*one.made, *made.get(one.name, ()))) for one in judged]
+        judged = _without_hopeless(judged) if half is halves[0] else judged
     count = len(halves[0])
     order = np.argsort([*range(0, 2 * count, 2), *range(1, 2 * len(halves[1]), 2)])
     return [_ordered(one, order) for one in judged]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,13 +170,19 @@ class Step:
 
 @dataclass(frozen=True)
 class _Ridge:
-    """z (m,), root of H^-1, the degrees of freedom that the fit uses, and the variance of smooth
-    columns over that of a row."""
+    """z (m,), the degrees of freedom that the fit uses, the variance of smooth columns over that of
+    a row, and the factor of H, whose rows and columns are scaled."""
 
     z: Array
-    root: Array
     used: float
     ratio: float
+    factor: _Factor
+    scale: Array
+
+    @property
+    def root(self) -> Array:
+        """(m, k) with H^-1 = root root^T."""
+        return self.scale[:, None] * self.factor.root
 
 
 def _ridge(E: Array, Z: Array, P: Array, pull: Array, smooth: int, ratios: Array) -> _Ridge:
@@ -185,20 +192,23 @@ def _ridge(E: Array, Z: Array, P: Array, pull: Array, smooth: int, ratios: Array
     ZZ, g = flat.T @ flat, flat.T @ e + pull
     scale = 1.0 / np.sqrt(np.maximum(np.diag(ZZ) + np.diag(P), 1e-300))
     size = np.trace(ZZ[m - smooth :, m - smooth :]) / max(len(e) * smooth, 1)
+    scaled = (ZZ + P) * scale * scale[:, None]
     best, least, at = None, np.inf, 1.0
     for ratio in ratios.tolist() if smooth else (1.0,):
         precision = np.zeros(m)
         precision[m - smooth :] = max(size, 1e-300) / ratio
-        factor = _Factor.of((ZZ + P + np.diag(precision)) * scale * scale[:, None])
-        along = factor.half(scale * g)
-        criterion = factor.log_determinant - float(along @ along)
+        H = scaled.copy()
+        H.reshape(-1)[:: m + 1] += precision * np.square(scale)
+        factor = _Factor.of(H)
+        z = factor.solved(scale * g)
+        criterion = factor.log_determinant - float(z @ (scale * g))
         criterion -= float(np.log(precision[m - smooth :]).sum())
         if criterion < least:
-            best, least, at = factor, criterion, ratio
+            best, least, at, found, added = factor, criterion, ratio, z, precision
     assert best is not None
-    root = scale[:, None] * best.root
-    used = float(np.einsum("ik,ik->", root, ZZ @ root))
-    return _Ridge(root @ (root.T @ g), root, used, at)
+    held = (np.diag(P) + added) * np.square(scale)  # P is diagonal
+    used = len(best.values) - float(best.variances @ held)
+    return _Ridge(scale * found, used, at, best, scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,17 +236,27 @@ class _Factor:
     def log_determinant(self) -> float:
         return 2.0 * float(np.log(self.values).sum())
 
-    @property
+    @cached_property
     def root(self) -> Array:
         """(m, k) with H^-1 = root root^T."""
+        from scipy.linalg.lapack import dtrtri
+
         if self.L is None:
             return self.vectors / self.values
-        return np.asarray(np.linalg.inv(self.L).T)
+        return np.asarray(dtrtri(self.L, lower=1)[0].T)
 
-    def half(self, g: Array) -> Array:
-        """L^-1 g."""
-        found = self.root.T @ g if self.L is None else np.linalg.solve(self.L, g)
-        return np.asarray(found, dtype=np.float64)
+    @property
+    def variances(self) -> Array:
+        """(m,) the diagonal of H^-1."""
+        return np.asarray(np.square(self.root).sum(axis=1))
+
+    def solved(self, g: Array) -> Array:
+        """H^-1 g."""
+        from scipy.linalg import cho_solve
+
+        if self.L is None:
+            return np.asarray(self.root @ (self.root.T @ g))
+        return np.asarray(cho_solve((self.L, True), g, check_finite=False))
 
 
 def ordered_system(result: Result) -> OrderedSystem:

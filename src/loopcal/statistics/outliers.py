@@ -103,6 +103,10 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
             code="unknown-name",
             remedy=f"choose one of {', '.join(SCALES)}",
         )
+    return result.remembered(("outliers", level, scale), lambda: _found(result, level, scale))
+
+
+def _found(result: Result, level: float, scale: str) -> Outliers:
     with one_blas_thread():
         search = Search(result, level, scale)
         columns = result.faults

@@ -33,6 +33,7 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
+from loopcal.execution.local import own_threads
 from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
@@ -140,7 +141,7 @@ def validated(
 ) -> Validation:
     """The validation of a case whose calibration of all poses is at hand.
 
-    executor: who does the refits, this process one by one if it is None; progress: called with how
+    executor: who does the refits, by default the threads of this process; progress: called with how
     many refits are done. Raises as `loopcal.statistics.validate.validate`.
     """
     if scheme.other is not None:
@@ -152,8 +153,8 @@ def validated(
         words = f"{len(other)} poses of {name}"
         return _pooled(whole, [part], Parts((), {"file": name}, words), other)
     plan = planned(case, scheme)
-    made = left_out(case, whole, plan.indices, executor, progress, anew=plan.anew)
-    return pooled(whole, made, plan, case.data)
+    made = left_out([(case, whole)], plan.indices, executor, progress, anew=plan.anew)
+    return pooled(whole, made[0], plan, case.data)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,20 +192,22 @@ def planned(case: Case, scheme: Scheme) -> Plan:
 
 
 def left_out(
-    case: Case,
-    whole: Result,
+    fitted: Sequence[tuple[Case, Result]],
     indices: Sequence[Index],
     executor: Executor | None = None,
     progress: Progress | None = None,
     *,
     anew: bool = False,
-) -> list[Outcome]:
-    """Each part predicted by a fit of all other poses, in their order.
+) -> list[list[Outcome]]:
+    """For each case each part predicted by a fit of all other poses, in their order.
 
-    anew: whether the readings of the part say where its instrument stands.
+    fitted: cases with their calibrations of all poses; executor: by default the threads of this
+    process; anew: whether the readings of the part say where its instrument stands.
     """
-    begun = replace(_Begun.at(case, whole), anew=anew)
-    return gathered(executor, _left_out, begun, indices, progress)
+    begun = [replace(_Begun.at(case, whole), anew=anew) for case, whole in fitted]
+    pieces = [(which, index) for which in range(len(begun)) for index in indices]
+    made = gathered(executor or own_threads(), _left_out, begun, pieces, progress)
+    return [made[i * len(indices) : (i + 1) * len(indices)] for i in range(len(begun))]
 
 
 def pooled(
@@ -263,7 +266,7 @@ class Predicted:
             return None
         try:
             with one_blas_thread():
-                return predictive(self.fit, self.held, self.fit.covariance_if(drifting))
+                return predictive(self.fit, self.held, drifting)
         except (InputError, NoTrustworthyResult):
             return None
 
@@ -364,8 +367,10 @@ class _Begun:
         return found
 
 
-def _left_out(begun: _Begun, index: Index) -> Outcome:
+def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
     """The poses at these positions, predicted by a fit of the others."""
+    which, index = piece
+    begun = every[which]
     case = begun.case
     rest = np.setdiff1d(np.arange(len(case.data)), index)
     with one_blas_thread():
