@@ -35,7 +35,7 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
-.PHONY: help install demo test lint types suite partners chromium test-pythons test-lowest test-without-compiler sanitize fuzz benchmark clean
+.PHONY: help install demo pictures test lint types suite partners chromium test-pythons test-lowest test-without-compiler sanitize fuzz benchmark clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -60,6 +60,9 @@ $(STAMP): pyproject.toml CMakeLists.txt $(wildcard engine/*)
 
 demo: $(STAMP) ## calibrate three simulated arms, one with a fault, and print their true errors
 	@$(BIN)/python examples/demo.py
+
+pictures: demo ## make the pictures of the README from the demo's last report; needs `make partners`
+	@$(BIN)/python -m analyses.pictures
 
 test: lint types suite ## the whole suite, lint and types included
 

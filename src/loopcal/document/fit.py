@@ -61,6 +61,11 @@ class ParameterEntry:
     degrees_of_freedom: Size | None = None
     """Of Student's t, where sds were learnt; null: normal, because all sds are known."""
 
+    @property
+    def stderr(self) -> float | None:
+        """The sd, by the name of lmfit."""
+        return self.sd
+
 
 @dataclass(frozen=True)
 class CovarianceEntry:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
@@ -276,6 +277,15 @@ class ResultDocument:
         for warning in self.warnings:
             lines += ["", f"WARNING  {warning}"]
         return "\n".join(lines)
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenResult:
+    """The files of a result: their folder, their names, and the content of result.json."""
+
+    folder: Path
+    files: tuple[str, ...]
+    document: ResultDocument
 
 
 def _state(document: ResultDocument) -> list[str]:

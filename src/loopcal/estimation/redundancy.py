@@ -57,7 +57,7 @@ def redundancy(
             rows = list(joint.indices)
             matrix = joint.factor @ np.swapaxes(joint.factor, -1, -2)
             own[:, rows] = matrix @ inner[:, rows]
-            corrections[:, rows] = np.einsum("...ij,bj->bi", matrix, seen[:, rows])
+            corrections[:, rows] = (matrix @ seen[:, rows, None])[..., 0]
         numbers[:, here] = np.einsum("bkk->kb", own)
         squares[:, here] = (corrections * seen).T
     lost = np.isinf(sd)

@@ -21,6 +21,7 @@ from loopcal.document.plain import known
 from loopcal.document.result_document import SCHEMA, DataEntry, MechanismEntry, ResultDocument
 from loopcal.document.terms import TermEntry
 from loopcal.document.verdict import Verdict
+from loopcal.document.views import Views
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
 from loopcal.estimation.dependence.dependence import (
@@ -77,7 +78,7 @@ class AllPoses:
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Result(Views):
     """The result of a calibration. Values are SI; mappings go by name.
 
     fit: the settings; dataset: the readings; problem: with the sds used, solution: where the fit
@@ -364,7 +365,7 @@ class Result:
 
     @cached_property
     def accuracy_before(self) -> Accuracy | None:
-        """Of the nominal machine; None without outputs, or where no pose tells."""
+        """Of the nominal machine; None without outputs, or where no pose shows it."""
         if self.all_poses is not None:
             return self.all_poses.accuracy_before
         return accuracy(self.deviations(self.differences_before))
@@ -587,11 +588,6 @@ class Result:
 
     def __str__(self) -> str:
         return str(self.document)
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return f"<pre>{escape(str(self))}</pre>"
 
     def __repr__(self) -> str:
         state = "converged" if self.status.converged else self.status.reason

@@ -32,7 +32,7 @@ ESTIMATES = ("each", "group")
 class Noise:
     """What is said about the sensors: sd [SI] by quantity, glob or group; later entries win.
 
-    A value is one sd, an array (N,) with one sd per reading, or for several quantities together,
+    A value is one sd, or an array (N,) with one sd per reading; for several quantities together,
     keyed by a tuple of names, a covariance (b, b) or one per pose (N, b, b) [SI squared], or a
     `Tracker`, which gives each reading the covariance of the place where it was taken.
 

@@ -87,7 +87,7 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
     root of the variance factor of the poses that fit; "auto" does so where the stated sds are
     plainly too small, and for least squares, which states none.
 
-    Every cause is tried: the reading is put right and the pose tested again at parameters it had no
+    Every cause is tried: the reading is corrected and the pose tested again at parameters it had no
     part in. Where the fit as a whole is bad, exchanged columns, columns in degrees instead of
     radians and reversed joints are tried on all poses.
 

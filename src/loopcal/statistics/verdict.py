@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
@@ -395,15 +396,28 @@ def verdict_of(document: ResultDocument, tolerance: float | None = None) -> Verd
     return Verdict(sound, where, than, good, _headline((sound, where, than, good)))
 
 
+@dataclass(frozen=True)
+class Finding:
+    """One thing that speaks against a result: its rule, and what it found."""
+
+    rule: Rule
+    said: Said
+
+
+def findings_against(document: ResultDocument) -> list[Finding]:
+    """All findings of `SOUND`, the gravest first."""
+    found = [Finding(rule, said) for rule in SOUND if (said := rule.finds(document))]
+    # sorting is stable
+    return sorted(found, key=lambda finding: finding.rule.passed is None)
+
+
 def _sound(document: ResultDocument) -> Answer:
-    found = [(rule, said) for rule in SOUND if (said := rule.finds(document))]
-    # the gravest first: sorting is stable
-    found.sort(key=lambda one: one[0].passed is None)
+    found = findings_against(document)
     if not found:
         words = "The fit converged; sensors, poses and machine model are consistent."
         return Answer(True, "sound", None, words, None)
-    rule, said = found[0]
-    words = " ".join(other.words for _, other in found)
+    rule, said = found[0].rule, found[0].said
+    words = " ".join(finding.said.words for finding in found)
     return Answer(rule.passed, rule.code, said.number, words, rule.next)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed
-from loopcal.files.recognition.headers import Heading, heading
+from loopcal.files.recognition.headers import Heading, heading, stem
 from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Dataset
@@ -58,8 +58,8 @@ class Field:
 
     @property
     def label(self) -> str:
-        """How the reader knows it."""
-        return repr(self.heading.text) if self.heading else f"column {self.position + 1}"
+        """How the reader knows it: its header, or its number."""
+        return self.heading.text if self.heading else f"column {self.position + 1}"
 
     @property
     def span(self) -> float:
@@ -130,9 +130,14 @@ def source_of(given: Any, number: int) -> Source:
     if isinstance(given, str | Path):
         return _of_file(Path(given), number)
     if isinstance(given, Dataset):
-        named = [(Heading(q, q.lower(), given.units.get(q)), v) for q, v in given.readings.items()]
-        fields = [Field(number, i, h, v) for i, (h, v) in enumerate(named)]
-        return Source(None, None, tuple(fields), given.poses, "pose")
+        fields = [
+            Field(number, i, Heading(q, stem(q), given.units.get(q)), values)
+            for i, (q, values) in enumerate(given.readings.items())
+        ]
+        for quantity, sds in given.sds.items():
+            its = Heading(f"{quantity} sd", f"{stem(quantity)}_sd", given.units.get(quantity))
+            fields.append(Field(number, len(fields), its, sds))
+        return _checked(Source(None, None, tuple(fields), given.poses, "pose"))
     fields, ids, pose = [], None, None
     for i, name in enumerate(column_names(given)):
         values = np.asarray(column(given, name))
@@ -154,7 +159,8 @@ def joined(sources: Sequence[Source]) -> Fields:
         poses = first.ids or tuple(str(i) for i in range(1, len(first) + 1))
         return Fields(tuple(sources), poses, first.fields)
     if all(s.ids is not None for s in sources):
-        common = [i for i in first.ids or () if all(i in set(s.ids or ()) for s in sources[1:])]
+        others = [set(s.ids or ()) for s in sources[1:]]
+        common = [i for i in first.ids or () if all(i in ids for ids in others)]
         if common:
             return _by_ids(sources, common)
     lengths = {s.name: len(s) for s in sources}
@@ -180,7 +186,7 @@ def _by_ids(sources: Sequence[Source], common: Sequence[str]) -> Fields:
     told = [f"the files are joined by pose ids: {len(common)} poses are in all of them"]
     for source in sources:
         if len(source) > len(common):
-            told.append(f"{source.name}: {len(source) - len(common)} poses are in no other file")
+            told.append(f"{source.name}: {len(source) - len(common)} poses are not in every file")
     return Fields(tuple(sources), tuple(common), tuple(fields), False, tuple(told))
 
 
@@ -200,7 +206,7 @@ def _of_file(path: Path, number: int) -> Source:
         if i != pose
     )
     ids = None if pose is None else tuple(table.ids(pose)[i] for i in every)
-    sheet = table.part.split("'")[1] if table.part and table.part.startswith("sheet") else None
+    sheet = table.sheet
     named = None if pose is None else column_key(names, pose)
     # a row of units is no row of readings: what is below it is written into a file of its own
     return _checked(Source(None if units else path, sheet, fields, ids, named, tuple(names)))
@@ -264,6 +270,11 @@ def moving(fields: Sequence[Field]) -> tuple[Field, ...]:
     return tuple(f for f in fields if f.span > STILL * most)
 
 
+def names_of(fields: Sequence[Field]) -> str:
+    """Columns as the reader knows them."""
+    return ", ".join(f.label for f in fields)
+
+
 def unnamed(fields: Sequence[Field]) -> str:
     """Columns listed for a message."""
-    return listed([f.heading.text if f.heading else str(f.position + 1) for f in fields], 40)
+    return listed([f.label for f in fields], 40)

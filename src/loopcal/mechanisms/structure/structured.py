@@ -68,7 +68,7 @@ def structured(
     """The mechanism with the model error of a real machine, as parameters with learnt sds.
 
     Priors by kind, where none is stated (see `Mechanism.kinds`): placement flat; mounting known
-    to 5 mm and 50 mrad, flat where all its values are 0 and so nobody stated it; lengths and
+    to 5 mm and 50 mrad, flat where all its values are 0 and so unstated; lengths and
     angles share a learnt sd each (medians 1 mm and 1 mrad). Further parameters, nominally 0:
 
     - sag, of serial arms: JOINT_sag_AXIS_LOAD [rad/m] about the joints' axes (median 0.5 mrad per
@@ -79,7 +79,7 @@ def structured(
     - discrepancy: smooth functions of the joints that shift the body (median 0.3 mm), and turn it
       too (median 0.3 mrad) where that is seen. A number says of how many waves they are made.
 
-    Loops of one's own are returned as they are, and so is a mechanism that is structured already.
+    Loops of a Python function are returned as they are, and so is a structured mechanism.
     Raises InputError for parameters of sag that the arm cannot have.
     """
     if "structure" in (mechanism.description or {}) or not _known(mechanism):
