@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -55,11 +57,14 @@ def forgetting(rho: float, poses: int, rng: np.random.Generator) -> Array:
     return u
 
 
-def calibrated(joints: dict[str, Array], errors: Array, rng: np.random.Generator) -> Result:
+def calibrated(
+    joints: dict[str, Array], errors: Array, rng: np.random.Generator, **noise: Any
+) -> Result:
     read = {q: v + rng.normal(0.0, SDS[q], len(v)) for q, v in joints.items()}
     measured = points(joints, TRUTH) + errors
     data = lc.Dataset.from_arrays(read | dict(zip(("xP", "yP"), measured, strict=True)))
-    return lc.calibrate(ARM, data, noise=lc.Noise(SDS), start="nominal", method="implicit-loop")
+    told = lc.Noise(SDS, **noise)
+    return lc.calibrate(ARM, data, noise=told, start="nominal", method="implicit-loop")
 
 
 def white(poses: int, rng: np.random.Generator) -> Array:
@@ -245,6 +250,16 @@ def test_a_drift_that_is_known_gives_the_covariance_of_the_fit_it_was_learnt_fro
     under, alone = (result.covariance_through(every, d).matrix for d in (result.drifting, None))
     assert under == pytest.approx(result.covariance, rel=1e-9)
     assert (np.diag(alone) < np.diag(result.covariance)).all()
+
+
+def test_a_drift_beside_learnt_sds_predicts() -> None:
+    rng = np.random.default_rng(11)
+    errors = 3e-4 * forgetting(0.95, 60, rng)
+    result = calibrated(path(60, rng), errors, rng, estimate={("xP", "yP"): "group"})
+    assert result.drifting is not None
+    predicted = lc.predict(result, path(10, rng))
+    assert np.isfinite(predicted.covariance).all()
+    assert np.isinf(predicted.denominator).all()
 
 
 def test_neighbours_in_joint_space_are_apart_in_order() -> None:

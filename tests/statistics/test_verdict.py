@@ -107,6 +107,8 @@ def test_every_finding_has_its_answer(code: str) -> None:
     path, value, passed = FINDINGS[code]
     # least squares is tested where it predicted poses not used
     begun = changed(clean(), "validation", None) if code == "untested" else clean()
+    if code == "overfitted":  # stated regions contain what few poses leave open
+        begun = changed(clean(), "validation.coverage", None)
     found = verdict_of(changed(begun, path, value))
     assert found.sound.code == code
     assert found.sound.passed is passed
@@ -127,6 +129,17 @@ def test_a_prior_that_the_data_contradict_is_named() -> None:
     usual = replace(tense, value=entry.nominal + 5 * entry.sd)
     parameters = (*document.parameters[:2], usual, *document.parameters[3:])
     assert verdict_of(replace(document, parameters=parameters)).sound.passed
+
+
+def test_regions_that_hold_contain_what_few_poses_leave_open() -> None:
+    assert verdict_of(changed(clean(), "accuracy.after.rms", 1e-4)).sound.passed
+
+
+def test_an_outlier_of_the_kind_that_good_data_have_is_no_finding() -> None:
+    document = changed(clean(), "outliers", (replace(OUTLIER, p_value=4e-4),))
+    assert document.outlier_tests is not None
+    assert verdict_of(document).sound.passed
+    assert verdict_of(replace(document, outlier_tests=None)).sound.code == "outliers"
 
 
 def test_an_error_of_the_machine_model_leaves_the_question_open() -> None:

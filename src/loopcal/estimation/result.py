@@ -311,7 +311,9 @@ class Result(Views):
         """The sds that were used."""
         if self.fit.solver.exact:
             return ()
-        errors = None if self._learnt is None else self._learnt.errors[: len(self._learnt.ratios)]
+        errors = None
+        if self._learnt is not None and self.drifting is None:  # a drift has no slopes
+            errors = self._learnt.errors[: len(self._learnt.ratios)]
         return entries(self.problem, self.estimate, self.stated, errors)
 
     @cached_property

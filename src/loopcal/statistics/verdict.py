@@ -30,6 +30,8 @@ RARE = 1e-3
 """p-value of a single test from which a result is not sound: several tests are made."""
 LOOSE = 0.25
 """Chi-squared per degree of freedom of sds twice as large as the readings show."""
+_CHANCE = 0.01
+"""Share of good data sets with a pose so far off; the search for outliers names more."""
 WORSE = 1.5
 """Rms on poses not used over rms on poses used that is called too large."""
 FAR = 10.0
@@ -241,7 +243,10 @@ def _model_error(document: ResultDocument) -> Said | None:
 
 
 def _overfitted(document: ResultDocument) -> Said | None:
+    """Where no regions are stated: those contain what few poses leave open, and are tested."""
     accuracy, validation = document.accuracy, document.validation
+    if validation is not None and validation.coverage is not None:
+        return None
     unseen = None if validation is None else validation.accuracy
     if accuracy is None or unseen is None or unseen.rms <= WORSE * accuracy.after.rms:
         return None
@@ -254,7 +259,10 @@ def _overfitted(document: ResultDocument) -> Said | None:
 
 
 def _outliers(document: ResultDocument) -> Said | None:
-    poses = list(dict.fromkeys(entry.pose for entry in document.outliers or ()))
+    tests = document.outlier_tests
+    limit = 1.0 if tests is None else _CHANCE / max(tests.poses, 1)
+    found = [entry for entry in document.outliers or () if entry.p_value <= limit]
+    poses = list(dict.fromkeys(entry.pose for entry in found))
     if not poses:
         return None
     named = ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")

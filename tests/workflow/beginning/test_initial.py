@@ -512,3 +512,82 @@ def test_zeros_of_a_lost_reflector_are_refused(tmp_path: Path, arm: Any) -> None
     lost[[5, 17]] = 0.0
     with refused("lost-reflector"):
         lc.init({**of(joints, NAMES), **of(lost, "xyz")}, dh=dh(tmp_path))
+
+
+def test_files_with_the_same_columns_are_taken_together(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    columns = {**of(joints, NAMES), **of(points, "xyz")}
+    half = len(joints) // 2
+    parts = [{n: v[:half] for n, v in columns.items()}, {n: v[half:] for n, v in columns.items()}]
+    made = lc.init(*parts, dh=dh(tmp_path))
+    assert len(made.dataset) == len(joints)
+    assert np.allclose(made.dataset["x"], points[:, 0])
+    assert any("taken together" in words for words in made.remarks)
+
+
+def test_a_column_of_two_files_must_agree(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    ids = np.arange(len(joints))
+    own, seen = {"pose": ids, **of(joints, NAMES)}, {"pose": ids, **of(points, "xyz")}
+    made = lc.init(own, {**seen, "J2": joints[:, 1]}, dh=dh(tmp_path))
+    assert made.rms < 1e-3
+    with refused("duplicate-column", "J2", "table 1", "table 2"):
+        lc.init(own, {**seen, "J2": joints[:, 2]}, dh=dh(tmp_path))
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_row_per_reflector_becomes_a_row_per_pose(
+    tmp_path: Path, camera: Any, alone: bool
+) -> None:
+    joints, seen = camera
+    here = seen[:, :3, 3]
+    other = here + seen[:, :3, :3] @ np.array([0.1, -0.05, 0.02])
+    ids = [f"P{i}" for i in range(len(joints)) for _ in range(2)]
+    rows = np.stack([here, other], axis=1).reshape(-1, 3)[:-1]
+    long = {"pose": ids[:-1], "target": ["A", "B"] * (len(joints) - 1) + ["A"], **of(rows, "xyz")}
+    own = of(joints, NAMES)
+    if alone:
+        files = [table(tmp_path / "a.csv", {**long, **of(joints.repeat(2, axis=0)[:-1], NAMES)})]
+    else:
+        files = [
+            table(tmp_path / "a.csv", long),
+            table(tmp_path / "b.csv", {"pose": ids[::2], **own}),
+        ]
+    made = lc.init(*files, dh=dh(tmp_path), out=tmp_path / "out")
+    assert len(made.dataset) == len(joints)
+    assert np.allclose(made.dataset["y_1"], here[:, 1], atol=1e-8)
+    assert np.isnan(made.dataset["y_2"]).sum() == 1
+    assert_gives_the_noise_back_twice(tmp_path / "out")
+
+
+def assert_gives_the_noise_back_twice(folder: Path) -> None:
+    found = lc.calibrate(folder / "project.toml", method="least-squares")
+    assert found.converged
+    assert found.accuracy_after is not None
+    assert found.accuracy_after.rms < 3.0 * NOISE
+
+
+def test_the_sheet_with_the_readings_is_taken(tmp_path: Path, arm: Any) -> None:
+    import xlsxwriter
+
+    joints, points = arm
+    path = tmp_path / "a.xlsx"
+    with xlsxwriter.Workbook(str(path)) as book:
+        book.add_worksheet("Notes").write(0, 0, "measured on Monday")
+        sheet = book.add_worksheet("Data")
+        sheet.write_row(0, 0, [*NAMES, "x", "y", "z"])
+        for i, row in enumerate(np.hstack([joints, points]), 1):
+            sheet.write_row(i, 0, row)
+    made = lc.init(path, dh=dh(tmp_path), out=tmp_path / "out")
+    assert 'sheet = "Data"' in made.text
+    with xlsxwriter.Workbook(str(path)) as book:
+        book.add_worksheet("Notes").write(0, 0, "measured on Monday")
+    with refused("no-data", "Notes"):
+        lc.init(path, dh=dh(tmp_path))
+
+
+def test_a_joint_that_counts_from_another_zero_is_named(tmp_path: Path, arm: Any) -> None:
+    joints, points = (values[:48] for values in arm)
+    turned = joints + np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0, 0.0])
+    with refused("implausible-readings", "J2", "-90 deg"):
+        lc.init({**of(turned, NAMES), **of(points, "xyz")}, dh=dh(tmp_path))

@@ -19,7 +19,8 @@ from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.paths import relative
 from loopcal.files.project.new_project import refuse_existing, write_new_files
 from loopcal.files.project.project_file import Project, read_project
-from loopcal.files.recognition.fields import Fields, joined, source_of
+from loopcal.files.recognition.fields import source_of
+from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import layouts
 from loopcal.files.recognition.project_text import project_text
 from loopcal.files.recognition.robots import Robot, dh_robot, typed_robot, urdf_robot

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from loopcal.errors import Code, InputError
 from loopcal.estimation.mounted import Bodies
-from loopcal.files.recognition.fields import Fields, names_of
+from loopcal.files.recognition.fields import names_of
+from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.layouts import Layout, Seen
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import with_unit
@@ -104,6 +105,7 @@ def objection(case: Case) -> Explanation | None:
         _moved_too(case),
         _coordinates(case.found),
         _reversed(case, 1),
+        _displaced_zeros(case),
         _reversed(case, 2),
     )
     for explained in tried:
@@ -226,6 +228,28 @@ def _reversed(case: Case, count: int) -> Iterator[Explanation]:
         )
 
 
+def _displaced_zeros(case: Case) -> Iterator[Explanation]:
+    """One joint that counts from another zero, a right angle or two away.
+
+    The zeros of the first and the last joint are those of the placement and the tool.
+    """
+    machine = case.machine
+    turning = [n for n, si in zip(machine.joints, machine.units, strict=True) if si == "rad"]
+    for name in turning[1:-1]:
+        for degrees in (90, -90, 180):
+            found = every_way(machine, case.layouts, zeros={name: np.radians(degrees)})
+            share = min((u.share for u in found), default=float("inf"))
+            yield Explanation(
+                share,
+                "implausible-readings",
+                f"{name} counts from another zero: with {degrees:+d} deg the nominal machine "
+                f"misses the readings by {_percent(share)} of their spread, as read by "
+                f"{_percent(case.share)}",
+                f"add {degrees:+d} deg to its column, or to theta of this joint in the robot's "
+                "table",
+            )
+
+
 def _nothing(case: Case) -> Explanation:
     """That the machine explains nothing, with the likely cause where the readings show one."""
     best = case.found[0]
@@ -277,11 +301,11 @@ def _moved(way: Understood) -> Explanation | None:
         for end in range(2, len(blocks) + 1)
         if end == len(blocks) or not _together(way, meaning, np.concatenate(blocks[: end + 1]))
     )
-    rows = f"rows {last * _BLOCK + 1} and {min((last + 1) * _BLOCK, count)}"
+    row = min(last * _BLOCK, count - 1) + 1
     return Explanation(
         alone[0].share,
         "implausible-readings",
-        f"the instrument or the robot's base was moved during the run, first between {rows}: "
+        f"the instrument or the robot's base was moved during the run, first near row {row}: "
         f"blocks of {_BLOCK} poses fit the nominal machine, all of them together do not",
         "give each place of the instrument a project of its own, or columns of its own: x1, y1, "
         "z1 blank where it did not stand there, x2, y2, z2 blank elsewhere",

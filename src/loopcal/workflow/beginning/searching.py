@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,9 +89,11 @@ def every_way(
     *,
     as_stated: bool = True,
     turned_round: Collection[str] = (),
+    zeros: Mapping[str, float] = MappingProxyType({}),
 ) -> list[Understood]:
     """All combinations of meanings, judged on some of the poses; of each instrument the best and
-    those that fit about as well. turned_round: joints that are read with the other sign."""
+    those that fit about as well. turned_round: joints that are read with the other sign; zeros:
+    what is added to readings of joints [rad]."""
     found = []
     for layout in layouts:
         count = len(layout.joints[0].values)
@@ -103,7 +106,9 @@ def every_way(
                 name: to_si(f.values, f.unit if f.unit and as_stated else units[si])
                 for name, f, si in zip(machine.joints, layout.joints, machine.units, strict=True)
             }
-            moved = {n: -q if n in turned_round else q for n, q in joints.items()}
+            moved = {
+                n: (-q if n in turned_round else q) + zeros.get(n, 0.0) for n, q in joints.items()
+            }
             bodies = machine.bodies(moved)
             options = []
             for seen in layout.seen:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.mounted import Bodies, Mounted, see_points
 from loopcal.files.paths import relative
-from loopcal.files.recognition.fields import Field, Fields, column_key, names_of
+from loopcal.files.recognition.fields import Field, column_key, names_of
+from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.project_text import ProjectParts
 from loopcal.files.recognition.robots import Robot
 from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from loopcal.errors import InputError
 from loopcal.estimation.mounted import own_coordinates
-from loopcal.files.recognition.fields import Fields, names_of
+from loopcal.files.recognition.fields import names_of
+from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.layouts import Layout
 from loopcal.presentation.rounding import significant
 from loopcal.workflow.beginning.objections import NOTHING, Case, contradiction, objection, shifted
