@@ -23,7 +23,7 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "planar" / "project
 
 @pytest.fixture(scope="module")
 def result() -> lc.Result:
-    return lc.calibrate(EXAMPLE)
+    return lc.calibrate(EXAMPLE, method="implicit-loop")
 
 
 @pytest.fixture(scope="module")
