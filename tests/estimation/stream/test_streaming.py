@@ -455,16 +455,9 @@ def test_a_stream_with_learnt_terms_is_fitted_to_some_poses_and_judged_by_all(
 def test_a_stream_learns_the_model_error_beside_stated_sds() -> None:
     """What the fit of some poses in memory can learn, a stream can."""
     arm, data = arm_and_data(100)
-    fit = Fit(model_error="structured", prior={"*": np.inf})
+    fit = Fit(model_error="structured", prior={"*": np.inf}, method="implicit-loop")
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
-<<<<<<< HEAD
-    with refused("unsupported", "least-squares"):
-        calibrate_stream(
-            arm, Pieces(data, noise), fit=Fit(model_error="structured", method="implicit-loop")
-        )
-=======
     streamed = calibrate_stream(arm, Pieces(data, noise), fit=fit)
     whole = calibrate(arm, data, noise=noise, fit=fit)
     close(streamed, whole)
     assert "disturbance" in {entry.role for entry in streamed.noise}
->>>>>>> main
