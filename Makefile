@@ -35,7 +35,7 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
-.PHONY: help install demo pictures test lint types suite partners chromium test-pythons test-lowest test-without-compiler sanitize fuzz benchmark clean
+.PHONY: help install demo pictures dist test lint types suite partners chromium test-pythons test-lowest test-without-compiler sanitize fuzz benchmark clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -63,6 +63,10 @@ demo: $(STAMP) ## calibrate three simulated arms, one with a fault, and print th
 
 pictures: demo ## make the pictures of the README from the demo's last report; needs `make partners`
 	@$(BIN)/python -m analyses.pictures
+
+dist: $(STAMP) ## source distribution and wheel in dist/
+	@$(BIN)/python -m pip install --quiet build
+	$(BIN)/python -m build
 
 test: lint types suite ## the whole suite, lint and types included
 
