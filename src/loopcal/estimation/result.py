@@ -69,8 +69,12 @@ Addition = Callable[[ResultDocument], ResultDocument]
 
 @dataclass(frozen=True)
 class AllPoses:
-    """What all poses of a stream say, where the arrays of its result show only some of them."""
+    """What all poses of a stream say, where the arrays of its result show only some of them.
 
+    poses: how many there are.
+    """
+
+    poses: int
     accuracy_before: Accuracy | None
     accuracy_after: Accuracy | None
     model_discrepancy: float | None
