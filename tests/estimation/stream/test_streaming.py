@@ -434,9 +434,9 @@ def test_a_stream_with_learnt_terms_is_fitted_to_some_poses_and_judged_by_all(
     prior = Prior({"*": np.inf, "x[145]": 1e-3}, estimate={"x[145]": "group"})
     noise, known = Noise({"theta_*": 5e-5, "xyz": 1e-5}), prior.apply(arm)
     monkeypatch.setattr(learning, "ENOUGH", 200)
-    streamed = calibrate_stream(known, Pieces(data, noise), fit=Fit())
+    streamed = calibrate_stream(known, Pieces(data, noise), fit=Fit(method="implicit-loop"))
     assert any("used 200 of these poses, one of every 3" in note for note in streamed.notes)
-    part = calibrate(known, data.take(np.arange(0, 600, 3)), noise=noise)
+    part = calibrate(known, data.take(np.arange(0, 600, 3)), noise=noise, method="implicit-loop")
     assert [t.scale for t in streamed.terms] == pytest.approx(
         [t.scale for t in part.terms], rel=learning.NEARLY
     )
