@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import kstest
 
 import loopcal as lc
+from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.comparison import compare
 from loopcal.statistics.gauge import gauge, moved, values_of
 from tests.reference.machines import MACHINES
@@ -230,3 +231,38 @@ def test_rejected_sds_count_as_large_as_the_residuals() -> None:
     assert found.p_value > 1e-3
     assert any("count 5" in note or "count 4.9" in note or "count 5.1" in note
                for note in found.notes)  # fmt: skip
+
+
+def test_an_imperfect_machine_that_did_not_change_raises_few_alarms_in_the_same_region() -> None:
+    """17 % by the stated sds, even where these count as large as the residuals."""
+    box = {"phi2": (0.0, 1.6), "phi3": (0.3, 1.7)}
+    found = [compare(eccentric(box, 2 * s), eccentric(box, 2 * s + 1)) for s in range(60)]
+    assert sum(f.p_value < 0.05 for f in found if f.p_value is not None) <= 6
+    seen = [f for f in found if any("poses scatter" in note for note in f.notes)]
+    assert seen
+    assert all(np.isfinite(f.test.denominator) for f in seen)
+
+
+def test_a_written_calibration_holds_the_scatter_of_its_poses(tmp_path: Path) -> None:
+    box = {"phi2": (0.0, 1.6), "phi3": (0.3, 1.7)}
+    result = eccentric(box, 1)
+    known = Calibrated.of(result, "A").scatter
+    lc.write_result(result, tmp_path)
+    document = lc.read_result(tmp_path / "result.json").document
+    again = Calibrated.from_document(document, result.mechanism, None, "B").scatter
+    assert known is not None
+    assert again is not None
+    np.testing.assert_allclose(again.matrix, known.matrix, rtol=1e-5)
+    # 40 poses of two equations each, six parameters
+    assert again.freedom == known.freedom == pytest.approx(37.0)
+
+
+def test_the_scatter_of_good_poses_is_their_covariance() -> None:
+    arm = planar_arm(40)
+    ratios = []
+    for seed in range(20):
+        result = calibrated(arm, seed)
+        known = Calibrated.of(result, "A").scatter
+        assert known is not None
+        ratios.append(np.trace(known.matrix @ np.linalg.inv(result.covariance)) / 6)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)

@@ -80,6 +80,11 @@ class CovarianceEntry:
     """The same as if the learnt sds were known; null: none were learnt."""
     slopes: tuple[tuple[tuple[float, ...], ...], ...] = ()
     """Its changes per sd of each independent error of the learnt sds."""
+    scatter: tuple[tuple[float, ...], ...] | None = None
+    """The covariance that the scatter of the poses shows, valid where noise or model are wrong;
+    null: learnt terms carry the error of the model, a stream, or a robust loss."""
+    scatter_freedom: Size | None = None
+    """From so many independent poses."""
 
 
 @dataclass(frozen=True)

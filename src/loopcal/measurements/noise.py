@@ -107,11 +107,17 @@ class Noise:
         more.estimate = {**self.estimate, key: "group"}
         return more
 
-    def learnt_at(self, factor: float) -> Noise:
-        """The noise as given, with the sds that are to be learnt multiplied by a factor."""
-        names = {n for key in self.estimate for n in (key if isinstance(key, tuple) else (key,))}
+    def learnt_at(self, factors: Mapping[str, float]) -> Noise:
+        """The noise as given, with the sds that are learnt in groups multiplied by their factors.
+
+        factors: by the name of the group: its quantities, joined by commas.
+        """
+        groups = [key if isinstance(key, tuple) else (key,) for key in self.estimate]
+        by = {n: factors.get(", ".join(names), 1.0) for names in groups for n in names}
         given = copy(self)
-        given.entries = {k: v * factor if k in names else v for k, v in self.entries.items()}
+        given.entries = {
+            k: v * by[k] if isinstance(k, str) and k in by else v for k, v in self.entries.items()
+        }
         given.estimate = {}
         return given
 

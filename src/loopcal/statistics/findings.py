@@ -24,6 +24,7 @@ from loopcal.statistics.outliers import Outliers, find_outliers
 from loopcal.statistics.predictor import Predictor, predictor, usual_words
 from loopcal.statistics.region import Span, region_of
 from loopcal.statistics.reliability import ReadingReliability, reliability
+from loopcal.statistics.scatter import Scatter, scatter
 from loopcal.statistics.shifted import shift_lines
 from loopcal.statistics.validation import Case
 
@@ -34,7 +35,8 @@ class Findings:
     outliers: what does not fit; shifts: what moved along the run, toml: the lines that model it;
     optima: others that fit about as well; region: where the machine works, and the sd there;
     nominal: accuracy of the nominal machine, placed and mounted; noise_floor: what the noise of the
-    readings alone causes; reliability: what single readings can hide.
+    readings alone causes; reliability: what single readings can hide; scatter: the
+    covariance that the poses themselves show.
 
     Poses that fit with the shifts modelled are not outliers.
     """
@@ -50,6 +52,7 @@ class Findings:
     nominal: Distances | None = None
     noise_floor: float | None = None
     reliability: ReadingReliability | None = None
+    scatter: Scatter | None = None
 
     def added_to(self, document: ResultDocument) -> ResultDocument:
         """The document of the result with these figures."""
@@ -62,6 +65,9 @@ class Findings:
         return replace(
             document,
             accuracy=accuracy,
+            covariance=document.covariance
+            if self.scatter is None
+            else self.scatter.added_to(document.covariance),
             change_points=moved,
             warnings=(*document.warnings, *new.warnings()),
             identifiability=self.identifiability.added_to(document.identifiability),
@@ -125,6 +131,7 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
             None if result.all_poses is not None or chosen else nominal_distances(result),
             None if result.all_poses is not None else noise_floor(result),
             reliability(result),
+            scatter(result),
         )
 
 

@@ -195,7 +195,8 @@ class Search:
 
     @property
     def _share(self) -> float:
-        return self.result.solution.poses / self.problem.count
+        every = self.result.all_poses
+        return 1.0 if every is None else every.poses / self.problem.count
 
     def _too_few(self, gone: NDArray[np.bool_]) -> bool:
         return bool(gone.mean() > 0.5)

@@ -32,6 +32,7 @@ from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.small_samples import LearntCovariance, f_limit
+from loopcal.statistics.same_run import Run, SameRun
 
 Array = NDArray[np.float64]
 _UNPREDICTABLE = 1e-6
@@ -132,12 +133,18 @@ class Predictive:
         return inside
 
 
-def predictive(fit: Result, held: Held, drifting: Drifting | None = None) -> Predictive | None:
+def predictive(
+    fit: Result, held: Held, drifting: Drifting | None = None, run: Run | None = None
+) -> Predictive | None:
     """What the fit stated of these poses; None where their misclosures have no density.
 
-    drifting: the drift that its covariance allows for.
+    drifting: the drift that its covariance allows for; run: where the poses stand in its run, None
+    for another one.
     """
     problem, learnt = held.problem, fit.learnt_noise
+    shared = None
+    if drifting is not None and run is not None:
+        shared = SameRun.of(fit, problem, held.corrections, drifting, run)
     model = linear_model(problem, problem.start, held.corrections, [c for c, _ in learnt])
     own = 0.0
     if fit.fit.solver.exact:
@@ -154,16 +161,22 @@ def predictive(fit: Result, held: Held, drifting: Drifting | None = None) -> Pre
     denominator = np.full(len(problem.poses), math.inf)
     for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):
         r = block.e.shape[1]
-        known = fit.covariance_through(block.J, drifting)
         W = block.fixed + block.G @ np.swapaxes(block.G, -1, -2) + own * np.eye(r)
-        slopes = np.zeros((len(known.slopes), *W.shape))
-        if own and len(slopes):
-            slopes += math.sqrt(2.0 / fit.freedom) * W
-        elif len(slopes):
-            for j, (_, relative) in enumerate(learnt):
-                G = block.G[:, :, block.owner == j]
-                slopes += np.multiply.outer(relative, G @ np.swapaxes(G, -1, -2))
-        total = known.plus(LearntCovariance(W, W, slopes))
+        if shared is not None:
+            noise = np.broadcast_to(np.eye(r), W.shape) if own else W
+            total = LearntCovariance.known(
+                shared.covariance(np.arange(len(problem.poses))[poses], noise, block.J)
+            )
+        else:
+            known = fit.covariance_through(block.J, drifting)
+            slopes = np.zeros((len(known.slopes), *W.shape))
+            if own and len(slopes):
+                slopes += math.sqrt(2.0 / fit.freedom) * W
+            elif len(slopes):
+                for j, (_, relative) in enumerate(learnt):
+                    G = block.G[:, :, block.owner == j]
+                    slopes += np.multiply.outer(relative, G @ np.swapaxes(G, -1, -2))
+            total = known.plus(LearntCovariance(W, W, slopes))
         found = _densities(block, W, total.matrix, free, limit / scale)
         if found is None:
             return None

@@ -50,6 +50,7 @@ from loopcal.statistics.folds import (
 )
 from loopcal.statistics.predictive import LEVEL, Held, Predictive, held_problem, predictive, taken
 from loopcal.statistics.replacing import Freedom, replaced
+from loopcal.statistics.same_run import Run
 from loopcal.statistics.verification import day_problem
 
 Array = NDArray[np.float64]
@@ -247,7 +248,8 @@ class Predicted:
     """Poses that a fit has not seen, n of them, at these positions.
 
     measured, differences (c, n) [SI]: what is compared, and computed minus measured ones; fit,
-    held: the fit and these poses, None where it states nothing of them.
+    held: the fit and these poses, None where it states nothing of them; rest: positions of the
+    poses of the fit, None where these poses are of another run.
     """
 
     index: Index
@@ -255,6 +257,7 @@ class Predicted:
     differences: Array
     fit: Result | None = None
     held: Held | None = None
+    rest: Index | None = None
 
     def stated(self, drifting: Drifting | None) -> Predictive | None:
         """What the fit stated of them under the drift of all poses; None where it states nothing.
@@ -265,7 +268,8 @@ class Predicted:
             return None
         try:
             with one_blas_thread():
-                return predictive(self.fit, self.held, drifting)
+                run = None if self.rest is None else Run(self.rest, self.index)
+                return predictive(self.fit, self.held, drifting, run)
         except (InputError, NoTrustworthyResult):
             return None
 
@@ -373,7 +377,9 @@ def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
                 return _placed_anew(found, part, taken(case.noise, index), index)
             near = _of_poses(begun.near.near, index)
             held = held_problem(found, case.data.take(index), taken(case.noise, index), near)
-            return _predicted(found, held, index)
+            return replace(
+                _predicted(found, held, index), rest=np.setdiff1d(rest, begun.near.copied)
+            )
         except (InputError, NoTrustworthyResult) as error:
             return Failed(index, error.message)
 

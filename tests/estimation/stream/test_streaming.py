@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from loopcal import Dataset, Noise, calibrate
+from loopcal import Dataset, Noise, calibrate, predict
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.checkpoint import Checkpoint
+from loopcal.estimation.stream import learning
 from loopcal.estimation.stream.calibrate import calibrate_stream
 from loopcal.estimation.stream.chunks import Chunk
 from loopcal.estimation.stream.last_pass import Parts
@@ -416,8 +417,37 @@ def test_terms_are_learnt_from_a_stream_as_from_memory() -> None:
         close(streamed, calibrate(machine, data, noise=noise, fit=fit))
 
 
-def test_a_stream_learns_no_sds_of_several_sensors() -> None:
+def test_a_stream_with_learnt_terms_is_fitted_to_some_poses_and_judged_by_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    arm, data = arm_and_data(600)
+    prior = Prior({"*": np.inf, "x[145]": 1e-3}, estimate={"x[145]": "group"})
+    noise, known = Noise({"theta_*": 5e-5, "xyz": 1e-5}), prior.apply(arm)
+    monkeypatch.setattr(learning, "ENOUGH", 200)
+    streamed = calibrate_stream(known, Pieces(data, noise), fit=Fit())
+    assert any("used 200 of these poses, one of every 3" in note for note in streamed.notes)
+    part = calibrate(known, data.take(np.arange(0, 600, 3)), noise=noise)
+    assert [t.scale for t in streamed.terms] == pytest.approx(
+        [t.scale for t in part.terms], rel=learning.NEARLY
+    )
+    for name in part.estimated:
+        assert streamed.value[name] == pytest.approx(
+            part.value[name], abs=learning.NEARLY * (part.sd[name] or 0.0)
+        )
+    assert streamed.accuracy_after is not None
+    assert streamed.accuracy_after.poses == 600
+    whole = predict(part, data)
+    away = np.array([whole.outputs[q] - data.readings[q] for q in ("x", "y", "z")])
+    rms = np.sqrt(np.square(away).sum(axis=0).mean())
+    assert streamed.accuracy_after.rms == pytest.approx(rms, rel=1e-3)
+
+
+def test_a_stream_learns_the_model_error_beside_stated_sds() -> None:
+    """What the fit of some poses in memory can learn, a stream can."""
     arm, data = arm_and_data(100)
+    fit = Fit(model_error="structured", prior={"*": np.inf})
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
-    with refused("unsupported", "least-squares"):
-        calibrate_stream(arm, Pieces(data, noise), fit=Fit(model_error="structured"))
+    streamed = calibrate_stream(arm, Pieces(data, noise), fit=fit)
+    whole = calibrate(arm, data, noise=noise, fit=fit)
+    close(streamed, whole)
+    assert "disturbance" in {entry.role for entry in streamed.noise}

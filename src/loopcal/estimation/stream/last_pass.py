@@ -47,16 +47,19 @@ class Parts(Generic[Part]):
 
 @dataclass(frozen=True, eq=False)
 class LastPass:
-    """The last pass: what became of every pose, at the parameters found."""
+    """The last pass: what became of every pose, at the parameters found.
+
+    solution: of all poses, or of some; sizes: poses of each chunk.
+    """
 
     task: Task
     fit: Fit
     solution: End[bool]
+    sizes: tuple[int, ...]
 
     def result(self, crew: Crew, parts: Parts[Any] | None) -> Result:
-        poses, sizes = self.solution.poses, self.solution.sums.sizes
-        stride, made = max(1, poses // SHOWN), parts.made if parts else None
-        begins = [0, *np.cumsum(sizes).tolist()]
+        poses, made = sum(self.sizes), parts.made if parts else None
+        stride, begins = max(1, poses // SHOWN), [0, *np.cumsum(self.sizes).tolist()]
         pieces = [
             _EndPiece(number, begins[number], poses, stride, self.solution, self.fit, made)
             for number in range(self.task.stream.count)
@@ -78,7 +81,7 @@ class LastPass:
                     parts.done(ended.part)
         sample = _joined(kept)
         # else a few poses make chi-squared what it is
-        alike = bool(sample.square.mean() > _ALIKE * self.solution.cost / poses)
+        alike = bool(sample.square.mean() > _ALIKE * self.solution.cost / self.solution.poses)
         found = self._shown(sample)
         words = "figures and residuals.csv show"
         told = f"Calibrated from a stream of {poses} poses; {words} {len(found.dataset)} of them"
@@ -90,7 +93,7 @@ class LastPass:
         before, after = (distance.accuracy() for distance in accuracies)
         return replace(
             found,
-            all_poses=AllPoses(before, after, discrepancy, robust),
+            all_poses=AllPoses(poses, before, after, discrepancy, robust),
             notes=(f"{told}.",) if stride > 1 else (),
         )
 
