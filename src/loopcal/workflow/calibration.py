@@ -14,6 +14,7 @@ from loopcal.document.verdict import QUESTIONS
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import METHODS
+from loopcal.estimation.plausible import refuse_other_units
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.solver import Progress
 from loopcal.execution.executor import Executor
@@ -211,6 +212,7 @@ class _Run:
         loaded = load_dataset(self.project)
         self._warn(loaded.warnings)
         try:
+            refuse_other_units(self.project.mechanism, loaded.dataset, loaded.noise)
             done = self._compared(loaded) if self.request.compare else self._calibrated(loaded)
             if self.patterns:
                 done = self._profiled(done)
@@ -272,7 +274,8 @@ class _Run:
         if self.validation is not None:
             poses = loaded.dataset.poses
             scheme = Scheme(**validation_arguments(self.project, self.validation, poses))
-        return _Done(choose(case, scheme, **self._shared("fits")).calibrated)
+        shared = self._shared("fits")
+        return _Done(choose(case, scheme, **shared, iterated=self.listeners.progress).calibrated)
 
     def _calibrated(self, loaded: LoadedData) -> _Done:
         if self.fit.method.choice:

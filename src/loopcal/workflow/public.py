@@ -10,11 +10,13 @@ from typing import Any, Protocol, TypeVar
 
 from loopcal.errors import InputError
 from loopcal.estimation.fit import Fit
+from loopcal.estimation.plausible import refuse_other_units
 from loopcal.files.project import project_data
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.readers import read_dataset
 from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise
 from loopcal.simulation import simulate as simulating
 from loopcal.simulation.simulate import Simulation
 from loopcal.statistics import calibrate as calibrating
@@ -108,7 +110,9 @@ def _on_machine(
             if isinstance(project, Project):
                 return whole(project)
         its = stated(mechanism, data, units)
-        return function(its.mechanism, its.data, *more, **_with_own(its, options, takes))
+        given = _with_own(its, options, takes)
+        refuse_other_units(its.mechanism, its.data, Noise.of(given.get("noise")))
+        return function(its.mechanism, its.data, *more, **given)
 
     return _described(accepting, function, _ON_MACHINE)
 

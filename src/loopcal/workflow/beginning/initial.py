@@ -43,6 +43,8 @@ Array = NDArray[np.float64]
 PROJECT = "project.toml"
 DRAWN = {"length": 5e-3, "angle": 5e-3}
 """A drawing states lengths [m] and angles [rad] better than this."""
+USUAL = 20e-3
+"""A nominal machine is nearer to its readings than this [m]."""
 _ROWS, _WORST = 5, 5
 
 
@@ -176,7 +178,7 @@ def initial_project(
     statement = stated(made, machine, fields, found, folder)
     project = _read(statement, folder)
     dataset = _dataset(fields, statement)
-    odd = _odd(project, dataset)
+    odd = (*_odd(project, dataset), *_far_off(statement.fits))
     if found.share > PLAUSIBLE:
         _refuse_faults(project.mechanism, dataset)
     weak = _weakest(project, dataset)
@@ -257,6 +259,16 @@ def _odd(project: Project, dataset: Dataset) -> tuple[str, ...]:
     own = {**mechanism.quantities, **mechanism.known}
     told = check_dataset(dataset, own, points=measured_points(mechanism))
     return tuple(str(warning) for warning in told)
+
+
+def _far_off(fits: Mapping[str, Mounted]) -> tuple[str, ...]:
+    """That a nominal machine is further off than robots are."""
+    return tuple(
+        f"{name}: the nominal machine misses the readings by {with_unit(fit.rms, 'm')}, and a few "
+        "mm are usual. Check the robot's description, the units and the rows."
+        for name, fit in fits.items()
+        if fit.rms > USUAL
+    )
 
 
 def _weakest(project: Project, dataset: Dataset) -> str:
