@@ -138,7 +138,8 @@ def choose(
             words = f"{entrant.name}; nothing was compared: the file is at fault"
             none = Chosen(entrant.name, (), words, ())
             return Choice(case.fit.method.name, whole, none, None, None)
-    judged += _all_fitted([replace(e, case=replace(e.case, trusted=True)) for e in waiting])
+    waiting = [replace(e, case=replace(e.case, trusted=True)) for e in waiting]
+    judged += _all_fitted(waiting, iterated)
     _refuse(judged)
     case = replace(case, trusted=True)
     best = _closest(judged)
@@ -148,7 +149,7 @@ def choose(
     if told.found:
         case = told.case
         known = {best.name: told.whole} if best else {}
-        judged = _all_fitted(list(entrants(case, told.moved, told.made)), known)
+        judged = _all_fitted(list(entrants(case, told.moved, told.made)), iterated, known)
     other = scheme if scheme and scheme.other is not None else None
     plan = _plan(told.plain, None if other else _of(scheme, told))
     if plan is not None:
@@ -195,14 +196,16 @@ def _of(scheme: Scheme | None, told: Changes) -> Scheme | None:
 
 
 def _all_fitted(
-    entrants: Sequence[Entrant], known: Mapping[str, Result | None] = MappingProxyType({})
+    entrants: Sequence[Entrant],
+    iterated: Iterated | None,
+    known: Mapping[str, Result | None] = MappingProxyType({}),
 ) -> list[Judged]:
     """Candidates with their fits of all poses, side by side; known: those at hand, by name."""
-    return gathered(own_threads(), _fitted_beside, known, entrants)
 
+    def fitted(known: Mapping[str, Result | None], one: Entrant) -> Judged:
+        return _fitted(one, iterated, known.get(one.name))
 
-def _fitted_beside(known: Mapping[str, Result | None], one: Entrant) -> Judged:
-    return _fitted(one, None, known.get(one.name))
+    return gathered(own_threads(), fitted, known, entrants)
 
 
 def _fitted(one: Entrant, iterated: Iterated | None, whole: Result | None = None) -> Judged:
