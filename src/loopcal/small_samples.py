@@ -64,10 +64,6 @@ class LearntCovariance:
             self.matrix + other.matrix, self.plain + other.plain, self.slopes + other.slopes
         )
 
-    def about(self, plain: Array) -> LearntCovariance:
-        """The same errors of the variances about another covariance, as if these were known."""
-        return LearntCovariance(plain + self.matrix - self.plain, plain, self.slopes)
-
     def scaled_by(self, factor: float) -> LearntCovariance:
         """Multiplied by a number."""
         return LearntCovariance(factor * self.matrix, factor * self.plain, factor * self.slopes)

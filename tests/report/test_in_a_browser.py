@@ -157,6 +157,7 @@ def test_a_table_can_be_copied(browser: Any, planar: Path) -> None:
         "nominal, best placed",
         "calibrated",
         "on poses not used",
+        "in regions not used",
         "noise floor",
     ]
 

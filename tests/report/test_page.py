@@ -67,6 +67,7 @@ def test_its_accuracy_is_that_of_the_columns_and_of_result_json(planar: Path) ->
         "nominal, best placed",
         "calibrated",
         "on poses not used",
+        "in regions not used",
         "noise floor",
     ]
     validated = source.document.validation

@@ -38,7 +38,9 @@ def written(change=lambda readings: None) -> lc.Dataset:
 
 def outliers(change, **how) -> lc.Outliers:
     noise = None if how.get("method") == "least-squares" else NOISE
-    return lc.find_outliers(lc.calibrate(START, written(change), noise=noise, **how))
+    return lc.find_outliers(
+        lc.calibrate(START, written(change), noise=noise, **{"method": "implicit-loop", **how})
+    )
 
 
 @cache
@@ -82,7 +84,9 @@ def test_a_gross_error_of_an_instruments_only_reading_may_be_blamed_on_it(
     data = replace(data, readings={**data.readings, reading: wrong})
     start = given.nominal(2)
     start = start.with_parameters(start.parameters.with_fixed(given.held))
-    (found,) = lc.find_outliers(lc.calibrate(start, data, noise=given.noise)).found
+    (found,) = lc.find_outliers(
+        lc.calibrate(start, data, noise=given.noise, method="implicit-loop")
+    ).found
     assert found.pose == "31"
     assert reading in (found.quantity, *found.indistinct)
     assert found.size
@@ -91,7 +95,7 @@ def test_a_gross_error_of_an_instruments_only_reading_may_be_blamed_on_it(
 def test_good_data_have_no_outliers() -> None:
     named = 0
     for draw in range(40):
-        result = lc.calibrate(START, ARM.read(SDS, draw), noise=NOISE)
+        result = lc.calibrate(START, ARM.read(SDS, draw), noise=NOISE, method="implicit-loop")
         named += len(lc.find_outliers(result)) > 0
     assert named <= 6  # a level of 5 %
 
@@ -299,8 +303,10 @@ def test_pose_13_of_the_measured_workspace_is_named(shared_data, monkeypatch) ->
     monkeypatch.setenv("LOOPCAL_DATA", str(path.parents[1]))
     project = lc.read_project("examples/motoman/right_arm_workspace.toml")
     data = lc.load_dataset(project)
-    for how in ({"method": "least-squares"}, {"noise": data.noise}):
-        found = lc.find_outliers(lc.calibrate(project.mechanism, data.dataset, **how))
+    for method, noise in (("least-squares", None), ("implicit-loop", data.noise)):
+        found = lc.find_outliers(
+            lc.calibrate(project.mechanism, data.dataset, noise=noise, method=method)
+        )
         assert found.by_residuals
         assert found.found[0].pose == "13"
         assert len(found) < 0.1 * len(data.dataset)
@@ -311,7 +317,7 @@ def test_a_loop_in_the_plane_tells_what_cannot_be_told_apart() -> None:
     sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-4, "phi3": 1e-4}
     readings = {q: v.copy() for q, v in arm.read(sds, 2).readings.items()}
     readings["xP"][5] += 0.02
-    result = lc.calibrate(arm.truth, readings, noise=lc.Noise(sds))
+    result = lc.calibrate(arm.truth, readings, noise=lc.Noise(sds), method="implicit-loop")
     found = lc.find_outliers(result).found
     assert [o.pose for o in found] == ["6"]
     assert "xP" in (found[0].quantity, *found[0].indistinct)
@@ -327,14 +333,18 @@ def test_the_document_says_how_the_poses_were_tested() -> None:
 @pytest.mark.parametrize("wrong", [{"level": 0.0}, {"level": 1.0}, {"scale": "guess"}])
 def test_a_rule_that_is_none_is_refused(wrong) -> None:
     with pytest.raises(InputError):
-        lc.find_outliers(lc.calibrate(START, written(), noise=NOISE), **wrong)
+        lc.find_outliers(
+            lc.calibrate(START, written(), noise=NOISE, method="implicit-loop"), **wrong
+        )
 
 
 def test_no_outlier_is_not_said_as_if_all_were_well_where_chi_squared_rejects() -> None:
     arm = planar_arm(60)
     sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-4, "phi3": 1e-4}
     few = {q: sd / 3 for q, sd in sds.items()}
-    found = lc.find_outliers(lc.calibrate(arm.truth, arm.read(sds, 2), noise=lc.Noise(few)))
+    found = lc.find_outliers(
+        lc.calibrate(arm.truth, arm.read(sds, 2), noise=lc.Noise(few), method="implicit-loop")
+    )
     assert found.rejected is not None
     assert len(found) > 0 or "chi-squared rejects" in str(found)
     assert "outliers: none" not in str(found)
@@ -344,7 +354,7 @@ def test_sds_far_too_large_are_doubted_in_the_report_as_in_the_summary() -> None
     arm = planar_arm(60)
     sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-4, "phi3": 1e-4}
     wide = {q: 1e3 * sd if q in ("xP", "yP") else sd for q, sd in sds.items()}
-    result = lc.calibrate(arm.truth, arm.read(sds, 2), noise=lc.Noise(wide))
+    result = lc.calibrate(arm.truth, arm.read(sds, 2), noise=lc.Noise(wide), method="implicit-loop")
     told = verdict_of(result.document)
     assert told.sound.code == "sds-too-large"
     assert told.grade == "bad"

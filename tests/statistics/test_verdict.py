@@ -37,8 +37,10 @@ def clean() -> ResultDocument:
     arm = planar_arm(60)
     off, noise = arm.off(2e-3, 2e-3, seed=3), lc.Noise(SDS)
     data = arm.read(SDS, 1)
-    result = lc.calibrate(off, data, noise=noise, start="nominal")
-    validation = lc.validate(off, data, noise=noise, full=result, folds=5, start="nominal")
+    result = lc.calibrate(off, data, noise=noise, start="nominal", method="implicit-loop")
+    validation = lc.validate(
+        off, data, noise=noise, full=result, folds=5, start="nominal", method="implicit-loop"
+    )
     return validation.added_to(lc.findings(result).added_to(result.document))
 
 
@@ -188,7 +190,9 @@ def corner(poses: int = 40) -> lc.Result:
     arm = planar_arm(poses)
     near = np.random.default_rng(2).uniform(0.0, 0.15, (2, poses))
     data = arm_at(arm.truth, near).read(SDS, 1)
-    return lc.calibrate(arm.truth, data, noise=lc.Noise(SDS), start="nominal")
+    return lc.calibrate(
+        arm.truth, data, noise=lc.Noise(SDS), start="nominal", method="implicit-loop"
+    )
 
 
 def test_poses_in_a_corner_are_valid_there_only_and_both_sds_are_named() -> None:
@@ -271,7 +275,13 @@ def test_false_alarms_over_clean_draws_are_rare() -> None:
     arm = planar_arm(40)
     found = []
     for seed in range(40):
-        result = lc.calibrate(arm.truth, arm.read(SDS, seed), noise=lc.Noise(SDS), start="nominal")
+        result = lc.calibrate(
+            arm.truth,
+            arm.read(SDS, seed),
+            noise=lc.Noise(SDS),
+            start="nominal",
+            method="implicit-loop",
+        )
         found.append(lc.verdict(result).sound.passed)
     assert found.count(False) <= 2
 

@@ -191,7 +191,7 @@ def term_rows(terms: Sequence[TermEntry]) -> list[tuple[str, ...]]:
             unit_shown(term.unit, fine=True),
             f"{term.effective:.1f}",
             str(term.columns),
-            "" if term.gain is None else f"{term.gain:.0f}",
+            "" if term.gain is None else f"{term.gain:z.0f}",
             term.words,
         )
         for term in terms

@@ -174,7 +174,7 @@ class Result(Views):
         known, and those of least squares come from its residuals. It allows for serial dependence
         where there is any."""
         if self._depending is not None and self._depending.covariance is not None:
-            return self._independent.about(self._depending.covariance)
+            return LearntCovariance.known(self._depending.covariance)
         return self._independent
 
     @property
@@ -185,20 +185,19 @@ class Result(Views):
     def covariance_through(self, S: Array, drifting: Drifting | None) -> LearntCovariance:
         """Covariance of S times the estimated parameters, S (N, m, n), under a known drift, or were
         no residuals dependent. It tests nothing."""
-        plain = self._learnt is not None and not self.variance_factor_applied
-        own = self._learnt if plain and self._learnt is not None else self._independent
-        alone = own.through(S)
-        if drifting is None:
-            return alone
-        method = self.fit.solver
-        under = covariance_under(
-            drifting,
-            self.problem,
-            self.solution,
-            exact=method.exact,
-            at_readings=method.at_readings,
-        )
-        return alone.about(S @ under @ np.swapaxes(S, -1, -2))
+        if drifting is not None:
+            method = self.fit.solver
+            known = covariance_under(
+                drifting,
+                self.problem,
+                self.solution,
+                exact=method.exact,
+                at_readings=method.at_readings,
+            )
+            return LearntCovariance.known(known).through(S)
+        if self._learnt is not None and not self.variance_factor_applied:
+            return self._learnt.through(S)
+        return self._independent.through(S)
 
     @property
     def learnt_noise(self) -> tuple[tuple[tuple[int, ...], Array], ...]:
@@ -316,7 +315,9 @@ class Result(Views):
         """The sds that were used."""
         if self.fit.solver.exact:
             return ()
-        errors = None if self._learnt is None else self._learnt.errors[: len(self._learnt.ratios)]
+        errors = None
+        if self._learnt is not None and self.drifting is None:  # a drift has no slopes
+            errors = self._learnt.errors[: len(self._learnt.ratios)]
         return entries(self.problem, self.estimate, self.stated, errors)
 
     @cached_property

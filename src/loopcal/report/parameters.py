@@ -12,6 +12,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.skeleton import target_names
+from loopcal.mechanisms.structure.sag import GRAVITY
 from loopcal.report.source import Source
 from loopcal.report.tables import parameter_cells, parameter_head
 
@@ -132,4 +133,4 @@ def _place(
         motion = "turn about" if placed["axis"].startswith("r") else "position along"
         meaning = f"{motion} {placed['axis'][-1]}: place of {placed['what']}"
         return placed["what"], meaning
-    return REST, ""
+    return REST, "tilt of gravity against the base" if name.startswith(f"{GRAVITY}_tilt_") else ""

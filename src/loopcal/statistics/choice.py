@@ -29,11 +29,13 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress
-from loopcal.presentation.shown import size, unit_shown
+from loopcal.presentation.shown import by_sd, size, unit_shown
 from loopcal.statistics.candidates import Entrant, entrants
 from loopcal.statistics.changes import Changes, changes, unchanged
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
+from loopcal.statistics.gain import Gain
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.validation import (
     Case,
@@ -114,12 +116,14 @@ def choose(
     scheme: Scheme | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
+    iterated: Iterated | None = None,
 ) -> Choice:
     """The candidate that predicts poses not used, as the head of this module says.
 
     scheme: what is left out, by default 10 folds and 5 regions, fewer where poses are few; where it
     names other readings, these are predicted by what was chosen by default. Where nothing can be
-    left out, the first candidate that converges is taken, unvalidated.
+    left out, the first candidate that converges is taken, unvalidated. progress: called with how
+    many fits without some of the poses are done; iterated: at every iteration of a fit of all.
 
     Raises InputError where no candidate can be fitted.
     """
@@ -127,14 +131,13 @@ def choose(
     for entrant in entrants(case):
         if any(one.whole for one in judged):
             entrant = replace(entrant, case=replace(entrant.case, trusted=True))
-        judged.append(_fitted(entrant))
+        judged.append(_fitted(entrant, iterated))
         whole = judged[-1].whole
         if whole is not None and whole.faults:  # no candidate is of use
             words = f"{entrant.name}; nothing was compared: the file is at fault"
             none = Chosen(entrant.name, (), words, ())
             return Choice(case.fit.method.name, whole, none, None, None)
-    if not any(one.whole for one in judged):
-        raise next(one.error for one in judged if one.error)
+    _refuse(judged)
     case = replace(case, trusted=True)
     best = _closest(judged)
     told = (
@@ -143,7 +146,8 @@ def choose(
     if told.found:
         case = told.case
         known = {best.name: told.whole} if best else {}
-        judged = [_fitted(one, known.get(one.name)) for one in entrants(case, told.moved)]
+        able = entrants(case, told.moved)
+        judged = [_fitted(one, iterated, known.get(one.name)) for one in able]
     other = scheme if scheme and scheme.other is not None else None
     plan = _plan(told.plain, None if other else _of(scheme, told))
     if plan is not None:
@@ -155,6 +159,20 @@ def choose(
         return found
     taken = next(one.entrant.case for one in judged if one.name == found.chosen.method)
     return replace(found, validation=validated(taken, found.result, other))
+
+
+def _refuse(judged: Sequence[Judged]) -> None:
+    """Raise the first error where nothing can be calibrated, or at no size that means anything.
+
+    A machine of unknown size stays refused although the spread of its lengths about the drawing
+    can be learnt: every fit makes it smaller, because the joints' noise moves a small machine less.
+    """
+    own = [one for one in judged if not one.entrant.drawn]
+    plain = [one for one in own if not one.entrant.structured]
+    sizeless = all(one.error is not None and one.error.code == "unknown-size" for one in plain)
+    able = plain if sizeless else own
+    if not any(one.whole for one in able):
+        raise next(one.error for one in able if one.error)
 
 
 def _closest(judged: Sequence[Judged]) -> Judged | None:
@@ -175,10 +193,10 @@ def _of(scheme: Scheme | None, told: Changes) -> Scheme | None:
     return replace(scheme, groups=[scheme.groups[i] for i in told.kept])
 
 
-def _fitted(one: Entrant, whole: Result | None = None) -> Judged:
+def _fitted(one: Entrant, iterated: Iterated | None, whole: Result | None = None) -> Judged:
     """A candidate with its fit of all poses; whole: that fit, where it is at hand."""
     try:
-        whole = one.case.calibrated() if whole is None else whole
+        whole = one.case.calibrated(progress=iterated) if whole is None else whole
     except (InputError, NoTrustworthyResult) as error:
         return Judged(one, None, failed=error.message, error=error)
     if not whole.status.converged:
@@ -282,46 +300,17 @@ def _risk(one: Judged, plan: Plan, poses: int) -> Array:
     return found
 
 
-@dataclass(frozen=True)
-class Gap:
-    """Mean risk of one candidate minus that of another, and its standard error by clusters."""
-
-    mean: float
-    sd: float
-    clusters: int
-
-    @classmethod
-    def of(cls, own: Array, other: Array, cluster: Index) -> Gap:
-        """From risks (N,) of both; cluster: (N,) poses whose errors belong together."""
-        both = own - other
-        there = np.isfinite(both)
-        label = np.unique(cluster[there], return_inverse=True)[1]
-        count = int(label.max(initial=-1)) + 1
-        if not count:
-            return cls(math.nan, math.inf, 0)
-        mean = float(both[there].mean())
-        if count == 1:
-            return cls(mean, math.inf, 1)
-        sums = np.bincount(label, both[there] - mean)
-        sd = math.sqrt(count / (count - 1) * float(np.square(sums).sum())) / int(there.sum())
-        return cls(mean, sd, count)
-
-    @property
-    def significant(self) -> bool:
-        """Whether the first is better than the other beyond chance."""
-        from scipy.special import stdtrit
-
-        if self.clusters < 2 or not math.isfinite(self.mean):
-            return False
-        return self.mean < -float(stdtrit(self.clusters - 1, 0.975)) * self.sd
-
-
 def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
     nominal = next((one.whole for one in judged if one.entrant.drawn and not one.failed), None)
-    if plan is None or not any(one.made for one in judged):
+    if plan is None or not any(one.made for one in judged if not one.entrant.drawn):
         taken = _unvalidated(judged)
         assert taken.whole is not None
-        why = "there are too few different poses" if plan is None else "fits without some failed"
+        if not taken.whole.status.converged:
+            why = "no fit converged"
+        else:
+            why = (
+                "there are too few different poses" if plan is None else "fits without some failed"
+            )
         words = f"{taken.name}; not validated: {why}"
         chosen = Chosen(taken.name, _terms(taken), words, tuple(map(_bare, judged)))
         return Choice(case.fit.method.name, taken.whole, chosen, None, nominal)
@@ -338,12 +327,11 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
     over = []
     for one in ordered:
         own = found.get(one.name)
-        gap, scale = None, 0.0
+        gain = None
         if own is not None and own.accuracy is not None and best is not None:
-            gap = Gap.of(risks[one.name][0], risks[taken.name][0], plan.groups)
-            scale = own.accuracy.rms + best.rms
+            gain = Gain.in_rms(risks[taken.name][0], risks[one.name][0], plan.groups)
         learnt = one.whole if one.made and not taken.entrant.structured else None
-        entry = _candidate(one, own, gap, scale)
+        entry = _candidate(one, own, gain)
         over.append(replace(entry, terms=() if learnt is None else learnt.terms))
     better = [
         one.name
@@ -382,20 +370,25 @@ def _score(risk: Array) -> float:
 
 def _better(own: Array, other: Array, plan: Plan, enough: Callable[[Iterable[bool]], bool]) -> bool:
     """Whether a candidate is significantly better than another, in all or any of both ways."""
-    gaps = [Gap.of(own[0], other[0], plan.groups)]
+    gains = [Gain.of(own[0], other[0], plan.groups)]
     if plan.blocked is not None:
         region = np.zeros(len(plan.groups), dtype=np.intp)
         for number, index in enumerate(plan.blocked.indices):
             region[index] = number
-        gaps.append(Gap.of(own[1], other[1], region))
-    known = [gap for gap in gaps if gap.clusters]
-    return all(gap.mean < 0.0 for gap in known) and enough(gap.significant for gap in known)
+        gains.append(Gain.of(own[1], other[1], region))
+    known = [gain for gain in gains if gain.clusters]
+    return all(gain.difference > 0.0 for gain in known) and enough(
+        gain.better is True for gain in known
+    )
 
 
 def _unvalidated(judged: Sequence[Judged]) -> Judged:
-    """The first that converged, the nominal machine aside; else the first that was fitted."""
-    fitted = [one for one in judged if one.whole is not None]
-    return next((one for one in fitted if not one.failed and not one.entrant.drawn), fitted[0])
+    """The first calibration that converged; without one the first, whose status says why.
+
+    Never the nominal machine, which would hide that nothing could be calibrated.
+    """
+    fitted = [one for one in judged if one.whole is not None and not one.entrant.drawn]
+    return next((one for one in fitted if one.whole and one.whole.status.converged), fitted[0])
 
 
 def _terms(one: Judged) -> tuple[str, ...]:
@@ -406,23 +399,25 @@ def _bare(one: Judged) -> Candidate:
     return Candidate(one.name, None, None, None, None, one.failed or None)
 
 
-def _candidate(one: Judged, own: Validation | None, gap: Gap | None, scale: float) -> Candidate:
-    """As a document holds it; gap: of squared distances at random parts; scale: sum of both rms."""
+def _candidate(one: Judged, own: Validation | None, gain: Gain | None) -> Candidate:
+    """As a document holds it; gain: of the chosen one over it, at random parts."""
     if own is None or own.accuracy is None:
         return _bare(one)
     blocked = own.blocked and own.blocked.accuracy
-    known = gap is not None and scale > 0.0 and math.isfinite(gap.sd)
     return Candidate(
         one.name,
         own.accuracy.distances,
         blocked.distances if blocked else None,
-        gap.mean / scale if known and gap else None,
-        gap.sd / scale if known and gap else None,
+        None if gain is None else gain.difference,
+        None if gain is None else gain.sd,
     )
 
 
 def _words(over: Sequence[Candidate], unit: str, better: Sequence[str]) -> str:
-    """What was chosen, over what, by how much; better: those of less risk, not significantly."""
+    """What was chosen, over what, by how much with paired standard errors.
+
+    better: the names of those of less risk, but not significantly.
+    """
     taken, *others = over
     if taken.out_of_sample is None:
         return f"{taken.name}, which predicts poses not used best or as well as any"
@@ -431,13 +426,12 @@ def _words(over: Sequence[Candidate], unit: str, better: Sequence[str]) -> str:
     if taken.blocked is not None:
         words += f", {size(taken.blocked.rms, unit)} {shown} in regions not used"
     beaten = [
-        f"{one.name} {size(one.out_of_sample.rms, unit)}"
-        + (f" and {size(one.blocked.rms, unit)}" if one.blocked and taken.blocked else "")
+        f"{one.name} {by_sd(one.difference, one.sd, unit, sign=True)} ± {size(one.sd, unit, 2)}"
         for one in others
-        if one.out_of_sample is not None
+        if one.difference is not None
     ]
     if beaten:
-        words += f"; over {', '.join(beaten)} {shown}"
+        words += f"; rms of the others minus this: {', '.join(beaten)} {shown}"
     out = [one.name for one in others if one.out_of_sample is None]
     if out:
         words += f"; out: {', '.join(out)}"

@@ -31,6 +31,7 @@ from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.local import own_threads
 from loopcal.measurements.copies import copies
@@ -305,8 +306,11 @@ class Case:
         own = self.mechanism
         return copies(self.data, [*own.quantities, *own.known], own.outputs)
 
-    def calibrated(self, index: Index | None = None) -> Result:
-        """The calibration of these poses, by default of all; what copies are, all rows say."""
+    def calibrated(self, index: Index | None = None, progress: Iterated | None = None) -> Result:
+        """The calibration of these poses, by default of all; what copies are, all rows say.
+
+        progress: called at every iteration.
+        """
         data = self.data
         if index is not None:
             index = index[~np.isin(index, self.copied)]
@@ -314,7 +318,13 @@ class Case:
         noise = taken(self.noise, index)
         near = _of_poses(self.near, index)
         return calibrate(
-            self.mechanism, data, noise=noise, fit=self.fit, near=near, trusted=self.trusted
+            self.mechanism,
+            data,
+            noise=noise,
+            fit=self.fit,
+            progress=progress,
+            near=near,
+            trusted=self.trusted,
         )
 
 

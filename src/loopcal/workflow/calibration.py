@@ -274,7 +274,8 @@ class _Run:
         if self.validation is not None:
             poses = loaded.dataset.poses
             scheme = Scheme(**validation_arguments(self.project, self.validation, poses))
-        return _Done(choose(case, scheme, **self._shared("fits")).calibrated)
+        shared = self._shared("fits")
+        return _Done(choose(case, scheme, **shared, iterated=self.listeners.progress).calibrated)
 
     def _calibrated(self, loaded: LoadedData) -> _Done:
         if self.fit.method.choice:
