@@ -35,7 +35,7 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
-.PHONY: help install demo test lint types suite partners chromium test-pythons test-lowest test-without-compiler sanitize fuzz benchmark clean
+.PHONY: help install demo pictures site dist test lint types suite partners chromium test-pythons test-lowest test-without-compiler sanitize fuzz benchmark clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -58,8 +58,19 @@ $(STAMP): pyproject.toml CMakeLists.txt $(wildcard engine/*)
 	@$(BIN)/python -m compileall -q src # pip compiles what it copies, not what it links
 	@touch $@
 
-demo: $(STAMP) ## calibrate the examples by both methods, the truth beside them
+demo: $(STAMP) ## calibrate three simulated arms, one with a fault, and print their true errors
 	@$(BIN)/python examples/demo.py
+
+pictures: demo ## make the pictures of the README from the demo's last report; needs `make partners`
+	@$(BIN)/python -m analyses.pictures
+
+site: $(STAMP) ## the documentation as a site in build/site/html, to open from the disk
+	@$(call try,furo myst-parser sphinx,the site cannot be built)
+	$(BIN)/python docs/site/build.py
+
+dist: $(STAMP) ## source distribution and wheel in dist/
+	@$(BIN)/python -m pip install --quiet build
+	$(BIN)/python -m build
 
 test: lint types suite ## the whole suite, lint and types included
 

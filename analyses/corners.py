@@ -4,9 +4,10 @@ Of the measured MA1400 workspace set (poses from 170 on) a corner is a pose and 
 by the cosine and sine of its joints. Each corner calibrates by the nominal machine, placed and
 mounted, by least squares and by auto, with nothing stated but the drawing and the noise of the
 encoders; all other poses are predicted. Printed are the rms of each, the share of those poses in
-the stated 95 % regions of auto, and in the geometric mean auto over the better of the other two.
+the stated 95 % regions of auto, the ratio by which the verdict judges the working region and
+whether it accepts it, and in the geometric mean auto over the better of the other two.
 
-    LOOPCAL_DATA=/path/to/data python -m analyses.corners [--corners 20] [--poses 60]
+    LOOPCAL_DATA=/path/to/data python -m analyses.corners [--corners 20] [--poses 60] [--write]
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import loopcal as lc
+from analyses.written import write_block
 from loopcal.statistics.candidates import nominal_case
 from loopcal.statistics.folds import Scheme
 from loopcal.statistics.validation import Case, validated
 
 PROJECT = Path(__file__).parents[1] / "examples/motoman/right_arm_workspace.toml"
+PAGE = Path(__file__).parents[1] / "docs" / "explanation" / "model-error.md"
 SETTLED = 170
 """The reflector slipped three times before this pose."""
 
@@ -43,17 +46,19 @@ def rms_elsewhere(case: Case, whole: lc.Result, rest: lc.Dataset) -> tuple[float
 
 
 def main() -> None:
-    """Print one line per corner, and the geometric means."""
+    """Print one line per corner, and the geometric means; write them into the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--corners", type=int, default=20)
     parser.add_argument("--poses", type=int, default=60)
+    parser.add_argument("--write", action="store_true", help=f"into {PAGE}")
     asked = parser.parse_args()
     project = lc.read_project(PROJECT)
     loaded = lc.load_dataset(project)
     data = loaded.dataset.take(np.arange(SETTLED, len(loaded.dataset)))
     centres = np.random.default_rng(0).choice(len(data), asked.corners, replace=False)
     ratios, shares = [], []
-    print("centre  nominal  least squares  auto [mm]  held  chosen")
+    lines = ["  pose  nominal  least squares  auto [mm]    held  ratio  region"]
+    print(lines[0])
     for centre in centres:
         inside = corner(data, int(centre), asked.poses)
         some = data.take(np.sort(inside))
@@ -68,12 +73,22 @@ def main() -> None:
         own, held = rms_elsewhere(Case(auto.mechanism, some, loaded.noise, auto.fit), auto, rest)
         ratios.append(own / min(nominal, squares))
         shares.append(held)
-        name = auto.chosen.method if auto.chosen else ""
-        figures = f"{1e3 * nominal:8.3f} {1e3 * squares:13.3f} {1e3 * own:10.3f} {held:6.1%}"
-        print(f"{data.poses[centre]:>6} {figures}  {name}", flush=True)
+        assert auto.verdict is not None
+        valid = auto.verdict.valid
+        figures = f"{1e3 * nominal:8.3f} {1e3 * squares:14.3f} {1e3 * own:10.3f} {held:7.1%}"
+        said = "accepted" if valid.passed else "refused"
+        ratio = "   inf" if valid.number is None else f"{valid.number:6.1f}"
+        lines.append(f"{data.poses[centre]:>6} {figures} {ratio}  {said}")
+        print(lines[-1], flush=True)
     mean = float(np.exp(np.mean(np.log(ratios))))
-    print(f"auto over the better of nominal and least squares: {mean:.3f} (geometric mean)")
-    print(f"poses in the stated regions: {np.mean(shares):.1%}")
+    lines += [
+        "",
+        f"auto over the better of nominal and least squares: {mean:.2f} (geometric mean)",
+        f"poses in the stated regions: {np.mean(shares):.1%}",
+    ]
+    print("\n".join(lines[-2:]))
+    if asked.write:
+        write_block(PAGE, "corners", "\n".join(lines))
 
 
 if __name__ == "__main__":

@@ -94,7 +94,14 @@ def run(case: Case, seeds: range) -> Counts:
             z = np.random.default_rng([7, seed]).standard_normal(len(names))
             truth = {n: truth[n] + prior_sds[n] * v for n, v in zip(names, z, strict=True)}
         made = lc.simulate(start, poses, noise=lc.Noise(sds), seed=seed, truth=truth)
-        found = lc.calibrate(start, made.dataset, noise=lc.Noise(sds), prior=prior, start="nominal")
+        found = lc.calibrate(
+            start,
+            made.dataset,
+            noise=lc.Noise(sds),
+            prior=prior,
+            start="nominal",
+            method="implicit-loop",
+        )
         assert found.status.converged
         held.append(
             [abs(found.value[n] - truth[n]) <= SIGMAS * (found.sd[n] or 0.0) for n in names]
@@ -128,7 +135,9 @@ def gear_error_p(seed: int, sd: float = 1e-5, error: float = 2e-4) -> float:
     reach = np.hypot(made.quantities["x"], made.quantities["y"]).max()  # lever of the first joint
     wrong = made.dataset[first] + error / reach * np.sin(7 * made.quantities[first])
     data = made.dataset.with_readings({first: wrong})
-    return _p_value(lc.calibrate(arm, data, noise=lc.Noise(sds), start="nominal"))
+    return _p_value(
+        lc.calibrate(arm, data, noise=lc.Noise(sds), start="nominal", method="implicit-loop")
+    )
 
 
 def _p_value(found: lc.Result) -> float:

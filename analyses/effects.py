@@ -101,7 +101,9 @@ def run(setup: str, seeds: Sequence[int]) -> Counts:
     for seed in seeds:
         truth = truth_of(mechanism, seed)
         made = lc.simulate(mechanism, driven(mechanism, 1), noise=SDS, seed=seed, truth=truth)
-        found = lc.calibrate(mechanism, made.dataset, noise=SDS, start="nominal")
+        found = lc.calibrate(
+            mechanism, made.dataset, noise=SDS, start="nominal", method="implicit-loop"
+        )
         assert found.status.converged
         assert found.chi_squared is not None
         held = {
@@ -126,7 +128,14 @@ def chosen(true: str, seed: int, poses: int = 100, folds: int = 10) -> str:
     truth = full | dict.fromkeys(off, 0.0)
     made = lc.simulate(mechanism, driven(mechanism, seed, poses), noise=SDS, seed=seed, truth=truth)
     found = lc.compare_models(
-        mechanism, made.dataset, MODELS, noise=SDS, start="nominal", folds=folds, seed=seed
+        mechanism,
+        made.dataset,
+        MODELS,
+        noise=SDS,
+        start="nominal",
+        folds=folds,
+        seed=seed,
+        method="implicit-loop",
     )
     return found.recommended
 

@@ -8,17 +8,19 @@ said, and how large the true error at fresh poses is beside the stated 95 % regi
 - false alarms: clean sets that are not called sound, be it "no" or "open";
 - missed: sets called sound whose true error at fresh poses, in the region called valid, exceeds
   the stated region by half: the 95th percentile over poses of sqrt(e^T C^-1 e / q) is above 1.5,
-  with q the 95 % quantile of chi-squared;
+  with q the limit of the region that `predict` states;
 - named: whether a finding speaks of the cause.
 
     python -m analyses.gauntlet [--draws 100] [--processes 2] [--only WORD ...] [--write FILE]
 
 Draws are kept in .cache/gauntlet.jsonl as they end, and a run goes on where an earlier one stopped.
+Each has the stamp of the code that it judged; draws of other code do not count.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import math
 import re
@@ -32,18 +34,33 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 import loopcal as lc
 from analyses.gauntlet_kinds import KINDS, Kind
 from analyses.gauntlet_truth import Array
 from analyses.gauntlet_worlds import Fresh
 from analyses.written import write_block
+from loopcal.small_samples import f_limit
 
 KEPT = Path(".cache/gauntlet.jsonl")
 PAGE = Path("docs/explanation/gauntlet.md")
 BEYOND = 1.5
 """True error over the stated 95 % region, from which a stated region is wrong."""
+
+
+def _stamp() -> str:
+    """A hash of all that a draw judges: the code that calibrates, and the gauntlet's own."""
+    judged = ("mechanisms", "measurements", "estimation", "statistics", "expressions", "document")
+    package = Path(lc.__file__).parent
+    files = [p for folder in judged for p in sorted((package / folder).rglob("*.py"))]
+    files += sorted(Path(__file__).parent.glob("gauntlet*.py"))
+    found = hashlib.sha256()
+    for path in files:
+        found.update(path.read_bytes())
+    return found.hexdigest()[:12]
+
+
+STAMP = _stamp()
 
 
 def run(name: str, draw: int) -> dict[str, Any]:
@@ -52,7 +69,7 @@ def run(name: str, draw: int) -> dict[str, Any]:
     rng = np.random.default_rng([zlib.crc32(name.encode()), draw])
     trial = kind.world.made(rng)
     begun = time.process_time()
-    found: dict[str, Any] = {"kind": name, "draw": draw}
+    found: dict[str, Any] = {"kind": name, "draw": draw, "stamp": STAMP}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -87,10 +104,9 @@ def _beyond(result: lc.Result, fresh: Fresh, kind: Kind) -> dict[str, float] | N
         computed = _placed(computed, fresh.true)
     index = [list(predicted.outputs).index(q) for q in fresh.outputs]
     C = predicted.covariance[:, index][:, :, index]
-    if predicted.from_readings is None:  # of least squares the noise floor stands for them
-        accuracy = result.document.accuracy
-        floor = None if accuracy is None else accuracy.noise_floor
-        C = C + (floor or 0.0) ** 2 / len(index) * np.eye(len(index))
+    if predicted.from_readings is None:  # of least squares its residuals stand for them
+        after = result.accuracy_after
+        C = C + (after.rms if after else 0.0) ** 2 / len(index) * np.eye(len(index))
     off = computed - fresh.true
     usable = np.isfinite(off).all(axis=1) & np.isfinite(C).all(axis=(1, 2))
     if not usable.any():
@@ -98,7 +114,8 @@ def _beyond(result: lc.Result, fresh: Fresh, kind: Kind) -> dict[str, float] | N
     off, C = off[usable], C[usable]
     tiny = 1e-24 * np.eye(len(index))
     squares = np.einsum("ni,ni->n", off, np.linalg.solve(C + tiny, off[:, :, None])[:, :, 0])
-    ratio = np.sqrt(squares / float(chi2.ppf(0.95, len(index))))
+    limit = f_limit(0.95, len(index), predicted.denominator[usable])
+    ratio = np.sqrt(squares / limit)
     return {
         "ratio": float(np.quantile(ratio, 0.95)),
         "held": float((ratio <= 1.0).mean()),
@@ -164,15 +181,17 @@ def _share(of: Sequence[bool]) -> str:
     return f"{100.0 * sum(of) / max(len(of), 1):6.1f}"
 
 
-def kept(path: Path = KEPT) -> list[dict[str, Any]]:
-    """The draws that earlier runs have kept; a line that broke off is left out."""
-    found = []
+def kept(path: Path = KEPT, stamp: str = STAMP) -> list[dict[str, Any]]:
+    """The draws of this code that earlier runs have kept; a broken line is left out."""
+    found = {}
     for line in path.read_text("utf-8").splitlines() if path.exists() else []:
         try:
-            found.append(json.loads(line))
+            draw = json.loads(line)
         except json.JSONDecodeError:
             continue
-    return found
+        if draw.get("stamp") == stamp:
+            found[draw["kind"], draw["draw"]] = draw
+    return list(found.values())
 
 
 def main() -> None:

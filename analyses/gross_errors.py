@@ -93,10 +93,13 @@ def run(draws: Iterable[int]) -> Counts:
         clean = arm.read(sds(arm), seed=1000 + draw)
         data, where = with_gross_errors(clean, seed=5000 + draw)
         fits = {
-            name: lc.calibrate(start, clean, noise=noise, loss=loss)
+            name: lc.calibrate(start, clean, noise=noise, loss=loss, method="implicit-loop")
             for name, loss in clean_fits.items()
         }
-        fits |= {name: lc.calibrate(start, data, noise=noise, loss=name) for name in LOSSES}
+        fits |= {
+            name: lc.calibrate(start, data, noise=noise, loss=name, method="implicit-loop")
+            for name in LOSSES
+        }
         for name, result in fits.items():
             values = np.array([result.value[n] for n in arm.truth.parameters.names])
             sd = np.sqrt(np.diag(result.covariance))

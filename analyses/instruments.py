@@ -314,7 +314,7 @@ def identifiable(name: str) -> int:
     made = lc.simulate(given.truth, given.driven, noise=EXACT, seed=0, start=given.start)
     free = given.truth.with_parameters(given.truth.parameters.with_fixed(size))
     readings = {q: v for q, v in made.dataset.readings.items() if q not in given.unread}
-    found = lc.calibrate(free, readings, noise=given.noise, start="nominal")
+    found = lc.calibrate(free, readings, noise=given.noise, start="nominal", method="implicit-loop")
     return found.identifiability.rank
 
 
@@ -340,7 +340,7 @@ def run(name: str, seeds: Sequence[int]) -> Counts:
         )
         start = given.nominal(seed)
         start = start.with_parameters(start.parameters.with_fixed(given.held))
-        found = lc.calibrate(start, made.dataset, noise=given.noise)
+        found = lc.calibrate(start, made.dataset, noise=given.noise, method="implicit-loop")
         chi = found.chi_squared
         assert found.status.converged, (name, seed, found.status)
         assert chi is not None

@@ -147,7 +147,7 @@ def run(name: str, seeds: Sequence[int]) -> Counts:
     held, factors, fits, errors, rank, freedom = [], [], [], [], 0, 0
     for seed in seeds:
         made = lc.simulate(mechanism, poses, noise=noise, seed=seed, truth=truth)
-        found = lc.calibrate(mechanism, made.dataset, noise=noise)
+        found = lc.calibrate(mechanism, made.dataset, noise=noise, method="implicit-loop")
         chi = found.chi_squared
         assert found.status.converged, (name, seed, found.status)
         assert chi is not None

@@ -62,9 +62,11 @@ def end(case: Case, seed: int) -> str:
     sds = case.sds(seed)
     simulated = planar_arm(POSES, seed=seed)
     data, noise = simulated.read(sds, seed=seed), lc.Noise(sds)
-    best = lc.calibrate(simulated.truth, data, noise=noise, start="nominal").solution
+    best = lc.calibrate(
+        simulated.truth, data, noise=noise, start="nominal", method="implicit-loop"
+    ).solution
     off = simulated.off(case.length, case.angle, seed=seed)
-    found = lc.calibrate(off, data, noise=noise, start="nominal").solution
+    found = lc.calibrate(off, data, noise=noise, start="nominal", method="implicit-loop").solution
     if not found.status.converged:
         return found.status.reason
     if not found.chi_squared <= best.chi_squared * (1 + ROUNDING):

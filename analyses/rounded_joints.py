@@ -77,7 +77,7 @@ def run(way: str, seeds: Sequence[int]) -> Array:
             if q != "L"
         }
         data = made.dataset.with_readings(read)
-        found = lc.calibrate(machine, data, noise=noise, start="nominal")
+        found = lc.calibrate(machine, data, noise=noise, start="nominal", method="implicit-loop")
         assert found.chi_squared is not None
         held = [
             abs(found.value[n] - truth[n]) <= SIGMAS * (found.sd[n] or 0.0) for n in found.estimated

@@ -103,7 +103,7 @@ def calibrated(arm: lc.Mechanism, case: Case, poses: int, seed: int) -> lc.Resul
     at = lc.random_poses(BOX, poses, seed=_APART + seed)
     readings = lc.simulate(arm, at, noise=really, seed=seed).dataset
     learning = lc.Noise(really.entries, estimate=dict(case.learnt))
-    return lc.calibrate(arm, readings, noise=learning, start="nominal")
+    return lc.calibrate(arm, readings, noise=learning, start="nominal", method="implicit-loop")
 
 
 def _as_known(result: lc.Result) -> Predictor:

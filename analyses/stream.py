@@ -32,6 +32,7 @@ from loopcal.simulation.simulate import simulate
 PART = 500_000
 TRUTH = {"x1": 0.153, "z2": 0.612, "phix1": 0.003}
 PROJECT = """schema = 1
+fit = { method = "implicit-loop" }
 title = "A stream of the MA1400"
 [mechanism]
 type = "motoman-ma1400"

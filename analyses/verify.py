@@ -79,7 +79,7 @@ def run(name: str, seeds: Sequence[int]) -> Rates:
         )
         nominal = given.nominal(seed)
         nominal = nominal.with_parameters(nominal.parameters.with_fixed(given.held))
-        result = lc.calibrate(nominal, made.dataset, noise=given.noise)
+        result = lc.calibrate(nominal, made.dataset, noise=given.noise, method="implicit-loop")
         truth = another_day(given, seed)
         day = lc.simulate(truth, some, noise=given.noise, seed=seed + 10**6, start=start)
         same = lc.verify(result, day.dataset)

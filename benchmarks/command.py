@@ -22,6 +22,7 @@ DEMANDED, DEMANDED_STUDY = 5.0, 45.0
 
 _PROJECT = f"""
 schema = 1
+fit = {{ method = "implicit-loop" }}
 [mechanism]
 type = "motoman-ma1400"
 [data]

@@ -40,25 +40,32 @@ def measure() -> list[Learning]:
     learnt, with_model = _learnt(model=False), _learnt(model=True)
 
     def plain() -> object:
-        return lc.calibrate(arm, readings, noise=stated)
+        return lc.calibrate(arm, readings, noise=stated, method="implicit-loop")
 
     cases: dict[str, tuple[Callable[[], object], float | None]] = {
         "sds stated": (plain, None),
-        "all sds learnt": (lambda: str(lc.calibrate(arm, readings, noise=learnt)), None),
+        "all sds learnt": (
+            lambda: str(lc.calibrate(arm, readings, noise=learnt, method="implicit-loop")),
+            None,
+        ),
         f"all sds learnt, {FOLDS} folds": (
-            lambda: lc.validate(arm, readings, noise=learnt, folds=FOLDS, seed=1),
+            lambda: lc.validate(
+                arm, readings, noise=learnt, folds=FOLDS, seed=1, method="implicit-loop"
+            ),
             DEMANDED_FOLDS,
         ),
         f"the same and `model`, {FOLDS} folds": (
-            lambda: lc.validate(arm, readings, noise=with_model, folds=FOLDS, seed=1),
+            lambda: lc.validate(
+                arm, readings, noise=with_model, folds=FOLDS, seed=1, method="implicit-loop"
+            ),
             None,
         ),
         "a joint in the wrong unit, sds stated": (
-            lambda: lc.calibrate(arm, wrong, noise=stated),
+            lambda: lc.calibrate(arm, wrong, noise=stated, method="implicit-loop"),
             DEMANDED_WRONG,
         ),
         "a joint in the wrong unit, sds learnt": (
-            lambda: lc.calibrate(arm, wrong, noise=learnt),
+            lambda: lc.calibrate(arm, wrong, noise=learnt, method="implicit-loop"),
             DEMANDED_WRONG,
         ),
     }

@@ -61,7 +61,9 @@ def calibrator(problem: Problem) -> Callable[[], Fit]:
     mechanism, data, noise = problem.mechanism, problem.dataset, problem.noise
 
     def run() -> Fit:
-        result = loopcal.calibrate(mechanism, data, noise=noise, start="nominal")
+        result = loopcal.calibrate(
+            mechanism, data, noise=noise, start="nominal", method="implicit-loop"
+        )
         assert result.chi_squared is not None
         values = np.array(list(result.value.values()))
         return Fit(values, result.chi_squared.value, result.status.evaluations)
@@ -72,6 +74,10 @@ def calibrator(problem: Problem) -> Callable[[], Fit]:
 def sds(problem: Problem) -> NDArray[np.float64]:
     """The sds of the parameters, (27,) [SI]."""
     result = loopcal.calibrate(
-        problem.mechanism, problem.dataset, noise=problem.noise, start="nominal"
+        problem.mechanism,
+        problem.dataset,
+        noise=problem.noise,
+        start="nominal",
+        method="implicit-loop",
     )
     return np.array(list(result.sd.values()), dtype=float)

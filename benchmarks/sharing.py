@@ -93,10 +93,17 @@ def folds(poses: int) -> Callable[[Executor], Any]:
     """A validation of so many poses; the fit of all is not part of it."""
     problem = six_axis(poses)
     data, noise = problem.dataset, problem.noise
-    full = calibrate(problem.mechanism, data, noise=noise)
+    full = calibrate(problem.mechanism, data, noise=noise, method="implicit-loop")
 
     def work(executor: Executor) -> Any:
-        found = validate(problem.mechanism, data, noise=noise, full=full, executor=executor)
+        found = validate(
+            problem.mechanism,
+            data,
+            noise=noise,
+            full=full,
+            executor=executor,
+            method="implicit-loop",
+        )
         return found.distances
 
     return work

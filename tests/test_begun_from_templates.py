@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.workflow.calibration import run_calibration
+from loopcal.workflow.calibration import Request, run_calibration
 from loopcal.workflow.projects import new_project
 from loopcal.workflow.simulation import run_simulation
 from tests.refusals import refused
@@ -25,8 +25,9 @@ def test_lengths_that_the_rest_makes_up_for_set_no_size(
     text = file.read_text()
     assert '"a_2" = { fixed = true }' in text
     file.write_text(text.replace('"a_2" = { fixed = true }', ""))
-    with refused("unknown-size"):
-        run_calibration("arm/project.toml")
+    for method in (None, "implicit-loop"):
+        with refused("unknown-size"):
+            run_calibration("arm/project.toml", Request(method=method))
 
 
 @pytest.mark.parametrize("machine", [lc.machines.stewart_gough(), lc.machines.linear_delta()])
@@ -41,7 +42,7 @@ def test_a_tracker_over_a_platform_is_placed_from_anywhere(machine: lc.Machine) 
     truth = {"tracker_x": 2.0, "tracker_y": -1.0, "tracker_rz": 2.0}
     poses = lc.random_poses(ranges, 60, seed=1)
     made = lc.simulate(mechanism, poses, noise=noise, seed=1, truth=truth)
-    result = lc.calibrate(mechanism, made.dataset, noise=noise)
+    result = lc.calibrate(mechanism, made.dataset, noise=noise, method="implicit-loop")
     assert result.status.converged
     assert result.accuracy_before is not None
     assert result.accuracy_before.rms < 1e-3
@@ -57,4 +58,6 @@ def test_distances_of_two_poses_of_a_platform_start_apart() -> None:
     noise = lc.Noise({"*": 1e-5} | dict.fromkeys(unread, np.inf))
     made = lc.simulate(mechanism, lc.random_poses(ranges, 80, seed=1), noise=noise, seed=1)
     assert lc.check(mechanism, made.dataset, noise=noise) is not None
-    assert lc.calibrate(mechanism, made.dataset, noise=noise).status.converged
+    assert lc.calibrate(
+        mechanism, made.dataset, noise=noise, method="implicit-loop"
+    ).status.converged

@@ -117,10 +117,3 @@ def test_halves_of_measured_sets_give_the_table_12_that_the_documentation_tells(
     told = "\n".join(table["report"]("grid", grid))
     assert "difference of these" in told
     assert "on the other half's poses" in told
-
-
-def test_the_demo_shows_both_methods_beside_the_truth(capsys: pytest.CaptureFixture[str]) -> None:
-    runpy.run_path(os.fspath(EXAMPLES / "demo.py"), run_name="__main__")
-    shown = capsys.readouterr().out
-    assert shown.count("least squares error") == len(SIMULATED)
-    assert shown.count("by implicit loop.") == len(SIMULATED)

@@ -19,7 +19,8 @@ def test_summary_and_report_say_what_they_said(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     project = EXAMPLES / "planar" / "project.toml"
-    assert main(["calibrate", str(project), "--out", "out", "--folds", "4"]) == 0
+    asked = ["--method", "implicit-loop", "--folds", "4"]
+    assert main(["calibrate", str(project), "--out", "out", *asked]) == 0
     golden.check("summary.txt", capsys.readouterr().out)
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     golden.check("report.txt", golden.page_text(page))

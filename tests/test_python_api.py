@@ -51,7 +51,7 @@ def readings() -> dict[str, np.ndarray]:
 def test_the_example_of_the_contract_runs_as_written() -> None:
     data = lc.Dataset.from_arrays(readings())
     prior = lc.Prior({"*": np.inf})
-    result = lc.calibrate(arm(), data, noise=NOISE, prior=prior)
+    result = lc.calibrate(arm(), data, noise=NOISE, prior=prior, method="implicit-loop")
     basic = lc.calibrate(arm(), data, method="least-squares")
     sd = result.sd["l2"]
     assert sd is not None
@@ -63,7 +63,7 @@ def test_the_example_of_the_contract_runs_as_written() -> None:
     assert result.status.converged
     assert basic.status.converged
     assert "l2" in str(result)
-    assert "<pre>" in result._repr_html_()
+    assert "l2" in result._repr_html_()
 
 
 KINDS: dict[str, Callable[[dict[str, np.ndarray]], Any]] = {
@@ -76,13 +76,15 @@ KINDS: dict[str, Callable[[dict[str, np.ndarray]], Any]] = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_readings_may_come_as_any_table(kind: str) -> None:
-    expected = lc.calibrate(arm(), lc.Dataset.from_arrays(readings()), noise=NOISE)
-    result = lc.calibrate(arm(), KINDS[kind](readings()), noise=NOISE)
+    expected = lc.calibrate(
+        arm(), lc.Dataset.from_arrays(readings()), noise=NOISE, method="implicit-loop"
+    )
+    result = lc.calibrate(arm(), KINDS[kind](readings()), noise=NOISE, method="implicit-loop")
     assert dict(result.value) == dict(expected.value)
 
 
 def test_results_are_frozen() -> None:
-    result = lc.calibrate(arm(), readings(), noise=NOISE)
+    result = lc.calibrate(arm(), readings(), noise=NOISE, method="implicit-loop")
     with pytest.raises(AttributeError):
         result.method = "other"  # type: ignore[misc]
     with pytest.raises(TypeError):

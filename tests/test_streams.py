@@ -41,6 +41,7 @@ from tests.refusals import refused
 
 PROJECT = """
 schema = 1
+fit = { method = "implicit-loop" }
 [mechanism]
 type = "planar-two-link"
 [data]
@@ -482,7 +483,7 @@ def test_an_infinite_reading_is_told_with_its_file(folder: Path) -> None:
 
 
 def test_a_robust_calibration_from_a_stream_is_that_from_memory(folder: Path) -> None:
-    text = PROJECT.replace("schema = 1", 'schema = 1\nfit = { loss = "huber" }')
+    text = PROJECT.replace("fit = { ", 'fit = { loss = "huber", ')
     read(folder, text)
     streamed = run_calibration(folder / "project.toml").result
     read(folder, text.replace('"poses"', '"whole.parquet"'))
@@ -497,14 +498,14 @@ def test_a_robust_calibration_from_a_stream_is_that_from_memory(folder: Path) ->
     [
         ('"p301"', '"p999"', "unknown-name", ("'p999'",)),
         (
-            "schema = 1",
-            "schema = 1\nfit = { validation = { folds = 5 } }",
+            "fit = { ",
+            "fit = { validation = { folds = 5 }, ",
             "unsupported",
             ("validation",),
         ),
         (
-            "schema = 1",
-            'schema = 1\nfit = { method = "reweighted" }',
+            "implicit-loop",
+            "reweighted",
             "unsupported",
             ("'reweighted'",),
         ),

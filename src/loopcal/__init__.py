@@ -8,6 +8,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from loopcal.document import offers as _offers
+
 if TYPE_CHECKING:
     from loopcal import effects, instruments, machines
     from loopcal.document.change_points import ChangePoint
@@ -15,7 +17,8 @@ if TYPE_CHECKING:
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
     from loopcal.document.fit import NoiseEntry
     from loopcal.document.goodness_of_fit import ChiSquared
-    from loopcal.document.result_document import ResultDocument
+    from loopcal.document.parameter_table import ParameterTable
+    from loopcal.document.result_document import ResultDocument, WrittenResult
     from loopcal.document.verdict import Answer, Verdict
     from loopcal.errors import InputError, LoopcalError
     from loopcal.estimation.accuracy import Accuracy, InstrumentAccuracy
@@ -28,9 +31,8 @@ if TYPE_CHECKING:
     from loopcal.expressions.trace import TraceError
     from loopcal.expressions.vectors import cross, dot, norm, rot_x, rot_y, rot_z, rotate, vector
     from loopcal.files.machines.mechanism_file import read_mechanism
-    from loopcal.files.project.project_data import LoadedData, load_dataset
+    from loopcal.files.project.project_data import LoadedData
     from loopcal.files.project.project_file import Project, read_project
-    from loopcal.files.result.result_file import WrittenResult, read_result
     from loopcal.files.tables.readers import read_dataset
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
@@ -48,26 +50,43 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.structure.structured import structured
     from loopcal.mechanisms.terms import Term
     from loopcal.simulation.poses import grid_poses, random_poses
-    from loopcal.simulation.simulate import Simulation, simulate
-    from loopcal.statistics.calibrate import calibrate
-    from loopcal.statistics.change_points import Shifts, find_shifts
-    from loopcal.statistics.check import Check, check
+    from loopcal.simulation.simulate import Simulation
+    from loopcal.statistics.change_points import Shifts
+    from loopcal.statistics.check import Check
     from loopcal.statistics.compared import Compared
-    from loopcal.statistics.comparison import compare
-    from loopcal.statistics.findings import Findings, findings
-    from loopcal.statistics.intervals import Interval, intervals
-    from loopcal.statistics.judging import verdict
-    from loopcal.statistics.models import ComparedModel, ModelComparison, compare_models
-    from loopcal.statistics.outliers import Outliers, find_outliers
-    from loopcal.statistics.prediction import Prediction, predict
-    from loopcal.statistics.repeats import Repeats, repeated_readings
+    from loopcal.statistics.findings import Findings
+    from loopcal.statistics.intervals import Interval
+    from loopcal.statistics.models import ComparedModel, ModelComparison
+    from loopcal.statistics.outliers import Outliers
+    from loopcal.statistics.prediction import Prediction
+    from loopcal.statistics.reliability import ReadingReliability
+    from loopcal.statistics.repeats import Repeats
     from loopcal.statistics.shifted import Shifted, with_shifts
-    from loopcal.statistics.validate import MethodComparison, compare_methods, validate
+    from loopcal.statistics.validate import MethodComparison
     from loopcal.statistics.validation import Validation
-    from loopcal.statistics.verification import verify
     from loopcal.statistics.verified import Verification
     from loopcal.workflow.beginning.initial import InitialProject, init
     from loopcal.workflow.calibration import write_result
+    from loopcal.workflow.public import (
+        calibrate,
+        check,
+        compare,
+        compare_methods,
+        compare_models,
+        find_outliers,
+        find_shifts,
+        findings,
+        intervals,
+        load_dataset,
+        predict,
+        reliability,
+        repeated_readings,
+        simulate,
+        validate,
+        verdict,
+        verify,
+    )
+    from loopcal.workflow.saved_result import SavedResult, read_result
 
 _HOME = {
     "document.goodness_of_fit": ("ChiSquared",),
@@ -75,7 +94,8 @@ _HOME = {
     "document.dependence": ("Dependence",),
     "document.findings": ("ColumnFault", "Identifiability", "Outlier", "Undetermined"),
     "document.fit": ("NoiseEntry",),
-    "document.result_document": ("ResultDocument",),
+    "document.result_document": ("ResultDocument", "WrittenResult"),
+    "document.parameter_table": ("ParameterTable",),
     "errors": ("InputError", "LoopcalError"),
     "estimation.accuracy": ("Accuracy", "InstrumentAccuracy"),
     "estimation.residuals": ("Closure",),
@@ -90,9 +110,8 @@ _HOME = {
     ),
     "files.tables.readers": ("read_dataset",),
     "files.machines.mechanism_file": ("read_mechanism",),
-    "files.project.project_data": ("LoadedData", "load_dataset"),
+    "files.project.project_data": ("LoadedData",),
     "files.project.project_file": ("Project", "read_project"),
-    "files.result.result_file": ("WrittenResult", "read_result"),
     "measurements.dataset": ("Dataset",),
     "measurements.datasheet": ("Tracker", "encoder_sd", "tracker_covariance"),
     "measurements.noise": ("Noise",),
@@ -109,27 +128,30 @@ _HOME = {
     "mechanisms.structure.structured": ("structured",),
     "mechanisms.terms": ("Term",),
     "simulation.poses": ("grid_poses", "random_poses"),
-    "simulation.simulate": ("Simulation", "simulate"),
-    "statistics.calibrate": ("calibrate",),
-    "statistics.check": ("Check", "check"),
+    "simulation.simulate": ("Simulation",),
+    "statistics.check": ("Check",),
     "statistics.compared": ("Compared",),
-    "statistics.comparison": ("compare",),
-    "statistics.intervals": ("Interval", "intervals"),
-    "statistics.validate": ("MethodComparison", "compare_methods", "validate"),
+    "statistics.intervals": ("Interval",),
+    "statistics.validate": ("MethodComparison",),
     "statistics.validation": ("Validation",),
     "document.verdict": ("Answer", "Verdict"),
-    "statistics.judging": ("verdict",),
-    "statistics.verification": ("verify",),
     "statistics.verified": ("Verification",),
-    "statistics.models": ("ComparedModel", "ModelComparison", "compare_models"),
-    "statistics.change_points": ("Shifts", "find_shifts"),
-    "statistics.outliers": ("Outliers", "find_outliers"),
+    "statistics.models": ("ComparedModel", "ModelComparison"),
+    "statistics.change_points": ("Shifts",),
+    "statistics.outliers": ("Outliers",),
+    "statistics.reliability": ("ReadingReliability",),
     "statistics.shifted": ("Shifted", "with_shifts"),
-    "statistics.findings": ("Findings", "findings"),
-    "statistics.prediction": ("Prediction", "predict"),
-    "statistics.repeats": ("Repeats", "repeated_readings"),
+    "statistics.findings": ("Findings",),
+    "statistics.prediction": ("Prediction",),
+    "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
     "workflow.calibration": ("write_result",),
+    "workflow.public": (
+        *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
+        *("find_shifts", "findings", "intervals", "load_dataset", "predict", "reliability"),
+        *("repeated_readings", "simulate", "validate", "verdict", "verify"),
+    ),
+    "workflow.saved_result": ("SavedResult", "read_result"),
 }
 _NAMESPACES = ("effects", "instruments", "machines")
 _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name in names}
@@ -168,14 +190,17 @@ __all__ = [
     "Outlier",
     "Outliers",
     "Parameter",
+    "ParameterTable",
     "Parameters",
     "Prediction",
     "Prior",
     "Processes",
     "Project",
+    "ReadingReliability",
     "Repeats",
     "Result",
     "ResultDocument",
+    "SavedResult",
     "Shifted",
     "Shifts",
     "Simulation",
@@ -219,6 +244,7 @@ __all__ = [
     "read_mechanism",
     "read_project",
     "read_result",
+    "reliability",
     "repeated_readings",
     "rot_x",
     "rot_y",
@@ -236,6 +262,23 @@ __all__ = [
     "with_shifts",
     "write_result",
 ]
+
+
+_OFFERS = {
+    "plot": "workflow.saved_result:plots",
+    "fitted": "workflow.saved_result:fitted",
+    "save": "workflow.saved_result:save",
+    "predict": "workflow.public:predict",
+}
+"""What results offer that layers above them compute."""
+
+
+def _offer(name: str) -> Any:
+    module, _, function = _OFFERS[name].partition(":")
+    return getattr(import_module(f"loopcal.{module}"), function)
+
+
+_offers.connect(_offer)
 
 
 def __getattr__(name: str) -> Any:

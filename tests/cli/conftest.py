@@ -34,6 +34,9 @@ phi3 = { column = "b", unit = "deg" }
 [prior]
 "*" = { sd = inf }
 
+[fit]
+method = "implicit-loop"
+
 [simulation.ranges]
 phi2 = { from = -90, to = 90, step = 30, unit = "deg" }
 phi3 = { from = 10, to = 150, step = 28, unit = "deg" }

@@ -59,7 +59,7 @@ def test_check_of_poses_that_are_all_alike(folder: Path, run: Run) -> None:
 
 def test_check_knows_no_sds_where_the_project_states_none(folder: Path, run: Run) -> None:
     start, rest = PROJECT.split("[noise]")
-    text = start + '[fit]\nmethod = "least-squares"\n[prior]' + rest.split("[prior]")[1]
+    text = start + "[prior]" + rest.split("[prior]")[1].replace("implicit-loop", "least-squares")
     (folder / "project.toml").write_text(text)
     done = run("check", "project.toml", "--json")
     document = json.loads(done.out)
@@ -85,7 +85,9 @@ def test_predict_from_files_is_predict_in_python(folder: Path, run: Run, place: 
     assert [row["pose"] for row in rows] == ["near", "far"]
     project = lc.read_project("project.toml")
     loaded = lc.load_dataset(project)
-    result = lc.calibrate(project.mechanism, loaded.dataset, noise=loaded.noise)
+    result = lc.calibrate(
+        project.mechanism, loaded.dataset, noise=loaded.noise, method="implicit-loop"
+    )
     angles = {"phi2": np.radians([10, 170]), "phi3": np.radians([60, -120])}
     same = lc.predict(result, angles)
     for name in ("xP", "yP"):
@@ -147,7 +149,7 @@ def test_a_result_written_from_python_is_read_in_si(folder: Path, run: Run) -> N
     arm, noise = lc.planar_two_link(), lc.Noise({"?P": 1e-4, "phi?": 1e-4})
     poses = lc.random_poses({"phi2": (-1.0, 1.0), "phi3": (0.3, 2.0)}, 30, seed=2)
     data = lc.simulate(arm, poses, noise=noise, seed=2).dataset
-    lc.write_result(lc.calibrate(arm, data, noise=noise), "own")
+    lc.write_result(lc.calibrate(arm, data, noise=noise, method="implicit-loop"), "own")
     (folder / "new.csv").write_text("phi2,phi3\n0.1,0.5\n")
     done = run("predict", "own", "new.csv", "--json")
     assert done.code == 0

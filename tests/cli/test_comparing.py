@@ -20,6 +20,7 @@ pose = "pose"
 "?P" = {{ sd = 0.1, unit = "mm" }}
 "phi?" = {{ sd = 1, unit = "mrad" }}
 [fit]
+method = "implicit-loop"
 {fit}
 [simulation]
 poses = 40

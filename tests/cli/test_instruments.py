@@ -11,6 +11,7 @@ from tests.cli.conftest import Run
 
 ARM = """\
 schema = 1
+fit = { method = "implicit-loop" }
 [mechanism]
 type = "serial"
 joint = [{ name = "q1", a = 0.5 }, { name = "q2", a = 0.25, alpha = 1.5 }]
@@ -44,7 +45,7 @@ def test_a_set_up_is_simulated_and_calibrated(run: Run, folder: Path, kind: str)
     assert made.code == 0, made.err
     done = run(
         *("calibrate", "arm/project.toml", "--truth", "arm/poses.truth.json", "--json"),
-        "--no-report",
+        *("--method", "implicit-loop", "--no-report"),
     )
     assert done.code == 0, done.err
     result = json.loads(done.out)

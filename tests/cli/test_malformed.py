@@ -257,7 +257,7 @@ BAD: dict[str, tuple[Callable[[Path], None], list[str], int, list[str]]] = {
         ["readings.csv", "'99'"],
     ),
     "unknown method in the project": (
-        project("[prior]", '[fit]\nmethod = "implicit-lop"\n[prior]'),
+        project("implicit-loop", "implicit-lop"),
         CALIBRATE,
         3,
         ["fit.method", "did you mean 'implicit-loop'"],

@@ -140,7 +140,7 @@ def test_makers_figures_serve_simulation_and_calibration(
     project = tmp_path / "project.toml"
     project.write_text(text)
     assert run("simulate", project, "--out", tmp_path / "poses.csv", "--seed", "3").code == 0
-    done = run("calibrate", project, "--json")
+    done = run("calibrate", project, "--method", "implicit-loop", "--json")
     assert done.code == 0, done.err
     document = json.loads(done.out)
     assert {entry["source"] for entry in document["noise"]} == {"datasheet"}

@@ -34,7 +34,9 @@ def turned(angle: float) -> lc.Result:
     read = data.with_readings(dict(zip(columns, seen.as_quat().T, strict=True)))
     noise = lc.Noise({"q*": 1e-5, "xyz": 1e-4, "pose_w*": 1e-2})
     prior = lc.Prior({"*": 1e-9})
-    return lc.calibrate(arm, read, noise=noise, prior=prior, start="nominal")
+    return lc.calibrate(
+        arm, read, noise=noise, prior=prior, start="nominal", method="implicit-loop"
+    )
 
 
 def test_the_accuracy_of_an_orientation_is_the_angle_between_computed_and_measured() -> None:
@@ -73,7 +75,12 @@ def test_outputs_in_metres_and_radians_have_an_accuracy_each() -> None:
     )
     q = np.linspace(0.0, 2.0, 30)
     data = {"q": q, "u": 1.003 * np.cos(q), "v": 1.003 * np.sin(q), "phi": q + 0.01 + 2 * np.pi}
-    result = lc.calibrate(flat, data, noise=lc.Noise({"q": 0.0, "u": 1e-4, "v": 1e-4, "phi": 1e-4}))
+    result = lc.calibrate(
+        flat,
+        data,
+        noise=lc.Noise({"q": 0.0, "u": 1e-4, "v": 1e-4, "phi": 1e-4}),
+        method="implicit-loop",
+    )
     found = result.accuracy_before
     assert found is not None
     assert found.unit == "m"
@@ -92,7 +99,9 @@ def test_every_instrument_and_station_has_its_own_accuracy() -> None:
     off = data.with_readings({"x_right": data["x_right"] + 2e-3})
     noise = lc.Noise({"q*": 1e-5, "?_left": 1e-4, "?_right": 1e-4})
     prior = lc.Prior({"*": 1e-9})
-    result = lc.calibrate(arm, off, noise=noise, prior=prior, start="nominal")
+    result = lc.calibrate(
+        arm, off, noise=noise, prior=prior, start="nominal", method="implicit-loop"
+    )
     found = result.accuracy_before
     assert found is not None
     left, right = found.by
@@ -142,7 +151,7 @@ def test_a_camera_on_a_real_arm_has_both(shared_data: Callable[[str], Path]) -> 
     data = lc.read_dataset(path, named, pose="pose")
     noise = lc.Noise({"panda_joint*": 1e-4, "xyz": 1e-3, "camera_w*": 2e-3})
     prior = lc.Prior({"*": np.inf, "panda*": 1e-3})
-    result = lc.calibrate(arm, data, noise=noise, prior=prior)
+    result = lc.calibrate(arm, data, noise=noise, prior=prior, method="implicit-loop")
     found = result.accuracy_after
     assert found is not None
     assert found.orientation is not None

@@ -49,9 +49,11 @@ def test_a_second_socket_tells_what_one_cannot() -> None:
     joined = {q: np.concatenate([one.dataset[q], two.dataset[q]]) for q in JOINTS}
     for name, was in (("socket", (0.0, np.nan)), ("second", (np.nan, 0.0))):
         joined |= {f"{name}_gap_{a}": np.repeat(was, poses) for a in "xyz"}
-    both = lc.calibrate(arm, joined, noise=NOISE)
+    both = lc.calibrate(arm, joined, noise=NOISE, method="implicit-loop")
     held = first.truth.with_parameters(first.truth.parameters.with_fixed(HELD))
-    alone = lc.calibrate(held, {q: one.dataset[q] for q in JOINTS}, noise=NOISE)
+    alone = lc.calibrate(
+        held, {q: one.dataset[q] for q in JOINTS}, noise=NOISE, method="implicit-loop"
+    )
     assert both.identifiability.rank == len(both.estimated) == 26
     assert both.chi_squared is not None
     assert both.chi_squared.degrees_of_freedom == 3 * sum(poses) - 26
@@ -80,7 +82,7 @@ READINGS = {q: np.random.default_rng(i).uniform(-1, 1, 40) for i, q in enumerate
 
 def test_a_machine_of_any_size_is_refused_and_a_length_is_named() -> None:
     with refused("unknown-size") as error:
-        lc.calibrate(contact(), READINGS, noise=NOISE)
+        lc.calibrate(contact(), READINGS, noise=NOISE, method="implicit-loop")
     assert "say d_4 = { fixed = true }" in (error.value.remedy or "")
 
 
@@ -98,7 +100,9 @@ def test_a_length_that_is_known_sets_the_size(
     mechanism: lc.Mechanism, readings: dict[str, Array]
 ) -> None:
     noise = lc.Noise({"q*": 5e-5, "*_gap*": 2e-5})
-    result = lc.calibrate(mechanism, readings, noise=noise, max_iterations=1)
+    result = lc.calibrate(
+        mechanism, readings, noise=noise, max_iterations=1, method="implicit-loop"
+    )
     assert result.chi_squared is not None
 
 

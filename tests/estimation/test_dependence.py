@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -10,7 +12,7 @@ import loopcal as lc
 from loopcal.chi_squared import quantile
 from loopcal.estimation.dependence.neighbours import in_order, likeness, near
 from loopcal.estimation.dependence.seen import Seen
-from loopcal.estimation.dependence.serial import Whole, _criterion, serial_model
+from loopcal.estimation.dependence.serial import Drift, Whole, _criterion, learnt_drift
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
@@ -55,11 +57,14 @@ def forgetting(rho: float, poses: int, rng: np.random.Generator) -> Array:
     return u
 
 
-def calibrated(joints: dict[str, Array], errors: Array, rng: np.random.Generator) -> Result:
+def calibrated(
+    joints: dict[str, Array], errors: Array, rng: np.random.Generator, **noise: Any
+) -> Result:
     read = {q: v + rng.normal(0.0, SDS[q], len(v)) for q, v in joints.items()}
     measured = points(joints, TRUTH) + errors
     data = lc.Dataset.from_arrays(read | dict(zip(("xP", "yP"), measured, strict=True)))
-    return lc.calibrate(ARM, data, noise=lc.Noise(SDS), start="nominal")
+    told = lc.Noise(SDS, **noise)
+    return lc.calibrate(ARM, data, noise=told, start="nominal", method="implicit-loop")
 
 
 def white(poses: int, rng: np.random.Generator) -> Array:
@@ -143,7 +148,9 @@ def test_a_robust_loss_is_not_tested() -> None:
     data = lc.Dataset.from_arrays(
         joints | dict(zip(("xP", "yP"), points(joints, TRUTH) + white(60, rng), strict=True))
     )
-    result = lc.calibrate(ARM, data, noise=lc.Noise(SDS), loss="huber", start="nominal")
+    result = lc.calibrate(
+        ARM, data, noise=lc.Noise(SDS), loss="huber", start="nominal", method="implicit-loop"
+    )
     assert result.dependence is None
 
 
@@ -214,10 +221,45 @@ def test_the_banded_likelihood_is_that_of_the_whole_matrix() -> None:
 
 def test_the_covariance_under_a_drift_is_never_without_the_noise() -> None:
     whole, seen, *_ = whole_system(np.random.default_rng(8))
-    model = serial_model(whole, seen)
-    assert np.linalg.eigvalsh(model.covariance).min() > 0.0
-    assert 0.0 < model.share < 1.0
-    assert model.length > 0.0
+    drift = learnt_drift(whole, seen)
+    assert np.linalg.eigvalsh(drift.covariance(whole, seen)).min() > 0.0
+    assert 0.0 < drift.share < 1.0
+    assert drift.length > 0.0
+
+
+def test_the_covariance_under_a_drift_is_the_sandwich_of_its_whole_matrix() -> None:
+    whole, seen, D, _, P, X = whole_system(np.random.default_rng(10))
+    N, q = seen.y.shape
+    drift = Drift(1.3, np.array([2.0, 30.0]), np.array([0.4, 2.0]), 0.5, 5.0)
+    apart = np.abs(np.subtract.outer(np.arange(N), np.arange(N)))
+    V = 1.3 * np.eye(N * q)
+    for length, size in ((2.0, 0.4), (30.0, 2.0)):
+        R = np.exp(-apart / length)
+        for i in range(N):
+            for j in range(N):
+                rows = slice(i * q, (i + 1) * q), slice(j * q, (j + 1) * q)
+                V[rows] += size * R[i, j] * X[i] @ X[j].T
+    assert drift.covariance(whole, seen) == pytest.approx(D.T @ V @ D + P, rel=1e-9)
+
+
+def test_a_drift_that_is_known_gives_the_covariance_of_the_fit_it_was_learnt_from() -> None:
+    rng = np.random.default_rng(11)
+    result = calibrated(path(60, rng), 3e-4 * forgetting(0.95, 60, rng), rng)
+    assert result.drifting is not None
+    every = np.eye(len(result.estimated))
+    under, alone = (result.covariance_through(every, d).matrix for d in (result.drifting, None))
+    assert under == pytest.approx(result.covariance, rel=1e-9)
+    assert (np.diag(alone) < np.diag(result.covariance)).all()
+
+
+def test_a_drift_beside_learnt_sds_predicts() -> None:
+    rng = np.random.default_rng(11)
+    errors = 3e-4 * forgetting(0.95, 60, rng)
+    result = calibrated(path(60, rng), errors, rng, estimate={("xP", "yP"): "group"})
+    assert result.drifting is not None
+    predicted = lc.predict(result, path(10, rng))
+    assert np.isfinite(predicted.covariance).all()
+    assert np.isinf(predicted.denominator).all()
 
 
 def test_neighbours_in_joint_space_are_apart_in_order() -> None:

@@ -92,7 +92,7 @@ def test_loops_are_there_only_where_their_instrument_read() -> None:
     kinds = {p.loops: len(np.arange(60)[p.poses]) for p in problem.patterns}
     assert kinds == {(0, 1, 2): 25, (3, 4, 5): 20, (0, 1, 2, 3, 4, 5): 15}
     assert not any(p.unmeasured for p in problem.patterns)
-    result = calibrate(machine, data, noise=Noise(NOISE))
+    result = calibrate(machine, data, noise=Noise(NOISE), method="implicit-loop")
     assert np.isnan(result.residuals_after["x_west"][:25]).all()
     assert np.isfinite(result.residuals_after["x_west"][25:]).all()
     assert result.accuracy_after is not None
@@ -103,8 +103,12 @@ def test_a_pose_that_no_instrument_read_says_nothing_and_disturbs_nothing() -> N
     machine = arm().with_nominal(STATIONS)
     data = simulated(machine, 5).dataset
     blank = {q: np.where(np.arange(60) < 50, data[q], np.nan) for q in machine.outputs}
-    with_blanks = calibrate(machine, data.with_readings(blank), noise=Noise(NOISE))
-    without = calibrate(machine, data.take(np.arange(50)), noise=Noise(NOISE))
+    with_blanks = calibrate(
+        machine, data.with_readings(blank), noise=Noise(NOISE), method="implicit-loop"
+    )
+    without = calibrate(
+        machine, data.take(np.arange(50)), noise=Noise(NOISE), method="implicit-loop"
+    )
     for name in without.estimated:
         assert with_blanks.value[name] == pytest.approx(without.value[name], abs=1e-10)
     assert np.all(with_blanks.corrections["q1"][50:] == 0.0)
@@ -113,7 +117,9 @@ def test_a_pose_that_no_instrument_read_says_nothing_and_disturbs_nothing() -> N
 def test_every_station_is_placed_where_it_sees_the_machine() -> None:
     machine = arm()  # both nominally stand at the base
     made = simulated(machine, 6)
-    result = calibrate(machine, seen_in_part(made.dataset), noise=Noise(NOISE))
+    result = calibrate(
+        machine, seen_in_part(made.dataset), noise=Noise(NOISE), method="implicit-loop"
+    )
     assert result.status.converged
     for name in ("east_x", "west_rz", "a_2", "ball_west_y"):
         sd = result.sd[name]
@@ -169,7 +175,7 @@ def test_native_readings_of_a_tracker_have_an_accuracy_in_metres() -> None:
         seed=1,
         truth={"tracker_x": 3.0, "tracker_rz": 3.0},
     )
-    result = calibrate(machine, made.dataset, noise=noise)
+    result = calibrate(machine, made.dataset, noise=noise, method="implicit-loop")
     assert result.status.converged
     assert result.accuracy_after is not None
     assert result.accuracy_after.unit == "m"
@@ -183,7 +189,7 @@ def test_range_and_azimuth_in_a_plane_place_the_machine_and_have_an_accuracy_in_
     truth = {"tracker_x": 1.5, "tracker_y": -0.4, "tracker_rz": 2.0}
     poses = random_poses({"theta_1": (0.2, 2.5)}, 40, seed=1)
     made = simulate(machine, poses, noise=noise, seed=1, truth=truth)
-    result = calibrate(machine, made.dataset, noise=noise)
+    result = calibrate(machine, made.dataset, noise=noise, method="implicit-loop")
     assert result.accuracy_before is not None
     assert result.accuracy_before.unit == "m"
     assert result.accuracy_before.rms < 1e-3  # placed: the station is 1.5 m and two radians off

@@ -39,20 +39,31 @@ def test_every_registered_method_fits_and_says_what_it_is(name: str) -> None:
 
 def test_settings_as_a_value_and_as_keywords_are_the_same_fit() -> None:
     given: dict[str, Any] = {"method": "reweighted", "loss": "huber", "prior": {"l?": 1e-3}}
-    as_keywords = lc.calibrate(ARM.truth, DATA, noise=SDS, **given)
-    as_value = lc.calibrate(ARM.truth, DATA, noise=SDS, fit=lc.Fit(**given))
-    overridden = lc.calibrate(ARM.truth, DATA, noise=SDS, fit=lc.Fit(loss="student-t"), **given)
+    as_keywords = lc.calibrate(ARM.truth, DATA, noise=SDS, **{"method": "implicit-loop", **given})
+    as_value = lc.calibrate(
+        ARM.truth, DATA, noise=SDS, fit=lc.Fit(**{"method": "implicit-loop", **given})
+    )
+    overridden = lc.calibrate(
+        ARM.truth, DATA, noise=SDS, fit=lc.Fit(loss="student-t", method="implicit-loop"), **given
+    )
     assert as_keywords.fit == as_value.fit == overridden.fit
     assert as_keywords.value == as_value.value == overridden.value
 
 
 def test_a_mapping_is_a_noise_and_a_prior() -> None:
-    stated = lc.calibrate(ARM.truth, DATA, noise=lc.Noise(SDS), prior=lc.Prior({"l2": 1e-3}))
-    plain = lc.calibrate(ARM.truth, DATA, noise=SDS, prior={"l2": (1.0, "mm")})
+    stated = lc.calibrate(
+        ARM.truth, DATA, noise=lc.Noise(SDS), prior=lc.Prior({"l2": 1e-3}), method="implicit-loop"
+    )
+    plain = lc.calibrate(
+        ARM.truth, DATA, noise=SDS, prior={"l2": (1.0, "mm")}, method="implicit-loop"
+    )
     assert plain.value == stated.value
     checked = [str(lc.check(ARM.truth, DATA, noise=noise)) for noise in (SDS, lc.Noise(SDS))]
     assert checked[0] == checked[1]
-    assert lc.validate(ARM.truth, DATA, noise=SDS, folds=2).log_likelihood is not None
+    assert (
+        lc.validate(ARM.truth, DATA, noise=SDS, folds=2, method="implicit-loop").log_likelihood
+        is not None
+    )
     angles = {q: DATA[q] for q in ("phi2", "phi3")}
     again = lc.simulate(ARM.truth, angles, noise=SDS, seed=3).dataset
     as_noise = lc.simulate(ARM.truth, angles, noise=lc.Noise(SDS), seed=3).dataset
@@ -112,7 +123,7 @@ def test_a_coarser_tolerance_needs_no_more_iterations_and_ends_within_it(name: s
 
 
 def test_a_result_computes_what_it_is_asked_for_once() -> None:
-    found = lc.calibrate(ARM.truth, DATA, noise=SDS)
+    found = lc.calibrate(ARM.truth, DATA, noise=SDS, method="implicit-loop")
     assert not {"residuals_after", "accuracy_after", "warnings", "noise"} & set(vars(found))
     assert found.accuracy_after is found.accuracy_after
     assert "accuracy_after" in vars(found)
@@ -140,7 +151,7 @@ def test_a_calibration_leaves_nothing_to_the_garbage_collector() -> None:
         gc.collect()
         gc.disable()
         try:
-            lc.findings(lc.calibrate(ARM.truth, DATA, noise=SDS))
+            lc.findings(lc.calibrate(ARM.truth, DATA, noise=SDS, method="implicit-loop"))
             left = gc.collect()
         finally:
             gc.enable()

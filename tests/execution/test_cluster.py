@@ -121,7 +121,7 @@ def test_validation_and_profiles_are_the_same_though_a_worker_is_killed(
     cluster.start_workers("", "dying")
     executor = Cluster(cluster.address)
     told: list[int] = []
-    how: dict[str, Any] = {"noise": noise, "folds": 10}
+    how: dict[str, Any] = {"noise": noise, "folds": 10, "method": "implicit-loop"}
     here = lc.validate(arm.truth, data, **how)
     found = lc.validate(
         arm.truth, data, **how, executor=executor, progress=lambda done, of: told.append(done)
@@ -134,7 +134,7 @@ def test_validation_and_profiles_are_the_same_though_a_worker_is_killed(
     assert found.poses == here.poses == data.poses
 
     cluster.start_workers("dying")
-    result = lc.calibrate(arm.truth, data, noise=noise)
+    result = lc.calibrate(arm.truth, data, noise=noise, method="implicit-loop")
     assert lc.intervals(result, executor=executor) == lc.intervals(result)
     assert was_killed(cluster.workers[2])
 

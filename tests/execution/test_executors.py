@@ -184,7 +184,7 @@ DATA = ARM.read(SDS, seed=3)
 
 @pytest.mark.parametrize("executor", [Threads(2), Processes(2), Backwards()], ids=str)
 def test_validation_is_the_same_to_the_bit(executor: Executor) -> None:
-    how: dict[str, Any] = {"noise": lc.Noise(SDS), "folds": 5}
+    how: dict[str, Any] = {"noise": lc.Noise(SDS), "folds": 5, "method": "implicit-loop"}
     here = lc.validate(ARM.truth, DATA, **how)
     found = lc.validate(ARM.truth, DATA, executor=executor, **how)
     assert found.accuracy == here.accuracy
@@ -213,7 +213,7 @@ def test_a_calibration_is_the_same_whoever_does_its_pieces(tmp_path: Path) -> No
     def calibrated(name: str, executor: Executor | None) -> ResultDocument:
         done = run_calibration(
             project,
-            Request(folds=5, profile=["l?"]),
+            Request(folds=5, profile=["l?"], method="implicit-loop"),
             out=tmp_path / name,
             executor=executor,
             listeners=Listeners(sharing=shared.append, pieces=lambda *seen: told.append(seen)),
@@ -237,7 +237,7 @@ def test_a_calibration_is_the_same_whoever_does_its_pieces(tmp_path: Path) -> No
 def test_compared_models_are_the_same_whoever_fits_them() -> None:
     arm = lc.planar_two_link().with_nominal({"l2": 0.8})
     models = {"loose": lc.Model()}
-    how: dict[str, Any] = {"noise": lc.Noise(SDS), "folds": 3}
+    how: dict[str, Any] = {"noise": lc.Noise(SDS), "folds": 3, "method": "implicit-loop"}
     found = [
         lc.compare_models(arm, DATA, models, executor=executor, **how)
         for executor in (InProcess(), Backwards())

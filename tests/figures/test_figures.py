@@ -10,15 +10,17 @@ import pytest
 
 from loopcal.figures.accuracy import distance_histogram, over_poses
 from loopcal.figures.correlations import correlations
-from loopcal.figures.figure import Figure, numbers
+from loopcal.figures.figure import COLOURS, Figure, colours, numbers
 from loopcal.figures.sensors import drift, normalised
-from loopcal.figures.space import arrows
+from loopcal.figures.space import Machine, arrows
 from loopcal.figures.thinning import thinned
 
 RANDOM = np.random.default_rng(3)
 IDS = [str(i) for i in range(50)]
 SERIES = {"x": RANDOM.standard_normal(50), "y<b>": RANDOM.standard_normal(50)}
+SHADES = colours(SERIES)
 POINTS, STEPS = RANDOM.standard_normal((3, 50)), 1e-3 * RANDOM.standard_normal((3, 50))
+BOTH = {"before": 5.0 * STEPS, "after": STEPS}
 
 
 def every_figure() -> list[Figure]:
@@ -26,10 +28,10 @@ def every_figure() -> list[Figure]:
         distance_histogram(np.abs(SERIES["x"]), 0.01 * np.abs(SERIES["x"]), "mm"),
         over_poses(SERIES, SERIES, IDS, "mm", "What"),
         over_poses(SERIES, {}, IDS, "mm", "What"),
-        arrows(POINTS, STEPS, POINTS[:, :4].T, "mm", 1e-3),
-        arrows(POINTS[:2], STEPS[:2], None, "mm", 1e-3),
-        normalised(SERIES),
-        drift(SERIES, IDS),
+        arrows(POINTS, BOTH, Machine(POINTS[:, :4].T, ("a", "b<i>", "", "end")), IDS, "mm", 1e-3),
+        arrows(POINTS[:2], {"after": STEPS[:2]}, None, IDS, "mm", 1e-3),
+        normalised(SERIES, SHADES),
+        drift(SERIES, IDS, SHADES),
         correlations(np.cov(RANDOM.standard_normal((3, 20))), ["a", "b", "c<i>"]),
     ]
     assert all(found)
@@ -87,10 +89,10 @@ def test_the_histogram_counts_every_pose() -> None:
 def test_arrows_are_as_long_as_they_say() -> None:
     points, steps = np.zeros((2, 2)), np.array([[1e-3, 2e-3], [0.0, 0.0]])
     points[:, 1] = 1.0
-    figure = arrows(points, steps, None, "mm", 1e-3)
+    figure = arrows(points, {"after": steps}, None, IDS, "mm", 1e-3)
     assert figure is not None
-    scale = float(figure.caption.split(" times")[0].rsplit(" ", 1)[1])
-    shafts = [trace["x"][1] - trace["x"][0] for trace in figure.data]
+    scale = float(figure.caption.split(" times")[0].rsplit(" ", 1)[1].replace(",", ""))
+    shafts = [t["x"][1] - t["x"][0] for t in figure.data if t["mode"] == "lines"]
     assert shafts == pytest.approx([1e-3 * scale, 2e-3 * scale], rel=1e-5)
 
 
@@ -104,7 +106,61 @@ def test_correlations_are_those_of_the_covariance() -> None:
 
 def test_unknown_numbers_are_gaps() -> None:
     assert numbers(np.array([1.23456789, np.nan, np.inf])) == [1.23457, None, None]
-    assert normalised({"x": np.full(3, np.nan)}) is None
-    assert drift({}, []) is None
+    assert normalised({"x": np.full(3, np.nan)}, SHADES) is None
+    assert drift({}, [], {}) is None
     assert over_poses({}, {}, [], "mm", "What") is None
-    assert arrows(POINTS, np.full((3, 50), np.nan), None, "mm", 1e-3) is None
+    assert arrows(POINTS, {"after": np.full((3, 50), np.nan)}, None, IDS, "mm", 1e-3) is None
+
+
+def test_a_name_has_one_colour_in_every_figure_and_neighbours_differ_without_green_cones() -> None:
+    shades = colours(["a", "b", "a", "c"])
+    assert shades == dict(zip("abc", COLOURS, strict=False))
+    # Machado et al. (2009), deuteranopia, in linear light
+    seen = np.array([[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]])
+    codes = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in COLOURS]) / 255.0
+    found = np.clip(codes**2.2 @ seen.T, 0.0, 1.0) ** (1.0 / 2.2)
+    apart = np.linalg.norm(found[:, None] - found[None], axis=2) + np.eye(len(COLOURS))
+    assert apart[:6, :6].min() > 0.15
+    assert apart.min() > 0.06
+
+
+def test_the_labels_of_88_parameters_have_room() -> None:
+    figure = correlations(np.eye(88), [f"p_{i}" for i in range(88)])
+    assert figure is not None
+    assert figure.layout["height"] >= 88 * 11
+    assert figure.least_width >= 88 * 11
+
+
+def test_every_sensor_has_a_panel_of_its_own() -> None:
+    nine = {f"s{i}": RANDOM.standard_normal(50) for i in range(9)}
+    figure = normalised(nine, colours(nine))
+    assert figure is not None
+    assert len({(t["xaxis"], t["yaxis"]) for t in figure.data}) == 9
+
+
+def test_ticks_are_never_thousands_of_units() -> None:
+    for figure in FIGURES:
+        axes = [v for k, v in figure.layout.items() if k[1:5] == "axis"]
+        assert all(a["exponentformat"] == "power" for a in axes)
+
+
+def test_arrows_switch_between_before_and_after() -> None:
+    figure = arrows(POINTS, BOTH, Machine(POINTS[:, :4].T), IDS, "mm", 1e-3)
+    assert figure is not None
+    for button in figure.layout["updatemenus"][0]["buttons"]:
+        shown = button["args"][1]
+        assert len(shown) == len(figure.data)
+        assert shown[0] is True
+        assert 1 < sum(shown) < len(shown)
+    texts = [t["text"] for t in figure.data if t.get("hoverinfo") == "text"]
+    assert all("pose 7" in text[7] for text in texts if len(text) == 50)
+
+
+def test_a_pose_from_which_on_something_changed_is_marked() -> None:
+    figure = drift(SERIES, IDS, SHADES)
+    assert figure is not None
+    assert figure.marked({}) is figure
+    marked = figure.marked({21: "slip", 40: "b"})
+    assert [shape["x0"] for shape in marked.layout["shapes"]] == [20.5, 39.5]
+    assert "from pose slip, b on" in marked.caption
+    go.Figure(data=list(marked.data), layout=dict(marked.layout))

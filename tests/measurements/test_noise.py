@@ -68,7 +68,7 @@ def test_a_further_learnt_sd_leaves_the_rest_as_it_was() -> None:
     assert more.by_maker == frozenset({"*"})
     assert more.begin == {"*": 2.0}
     assert noise.estimate == {}
-    given = more.learnt_at(3.0)
+    given = more.learnt_at({"model": 3.0})
     assert (given.entries["model"], given.estimate) == (pytest.approx(3e-3), {})
 
 

@@ -291,7 +291,7 @@ def test_a_wire_of_no_length_is_told_what_to_do() -> None:
     data = {"q1": [0.1, 0.0], "q2": [0.2, 0.0], "wire": [0.5, 0.6]}
     noise, prior = lc.Noise({"*": 1e-4}), lc.Prior({"*": 0.1})
     with refused("outside-domain", "'wire'", "pose '2'") as error:
-        lc.calibrate(mechanism, data, noise=noise, prior=prior)
+        lc.calibrate(mechanism, data, noise=noise, prior=prior, method="implicit-loop")
     assert "wire_x, wire_y, wire_z" in (error.value.remedy or "")
 
 
@@ -302,5 +302,5 @@ def test_a_tracker_below_its_target_is_told_what_to_do() -> None:
     data = {"q1": [0.1, 0.0, 0.4], "q2": [0.2, 0.0, 0.1], "T_range": [0.5, 0.6, 0.7], **angles}
     noise, prior = lc.Noise({"*": 1e-4}), lc.Prior({"*": 0.1})
     with refused("outside-domain", "'T_azimuth'", "pose '2'") as error:
-        lc.calibrate(mechanism, data, noise=noise, prior=prior)
+        lc.calibrate(mechanism, data, noise=noise, prior=prior, method="implicit-loop")
     assert "straight above it" in (error.value.remedy or "")

@@ -83,7 +83,7 @@ def test_of_two_poses_in_a_row_an_effect_acts_on_both() -> None:
 def test_a_quantity_called_model_t_is_predicted_from_its_reading() -> None:
     at = readings()
     made = lc.simulate(warm(), at, noise=NOISE, seed=1)
-    result = lc.calibrate(warm(), made.dataset, noise=NOISE)
+    result = lc.calibrate(warm(), made.dataset, noise=NOISE, method="implicit-loop")
     cold, hot = (
         lc.predict(result, {"q": np.array([0.5]), "model_t": np.array([t])}).outputs["x"][0]
         for t in (0.0, 30.0)

@@ -54,7 +54,7 @@ def test_coefficients_are_per_kelvin_whatever_the_reference_is_in() -> None:
 def test_coefficients_are_recovered_in_python() -> None:
     arm = warmed()
     made = lc.simulate(arm, poses(100), noise=NOISE, seed=3, truth=TRUTH)
-    result = lc.calibrate(arm, made.dataset, noise=NOISE)
+    result = lc.calibrate(arm, made.dataset, noise=NOISE, method="implicit-loop")
     assert result.status.converged
     for name, true in TRUTH.items():
         sd = result.sd[name]
@@ -65,6 +65,7 @@ def test_coefficients_are_recovered_in_python() -> None:
 
 PROJECT = """
 schema = 1
+fit = { method = "implicit-loop" }
 [mechanism]
 type = "planar-two-link"
 [[mechanism.effect]]
@@ -101,7 +102,9 @@ def test_coefficients_are_recovered_from_a_project_with_a_column_in_celsius(tmp_
     assert 15 <= float(first.split(",")[header.split(",").index("T")]) <= 35
     read = lc.load_dataset(lc.read_project(project))
     assert 288.15 <= read.dataset["temperature"].min() < read.dataset["temperature"].max() <= 308.15
-    result = lc.calibrate(lc.read_project(project).mechanism, read.dataset, noise=read.noise)
+    result = lc.calibrate(
+        lc.read_project(project).mechanism, read.dataset, noise=read.noise, method="implicit-loop"
+    )
     for name, true in TRUTH.items():
         assert abs(result.value[name] - true) < 4 * (result.sd[name] or 0.0), name
 
@@ -120,6 +123,7 @@ def test_celsius_taken_as_kelvin_is_refused_before_the_fit(tmp_path: Path) -> No
 
 CHAIN = """
 schema = 1
+fit = { method = "implicit-loop" }
 [mechanism]
 type = "urdf"
 joint = [

@@ -52,7 +52,9 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
         {x: true, y: 1.1 * true + 0.2 + 1e-3 * random.standard_normal(30)},
         poses=[f"{i}{MARKUP}" for i in range(30)],
     )
-    result = lc.calibrate(mechanism, data, noise=lc.Noise({x: 1e-3, y: 1e-3}))
+    result = lc.calibrate(
+        mechanism, data, noise=lc.Noise({x: 1e-3, y: 1e-3}), method="implicit-loop"
+    )
     folder = tmp_path_factory.mktemp("report") / "<b>hostile<b>"
     written = write_result(
         result,

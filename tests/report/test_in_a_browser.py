@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import base64
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from loopcal.report.page import report_html
 from loopcal.report.source import read_source
 from tests.browser import Seen, chromium, opened
+from tests.golden_files import FOLDER
 
 # What every figure has drawn: marks of its kind in the picture itself, and colours in its still.
 MARKS = """() => Object.fromEntries([...document.querySelectorAll(".plot")].map((plot) => {
@@ -39,9 +43,10 @@ COLOURS = """async () => {
 }"""
 
 SETTLED = """() => new Promise((done) => {
-  const fits = () => [...document.querySelectorAll(".plot .main-svg")]
+  const fits = () => [...document.querySelectorAll("section > .side .plot .main-svg")]
     .every((svg) => svg.clientWidth <= innerWidth);
-  const look = () => fits() ? done() : requestAnimationFrame(look);
+  let tries = 0;
+  const look = () => fits() || ++tries > 600 ? done() : requestAnimationFrame(look);
   look();
 })"""
 
@@ -63,6 +68,13 @@ def both(
         yield seen
 
 
+@pytest.fixture(scope="module")
+def six(browser: Any, six_axis: Path) -> Iterator[Seen]:
+    """An arm in space, opened once."""
+    with opened(browser, six_axis / "report.html") as seen:
+        yield seen
+
+
 def test_nothing_leaves_the_machine_and_every_figure_is_drawn(both: Seen) -> None:
     marks = both.page.evaluate(MARKS)
     colours = both.page.evaluate(COLOURS)
@@ -78,7 +90,7 @@ def test_nothing_leaves_the_machine_and_every_figure_is_drawn(both: Seen) -> Non
     assert {name.removesuffix("-still") for name, n in colours.items() if n > 150} == set(marks)
 
 
-@pytest.mark.parametrize("width", [390, 1440])
+@pytest.mark.parametrize("width", [390, 820, 1440])
 def test_it_never_scrolls_sideways(both: Seen, width: int) -> None:
     both.page.set_viewport_size({"width": width, "height": 900})
     both.page.evaluate(SETTLED)  # figures follow the width
@@ -87,11 +99,12 @@ def test_it_never_scrolls_sideways(both: Seen, width: int) -> None:
 
 def test_on_paper_every_figure_is_there(both: Seen) -> None:
     both.page.emulate_media(media="print")
+    paper = both.page.pdf()
     sizes = both.page.evaluate(
         "[...document.querySelectorAll('.still')].map((i) => [i.offsetWidth, i.offsetHeight])"
     )
-    paper = both.page.pdf()
     both.page.emulate_media(media="screen")
+    assert both.page.evaluate("document.querySelectorAll('details:not([open])').length") == 0
     assert len(sizes) == 12
     assert all(width > 300 and height > 100 for width, height in sizes)
     assert paper.startswith(b"%PDF")
@@ -144,5 +157,75 @@ def test_a_table_can_be_copied(browser: Any, planar: Path) -> None:
         "nominal, best placed",
         "calibrated",
         "on poses not used",
+        "in regions not used",
         "noise floor",
     ]
+
+
+def first_screen(seen: Seen, scheme: str) -> bytes:
+    """A picture of what a reader sees first."""
+    seen.page.set_viewport_size({"width": 1440, "height": 900})
+    seen.page.emulate_media(color_scheme=scheme)
+    seen.page.evaluate("scrollTo(0, 0)")
+    seen.page.evaluate(SETTLED)
+    return bytes(seen.page.screenshot())
+
+
+SMALL = """async (data) => {
+  const image = new Image(); image.src = data; await image.decode();
+  const canvas = document.createElement("canvas"); canvas.width = 96; canvas.height = 60;
+  const context = canvas.getContext("2d");
+  context.imageSmoothingQuality = "high"; context.drawImage(image, 0, 0, 96, 60);
+  const pixels = context.getImageData(0, 0, 96, 60).data, grey = [];
+  for (let i = 0; i < pixels.length; i += 4)
+    grey.push(Math.round((pixels[i] + pixels[i + 1] + pixels[i + 2]) / 3));
+  return [canvas.toDataURL(), grey];
+}"""
+
+
+@pytest.mark.parametrize("name", ["planar", "six_axis", "dark", "both"])
+def test_the_first_screen_looks_as_it_did(
+    name: str, browser: Any, planar: Path, six: Seen, both: Seen
+) -> None:
+    """Compared small and grey, so that the fonts of another system do not matter."""
+    if name == "planar":
+        with opened(browser, planar / "report.html") as seen:
+            taken = first_screen(seen, "light")
+    elif name == "both":
+        taken = first_screen(both, "dark")
+    else:
+        taken = first_screen(six, "dark" if name == "dark" else "light")
+    blank = browser.new_page()
+    picture, grey = blank.evaluate(SMALL, address(taken))
+    kept = FOLDER / f"report-{name}.png"
+    if os.environ.get("LOOPCAL_REMAKE_GOLDEN"):
+        kept.write_bytes(base64.b64decode(picture.split(",")[1]))
+    _, before = blank.evaluate(SMALL, address(kept.read_bytes()))
+    blank.close()
+    assert np.abs(np.array(grey, dtype=float) - np.array(before)).mean() < 8.0
+
+
+def address(picture: bytes) -> str:
+    """A picture as an address."""
+    return f"data:image/png;base64,{base64.b64encode(picture).decode()}"
+
+
+def test_the_switch_shows_the_machine_before_the_calibration(six: Seen) -> None:
+    shown = "document.getElementById('r1-arrows').data.map((t) => t.name + t.visible).join()"
+    after = six.page.evaluate(shown)
+    six.page.click("#r1-arrows .updatemenu-button >> nth=0")
+    six.page.wait_for_function(f"() => {shown} !== {after!r}")
+    before = six.page.evaluate(shown)
+    assert "mm aftertrue" in after
+    assert "mm aftertrue" not in before
+    assert "mm beforetrue" in before
+
+
+def test_experts_matter_is_folded_away_and_its_figures_fit_once_unfolded(six: Seen) -> None:
+    assert six.page.locator("#experts details").count() >= 5
+    assert six.page.locator("#experts details[open]").count() == 0
+    six.page.click("#experts summary:has-text('Sensors')")
+    six.page.wait_for_function(
+        """() => { const plot = document.getElementById("r1-drift");
+        return plot.querySelector(".main-svg").clientWidth === plot.clientWidth; }"""
+    )

@@ -36,7 +36,7 @@ def without_outputs() -> Result:
     )
     a = np.linspace(0.0, 1.0, 12)
     data = lc.Dataset.from_arrays({"a": a, "b": 1.2 * a + 1e-3 * np.sin(9 * a)})
-    return lc.calibrate(mechanism, data, noise=NOISE)
+    return lc.calibrate(mechanism, data, noise=NOISE, method="implicit-loop")
 
 
 def with_gaps() -> Result:
@@ -45,7 +45,7 @@ def with_gaps() -> Result:
     data = lc.Dataset.from_arrays(
         {"xP": holes, "yP": DATA["yP"], "phi2": DATA["phi2"], "phi3": DATA["phi3"]}
     )
-    return lc.calibrate(lc.planar_two_link(), data, noise=NOISE)
+    return lc.calibrate(lc.planar_two_link(), data, noise=NOISE, method="implicit-loop")
 
 
 def only_one_parameter() -> lc.Mechanism:
@@ -60,18 +60,26 @@ RESULTS = {
     "gaps": with_gaps,
     "least squares": lambda: lc.calibrate(lc.planar_two_link(), DATA, method="least-squares"),
     "exact readings": lambda: lc.calibrate(
-        lc.planar_two_link(), DATA, noise=lc.Noise({"?P": 1e-3, "phi?": 0.0})
+        lc.planar_two_link(),
+        DATA,
+        noise=lc.Noise({"?P": 1e-3, "phi?": 0.0}),
+        method="implicit-loop",
     ),
     "stopped": lambda: lc.calibrate(
-        lc.planar_two_link({"l2": 0.3}), DATA, noise=NOISE, max_iterations=1
+        lc.planar_two_link({"l2": 0.3}), DATA, noise=NOISE, max_iterations=1, method="implicit-loop"
     ),
-    "robust": lambda: lc.calibrate(lc.planar_two_link(), DATA, noise=NOISE, loss="huber"),
-    "one parameter": lambda: lc.calibrate(only_one_parameter(), DATA, noise=NOISE),
+    "robust": lambda: lc.calibrate(
+        lc.planar_two_link(), DATA, noise=NOISE, loss="huber", method="implicit-loop"
+    ),
+    "one parameter": lambda: lc.calibrate(
+        only_one_parameter(), DATA, noise=NOISE, method="implicit-loop"
+    ),
     # a single angle between the links
     "not identifiable": lambda: lc.calibrate(
         lc.planar_two_link(),
         DATA.exclude([pose for i, pose in enumerate(DATA.poses) if i % 5]),
         noise=NOISE,
+        method="implicit-loop",
     ),
 }
 

@@ -15,8 +15,19 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.files.result.pose_table import PoseTable
 from loopcal.files.result.result_file import read_result
 from loopcal.report.page import MOST, report_html
+from loopcal.report.parameters import parameter_groups
 from loopcal.report.source import read_source
-from loopcal.report.tables import accuracy_tables, comparison_table, parameter_table
+from loopcal.report.tables import (
+    accuracy_tables,
+    comparison_table,
+    facts_table,
+    outlier_table,
+    reliability_table,
+    sensor_table,
+    worst_table,
+)
+from loopcal.report.top import accuracy_bars, region_bars
+from loopcal.statistics.verdict import verdict_of
 from tests.golden_files import page_text
 from tests.refusals import refused
 
@@ -56,6 +67,7 @@ def test_its_accuracy_is_that_of_the_columns_and_of_result_json(planar: Path) ->
         "nominal, best placed",
         "calibrated",
         "on poses not used",
+        "in regions not used",
         "noise floor",
     ]
     validated = source.document.validation
@@ -114,21 +126,108 @@ def test_the_page_shows_the_four_answers(planar: Path) -> None:
     page = report_html([read_source(planar)])
     verdict = document_of(planar).verdict
     assert verdict is not None
-    assert f"<strong>{verdict.headline}</strong>" in page
+    assert f'<strong title="{verdict.headline}">{verdict.headline}</strong>' in page
     for answer in verdict.answers.values():
         assert answer.words in page
         assert f"<code>{answer.code}</code>" in page
 
 
 def test_parameters_stand_with_change_and_share_of_the_prior(planar: Path) -> None:
-    document = document_of(planar)
+    source = read_source(planar)
+    document = source.document
     entry = document.parameters[2]
     assert entry.sd is not None
     other = replace(document.parameters[3], fixed=True, sd=None)
     known = replace(entry, prior_sd=2.0 * entry.sd)
     parameters = (*document.parameters[:2], known, other, *document.parameters[4:])
-    rows = {row[0]: row for row in parameter_table(replace(document, parameters=parameters)).rows}
+    given = replace(source, document=replace(document, parameters=parameters))
+    groups = parameter_groups(given).groups
+    rows = {line.cells[0]: line.cells for group in groups for line in group.lines}
     row = rows[entry.name]
     assert row[-1] == "25%"
     assert float(row[-2]) == pytest.approx((entry.value - entry.nominal) / entry.sd, abs=0.05)
     assert "fixed" in rows[other.name]
+
+
+def test_findings_stand_apart_each_with_its_code_and_remedy(planar: Path) -> None:
+    source = read_source(planar)
+    document = changed(source.document, "status.converged", False)
+    document = replace(document, outliers=(outlier("7"),), verdict=verdict_of(document))
+    page = report_html([replace(source, document=document)])
+    for code in ("not-converged", "outliers"):
+        assert re.search(rf"<li class=.*<code>{code}</code>", page), code
+
+
+def test_record_and_tolerance_of_the_project_stand_at_the_top(planar: Path) -> None:
+    source = read_source(planar)
+    stated = {
+        "record": {"date": "2026-11-02", "operator": "A. Smith", "serial": "MA-7"},
+        "verdict": {"tolerance": {"value": 0.3, "unit": "mm"}},
+    }
+    document = replace(source.document, inputs={**source.document.inputs, **stated})
+    assert document.accuracy is not None
+    text = page_text(report_html([replace(source, document=document)])).split("How good")
+    assert "A. Smith" in text[0]
+    assert "MA-7" in text[0]
+    bars = {bar.label: bar for bar in accuracy_bars(document)}
+    assert bars["tolerance"].words == "0.300 mm"
+    assert bars["calibrated"].share / bars["tolerance"].share == pytest.approx(
+        document.accuracy.after.rms / 0.3e-3
+    )
+    assert max(bar.share for bar in bars.values()) == pytest.approx(100.0)
+
+
+def test_the_region_is_drawn_beside_what_was_measured(planar: Path) -> None:
+    for bar in region_bars(read_source(planar)):
+        assert 0.0 <= bar.begin < bar.begin + bar.share <= 100.0
+        assert "measured" in bar.words
+
+
+def test_the_worst_poses_come_first_with_their_causes(planar: Path) -> None:
+    source = read_source(planar)
+    after = np.linalg.norm(list(source.table.differences_after.values()), axis=0)
+    worst = source.table.poses[int(np.argmax(after))]
+    document = replace(source.document, outliers=(outlier(worst),))
+    table = worst_table(replace(source, document=document), after, after)
+    assert table is not None
+    assert table.rows[0][0] == worst
+    assert table.rows[0][-1] == "does not fit the others"
+    errors = [float(row[2]) for row in table.rows]
+    assert errors == sorted(errors, reverse=True)
+
+
+def test_parameters_are_grouped_by_joint_and_say_what_they_mean(six_axis: Path) -> None:
+    groups = {g.name: g.lines for g in parameter_groups(read_source(six_axis)).groups}
+    assert list(groups)[:2] == ["base", "theta_1"]
+    assert [line.cells[0] for line in groups["target"]] == ["tool_x", "tool_y", "tool_z"]
+    meanings = {line.cells[0]: line.meaning for lines in groups.values() for line in lines}
+    assert meanings["offset_2"] == "zero of theta_2: added to its reading"
+    assert meanings["alpha_4"] == "turn about the x axis after theta_4"
+    assert all(meanings.values())
+    for lines in groups.values():
+        for line in lines:
+            assert 0.0 <= line.left <= line.left + line.width <= 100.0
+            assert 0.0 <= line.low <= line.high <= 100.0
+
+
+def test_no_number_is_a_negative_zero(planar: Path, six_axis: Path) -> None:
+    for folder in (planar, six_axis):
+        text = page_text((folder / "report.html").read_text("utf-8"))
+        assert not re.search(r"-0(?:\.0+)?(?![\d.])", text)
+
+
+def test_the_page_is_hardly_larger_than_the_program_that_draws(six_axis: Path) -> None:
+    from loopcal.figures.figure import plotly_javascript
+
+    page = (six_axis / "report.html").read_text("utf-8")
+    assert len(page) - len(plotly_javascript()) < 250_000
+
+
+def test_every_row_of_every_table_has_a_cell_for_each_heading(planar: Path) -> None:
+    source = read_source(planar)
+    d = source.document
+    made = [*accuracy_tables(d), sensor_table(source), outlier_table(d), reliability_table(d)]
+    found = [table for table in (*made, facts_table(d)) if table is not None]
+    assert len(found) >= 4
+    for table in found:
+        assert {len(row) for row in table.rows} == {len(table.head)}, table.caption

@@ -120,7 +120,7 @@ def test_findings_keep_what_was_modelled_and_name_it_once(
 def test_a_sagging_arm_measured_region_by_region_has_no_certain_change(sag: float) -> None:
     for seed in range(2):
         case = Case(ARM, sagging(read(regional(seed), seed), sag), None, FIT)
-        assert changes(case, case, case.calibrated()).found == ()
+        assert changes(case, case.fit, case.calibrated()).found == ()
 
 
 def test_a_calibration_needs_the_column_that_dates_its_changes() -> None:

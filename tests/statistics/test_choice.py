@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.execution.executor import InProcess
 from loopcal.statistics.candidates import entrants
-from loopcal.statistics.choice import Gap, choose
+from loopcal.statistics.choice import choose
+from loopcal.statistics.folds import Scheme
+from loopcal.statistics.gain import Gain
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.validation import Case
 from tests.reference.simulated import Simulated, planar_arm
@@ -53,6 +57,12 @@ def test_it_tells_what_was_chosen_over_what_and_by_how_much() -> None:
         )
         assert other.sd is not None
     assert chosen.words in str(result)
+    nominal = next(other for other in others if other.name == "nominal")
+    assert nominal.sd is not None
+    told = re.search(r"nominal \+(\S+) ± (\S+) mm", chosen.words)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(1e3 * (nominal.difference or 0.0), rel=0.05)
+    assert float(told[2]) == pytest.approx(1e3 * nominal.sd, rel=0.05)
     assert document.accuracy is not None
     assert document.accuracy.nominal is not None
     assert document.accuracy.noise_floor is not None
@@ -107,19 +117,31 @@ def _error(result: lc.Result, fresh: Simulated) -> float:
     return float(np.sqrt(np.square(gaps).sum(axis=0).mean()))
 
 
-def test_a_gap_counts_clusters_not_poses() -> None:
+def test_a_gain_counts_clusters_not_poses() -> None:
     """Errors shared by a cluster: its standard error is that of as many values as clusters."""
     rng = np.random.default_rng(0)
     cluster = np.repeat(np.arange(50), 20)
-    means = []
+    squares = []
     for _ in range(200):
-        own = rng.normal(size=50)[cluster] + 0.1 * rng.normal(size=1000)
-        gap = Gap.of(own, np.zeros(1000), cluster)
-        means.append((gap.mean / gap.sd) ** 2)
-    assert np.mean(means) == pytest.approx(1.0, abs=0.25)
-    alone = Gap.of(np.array([1.0, np.nan]), np.zeros(2), np.array([0, 1]))
+        others = rng.normal(size=50)[cluster] + 0.1 * rng.normal(size=1000)
+        gain = Gain.of(np.zeros(1000), others, cluster)
+        squares.append((gain.difference / gain.sd) ** 2)
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.25)
+    alone = Gain.of(np.array([1.0, np.nan]), np.zeros(2), np.array([0, 1]))
     assert math.isinf(alone.sd)
-    assert not alone.significant
+    assert alone.better is None
+
+
+def test_a_gain_of_root_mean_squares_is_their_difference() -> None:
+    rng = np.random.default_rng(0)
+    own, others = rng.exponential(1.0, 300), rng.exponential(4.0, 300)
+    gain = Gain.in_rms(own, others)
+    assert gain is not None
+    assert gain.difference == pytest.approx(math.sqrt(others.mean()) - math.sqrt(own.mean()))
+    assert gain.better
+    total = math.sqrt(others.mean()) + math.sqrt(own.mean())
+    assert gain.sd == pytest.approx(np.std(others - own, ddof=1) / math.sqrt(300) / total)
+    assert Gain.in_rms(own[:1], others[:1]) is None
 
 
 def test_the_noise_floor_is_what_the_truth_leaves() -> None:
@@ -135,3 +157,36 @@ def test_a_case_without_any_fit_raises_what_the_first_candidate_raised() -> None
     data = lc.Dataset.from_arrays({q: noisy()[q][:1] for q in noisy().quantities})
     with refused("too-few-poses"):
         choose(Case(ARM.truth, data, lc.Noise(SDS), lc.Fit(method="auto")))
+
+
+def test_progress_is_told_at_every_iteration_of_each_candidate() -> None:
+    begun = 0
+
+    def told(iteration: int, chi_squared: float, decrease: float) -> None:
+        nonlocal begun
+        begun += iteration == 1
+
+    result = lc.calibrate(ARM.truth, noisy(), noise=SDS, progress=told)
+    assert result.chosen is not None
+    assert begun >= len(result.chosen.over)
+
+
+def test_one_fit_has_nothing_to_leave_out_or_to_share() -> None:
+    with refused("unsupported", "scheme and executor would have no effect"):
+        lc.calibrate(
+            ARM.truth,
+            noisy(),
+            noise=SDS,
+            method="implicit-loop",
+            scheme=Scheme(folds=5),
+            executor=InProcess(),
+        )
+
+
+def test_a_calibration_that_does_not_converge_is_not_hidden_by_the_nominal_machine() -> None:
+    result = lc.calibrate(
+        ARM.off(5e-3, 5e-3, seed=1), noisy(), noise=SDS, loss="huber", max_iterations=1
+    )
+    assert result.chosen is not None
+    assert result.chosen.method == "implicit-loop"
+    assert not result.status.converged

@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import kstest
 
 import loopcal as lc
+from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.comparison import compare
 from loopcal.statistics.gauge import gauge, moved, values_of
 from tests.reference.machines import MACHINES
@@ -39,7 +40,14 @@ def sds_of(arm: Simulated) -> dict[str, float]:
 def calibrated(arm: Simulated, seed: int, prior: lc.Prior | None = None) -> lc.Result:
     sds = sds_of(arm)
     noise = lc.Noise(sds)
-    return lc.calibrate(arm.truth, arm.read(sds, seed), noise=noise, prior=prior, start="nominal")
+    return lc.calibrate(
+        arm.truth,
+        arm.read(sds, seed),
+        noise=noise,
+        prior=prior,
+        start="nominal",
+        method="implicit-loop",
+    )
 
 
 @pytest.mark.parametrize("arm", [planar_arm(40), ma1400(50)], ids=["planar", "MA1400"])
@@ -76,6 +84,7 @@ def test_a_prior_that_both_share_counts_once() -> None:
                 noise=noise,
                 prior=prior,
                 start="nominal",
+                method="implicit-loop",
             )
             for i, q in enumerate(joints)
         )
@@ -114,7 +123,9 @@ def test_where_the_instrument_stood_makes_no_difference() -> None:
     readings = np.array([b.dataset["xP"], b.dataset["yP"]])
     turned = dict(zip(("xP", "yP"), R @ readings + [[3.0], [-2.0]], strict=True))
     data = b.dataset.with_readings(turned)
-    seen = lc.calibrate(again, data, noise=lc.Noise(sds_of(arm)), start="nominal")
+    seen = lc.calibrate(
+        again, data, noise=lc.Noise(sds_of(arm)), start="nominal", method="implicit-loop"
+    )
     found = compare(a, seen)
     assert found.chi_squared == pytest.approx(plain.chi_squared, rel=1e-5)
     assert [q.difference for q in found.parameters] == pytest.approx(
@@ -137,7 +148,13 @@ def test_what_one_of_them_leaves_open_is_left_out() -> None:
     arm = planar_arm(40)
     exact = sds_of(arm) | {"phi3": 0.0}
     straight = arm_at(arm.truth, np.array([np.linspace(-1, 1, 20), np.zeros(20)]))
-    b = lc.calibrate(arm.truth, straight.read(exact, 3), noise=lc.Noise(exact), start="nominal")
+    b = lc.calibrate(
+        arm.truth,
+        straight.read(exact, 3),
+        noise=lc.Noise(exact),
+        start="nominal",
+        method="implicit-loop",
+    )
     found = compare(calibrated(arm, 1), b)
     by_name = {q.name: q for q in found.parameters}
     assert by_name["l2"].sd is None
@@ -148,7 +165,7 @@ def test_what_one_of_them_leaves_open_is_left_out() -> None:
 def test_same_readings_and_other_machines() -> None:
     arm = planar_arm(40)
     data = arm.read(sds_of(arm), 1)
-    a = lc.calibrate(arm.truth, data, noise=lc.Noise(sds_of(arm)))
+    a = lc.calibrate(arm.truth, data, noise=lc.Noise(sds_of(arm)), method="implicit-loop")
     b = lc.calibrate(arm.truth, data, method="least-squares")
     found = compare(a, b)
     assert any("same readings" in note for note in found.notes)
@@ -171,7 +188,7 @@ def test_halves_of_the_measured_grid_agree_all_over_the_joint_box(
     noise = lc.Noise(sds | dict.fromkeys("xyz", 5e-6))
     chosen = np.random.default_rng(1).permutation(len(data))
     a, b = (
-        lc.calibrate(arm, data.take(np.sort(half)), noise=noise)
+        lc.calibrate(arm, data.take(np.sort(half)), noise=noise, method="implicit-loop")
         for half in np.array_split(chosen, 2)
     )
     box = {q: (float(data[q].min()), float(data[q].max())) for q in joints}
@@ -200,7 +217,7 @@ def eccentric(box: dict[str, tuple[float, float]], seed: int, *, shift: float = 
     made = lc.simulate(truth, at, noise={"*": 1e-4}, seed=seed).dataset
     readings = {q: np.array(made[q]) for q in made.quantities}
     readings["phi2"] += 1e-3 * np.sin(readings["phi2"] + readings["phi3"])
-    return lc.calibrate(arm, readings, noise={"*": 1e-4}, start="nominal")
+    return lc.calibrate(arm, readings, noise={"*": 1e-4}, start="nominal", method="implicit-loop")
 
 
 def test_an_unchanged_imperfect_machine_in_two_regions_gives_no_alarm() -> None:
@@ -221,7 +238,13 @@ def test_rejected_sds_count_as_large_as_the_residuals() -> None:
     arm = planar_arm(40)
     small = lc.Noise(dict.fromkeys(arm.truth.quantities, 2e-5))
     a, b = (
-        lc.calibrate(arm.truth, arm.read(sds_of(arm), seed), noise=small, start="nominal")
+        lc.calibrate(
+            arm.truth,
+            arm.read(sds_of(arm), seed),
+            noise=small,
+            start="nominal",
+            method="implicit-loop",
+        )
         for seed in (1, 2)
     )
     found = compare(a, b)
@@ -230,3 +253,38 @@ def test_rejected_sds_count_as_large_as_the_residuals() -> None:
     assert found.p_value > 1e-3
     assert any("count 5" in note or "count 4.9" in note or "count 5.1" in note
                for note in found.notes)  # fmt: skip
+
+
+def test_an_imperfect_machine_that_did_not_change_raises_few_alarms_in_the_same_region() -> None:
+    """17 % by the stated sds, even where these count as large as the residuals."""
+    box = {"phi2": (0.0, 1.6), "phi3": (0.3, 1.7)}
+    found = [compare(eccentric(box, 2 * s), eccentric(box, 2 * s + 1)) for s in range(60)]
+    assert sum(f.p_value < 0.05 for f in found if f.p_value is not None) <= 6
+    seen = [f for f in found if any("poses scatter" in note for note in f.notes)]
+    assert seen
+    assert all(np.isfinite(f.test.denominator) for f in seen)
+
+
+def test_a_written_calibration_holds_the_scatter_of_its_poses(tmp_path: Path) -> None:
+    box = {"phi2": (0.0, 1.6), "phi3": (0.3, 1.7)}
+    result = eccentric(box, 1)
+    known = Calibrated.of(result, "A").scatter
+    lc.write_result(result, tmp_path)
+    document = lc.read_result(tmp_path / "result.json").document
+    again = Calibrated.from_document(document, result.mechanism, None, "B").scatter
+    assert known is not None
+    assert again is not None
+    np.testing.assert_allclose(again.matrix, known.matrix, rtol=1e-5)
+    # 40 poses of two equations each, six parameters
+    assert again.freedom == known.freedom == pytest.approx(37.0)
+
+
+def test_the_scatter_of_good_poses_is_their_covariance() -> None:
+    arm = planar_arm(40)
+    ratios = []
+    for seed in range(20):
+        result = calibrated(arm, seed)
+        known = Calibrated.of(result, "A").scatter
+        assert known is not None
+        ratios.append(np.trace(known.matrix @ np.linalg.inv(result.covariance)) / 6)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)

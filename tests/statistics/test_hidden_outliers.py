@@ -16,8 +16,8 @@ START = ARM.off(2e-3, 4e-3)
 POINT = 1.7e-4
 """About the sd of a point beside the one computed from the joints."""
 HOW: dict[str, Any] = {
-    "stated": {"noise": lc.Noise(SDS)},
-    "learnt": {"noise": lc.Noise(SDS, estimate={"*": "group"})},
+    "stated": {"method": "implicit-loop", "noise": lc.Noise(SDS)},
+    "learnt": {"method": "implicit-loop", "noise": lc.Noise(SDS, estimate={"*": "group"})},
     "least squares": {"method": "least-squares"},
 }
 

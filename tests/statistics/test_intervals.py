@@ -50,7 +50,7 @@ def ends(interval: Interval | None) -> tuple[float, float]:
 
 def test_a_bent_parameter_has_the_interval_of_what_is_straight() -> None:
     # exp(k) enters linearly: its interval, and with it that of k, is known in closed form.
-    result = lc.calibrate(exponential(), {"t": T, "y": Y}, noise=LINE)
+    result = lc.calibrate(exponential(), {"t": T, "y": Y}, noise=LINE, method="implicit-loop")
     slope, sd = float(T @ Y / (T @ T)), float(0.5 / np.sqrt(T @ T))
     found = intervals(result)["k"]
     expected = [math.log(slope - 1.959964 * sd), math.log(slope + 1.959964 * sd)]
@@ -62,7 +62,7 @@ def test_a_bent_parameter_has_the_interval_of_what_is_straight() -> None:
 def test_a_side_on_which_chi_squared_never_rises_is_open() -> None:
     # With little slope exp(k) -> 0 fits as well: nothing bounds k from below.
     flat = lc.Noise({"t": 0.0, "y": 3.0})
-    result = lc.calibrate(exponential(), {"t": T, "y": Y}, noise=flat)
+    result = lc.calibrate(exponential(), {"t": T, "y": Y}, noise=flat, method="implicit-loop")
     found = known(intervals(result)["k"])
     assert found.profile_low is None
     assert found.profile_high is not None
@@ -70,7 +70,7 @@ def test_a_side_on_which_chi_squared_never_rises_is_open() -> None:
 
 
 def test_a_prior_takes_part() -> None:
-    result = lc.calibrate(exponential(0.1), {"t": T, "y": Y}, noise=LINE)
+    result = lc.calibrate(exponential(0.1), {"t": T, "y": Y}, noise=LINE, method="implicit-loop")
 
     def chi_squared(k: float) -> float:
         return float(np.square((Y - math.exp(k) * T) / 0.5).sum() + ((k - 0.2) / 0.1) ** 2)
@@ -108,13 +108,15 @@ def test_small_noise_makes_both_the_same(method: str) -> None:
 
 def test_large_noise_is_followed_to_both_ends() -> None:
     sds = {q: 30.0 * sd for q, sd in SDS.items()}
-    result = lc.calibrate(ARM.truth, ARM.read(sds, seed=3), noise=lc.Noise(sds))
+    result = lc.calibrate(
+        ARM.truth, ARM.read(sds, seed=3), noise=lc.Noise(sds), method="implicit-loop"
+    )
     assert result.chi_squared is not None
     low, high = ends(intervals(result, "l2")["l2"])
     for end in (low, high):
         held = ARM.truth.with_nominal({"l2": end}).parameters.with_fixed(["l2"])
         machine = ARM.truth.with_parameters(held)
-        again = lc.calibrate(machine, result.dataset, noise=lc.Noise(sds))
+        again = lc.calibrate(machine, result.dataset, noise=lc.Noise(sds), method="implicit-loop")
         assert again.chi_squared is not None
         rise = again.chi_squared.value - result.chi_squared.value
         assert rise == pytest.approx(3.8415, abs=0.01)
@@ -125,7 +127,7 @@ def test_what_nothing_bounds_has_no_interval() -> None:
     exact = SDS | {"phi3": 0.0}
     joints = {q: v for q, v in ARM.exact.items() if q == "phi2"}
     made = lc.simulate(arm, {**joints, "phi3": np.zeros(30)}, noise=lc.Noise(exact), seed=1)
-    result = lc.calibrate(arm, made.dataset, noise=lc.Noise(exact))
+    result = lc.calibrate(arm, made.dataset, noise=lc.Noise(exact), method="implicit-loop")
     found = intervals(result)
     assert found["l3"] is None
     assert found["phi30"] is None
@@ -134,7 +136,7 @@ def test_what_nothing_bounds_has_no_interval() -> None:
 
 
 def test_the_summary_and_the_document_tell_it() -> None:
-    result = lc.calibrate(exponential(), {"t": T, "y": Y}, noise=LINE)
+    result = lc.calibrate(exponential(), {"t": T, "y": Y}, noise=LINE, method="implicit-loop")
     document = with_intervals(result.document, intervals(result))
     assert "differs" in str(document)
     entry = document.parameters[0].interval
@@ -147,7 +149,7 @@ def test_the_summary_and_the_document_tell_it() -> None:
 
 
 def test_what_nothing_bounds_is_shown_without_ends() -> None:
-    result = lc.calibrate(exponential(), {"t": T, "y": Y}, noise=LINE)
+    result = lc.calibrate(exponential(), {"t": T, "y": Y}, noise=LINE, method="implicit-loop")
     document = with_intervals(result.document, {"k": None})
     entry = document.parameters[0].interval
     assert entry is not None
@@ -160,14 +162,16 @@ def test_what_cannot_be_profiled_is_refused() -> None:
     result = lc.calibrate(ARM.truth, data, noise=noise, method="reweighted")
     with refused("unsupported", "'reweighted'"):
         intervals(result)
-    result = lc.calibrate(ARM.truth, data, noise=noise)
+    result = lc.calibrate(ARM.truth, data, noise=noise, method="implicit-loop")
     with refused("unknown-name", "'l9'"):
         intervals(result, "l9")
     with refused("invalid-value", "95"):
         intervals(result, level=95.0)
-    stopped = lc.calibrate(ARM.truth, data, noise=noise, max_iterations=1, start={"l2": 5.0})
+    stopped = lc.calibrate(
+        ARM.truth, data, noise=noise, max_iterations=1, start={"l2": 5.0}, method="implicit-loop"
+    )
     with refused("not-converged"):
         intervals(stopped)
-    robust = lc.calibrate(ARM.truth, data, noise=noise, loss="huber")
+    robust = lc.calibrate(ARM.truth, data, noise=noise, loss="huber", method="implicit-loop")
     with refused("unsupported", "loss"):
         intervals(robust)

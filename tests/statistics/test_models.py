@@ -56,7 +56,9 @@ def test_a_model_switches_effects_off_by_fixing_them_at_zero() -> None:
 
 def test_nine_geometric_truths_of_ten_are_called_geometric() -> None:
     chosen = [
-        compare_models(arm(), measured({}, seed), MODELS, noise=NOISE, folds=5).recommended
+        compare_models(
+            arm(), measured({}, seed), MODELS, noise=NOISE, folds=5, method="implicit-loop"
+        ).recommended
         for seed in range(20)
     ]
     assert chosen.count("geometric") >= 18
@@ -65,7 +67,9 @@ def test_nine_geometric_truths_of_ten_are_called_geometric() -> None:
 def test_a_true_effect_is_found_and_no_more_than_it() -> None:
     truth = {"phi2_scale": 1e-3, "phi3_scale": -5e-4}
     for seed in range(3):
-        found = compare_models(arm(), measured(truth, seed), MODELS, noise=NOISE, folds=5)
+        found = compare_models(
+            arm(), measured(truth, seed), MODELS, noise=NOISE, folds=5, method="implicit-loop"
+        )
         assert found.recommended == "scale"
         assert found.result.value["phi2_scale"] == pytest.approx(1e-3, abs=4e-4)
         assert found.result.value["phi2_cos1"] == 0.0
@@ -76,7 +80,9 @@ def test_a_true_effect_is_found_and_no_more_than_it() -> None:
         assert geometric.sd is not None
         assert geometric.behind > 2 * geometric.sd > 0.0
     truth |= {"phi2_sin2": 1e-3}
-    found = compare_models(arm(), measured(truth, 9), MODELS, noise=NOISE, folds=5)
+    found = compare_models(
+        arm(), measured(truth, 9), MODELS, noise=NOISE, folds=5, method="implicit-loop"
+    )
     assert found.recommended == "gears"
     assert "Recommended: gears" in str(found)
 
@@ -84,7 +90,9 @@ def test_a_true_effect_is_found_and_no_more_than_it() -> None:
 def test_the_difference_and_its_sd_are_those_of_the_groups() -> None:
     data = measured({"phi2_scale": 1e-3}, 4)
     groups = [i // 3 for i in range(len(data))]
-    found = compare_models(arm(), data, MODELS, noise=NOISE, folds=5, groups=groups)
+    found = compare_models(
+        arm(), data, MODELS, noise=NOISE, folds=5, groups=groups, method="implicit-loop"
+    )
     geometric, best = found.models[0], next(m for m in found.models if m.behind == 0.0)
     assert geometric.validation is not None
     assert best.validation is not None
@@ -110,10 +118,12 @@ def test_the_simplest_that_is_not_refused_is_taken() -> None:
 
 def test_what_cannot_be_compared_is_told() -> None:
     with refused("missing-key"):
-        compare_models(arm(), measured({}, 1), {}, noise=NOISE)
+        compare_models(arm(), measured({}, 1), {}, noise=NOISE, method="implicit-loop")
     few = measured({}, 1, poses=6)
     with refused("not-converged"):
-        compare_models(arm(), few, MODELS, noise=NOISE, folds=2, max_iterations=1)
+        compare_models(
+            arm(), few, MODELS, noise=NOISE, folds=2, max_iterations=1, method="implicit-loop"
+        )
 
 
 def test_models_are_compared_on_the_poses_that_all_of_them_predict(
@@ -122,7 +132,7 @@ def test_models_are_compared_on_the_poses_that_all_of_them_predict(
     data = measured({}, 1)
     parts = folds(grouped(arm(), data), 5, seed=0)
     gone = {data.poses[i] for i in parts[0]}
-    whole = compare_models(arm(), data, MODELS, noise=NOISE, folds=5)
+    whole = compare_models(arm(), data, MODELS, noise=NOISE, folds=5, method="implicit-loop")
 
     def failing(mechanism: Mechanism, given: Dataset, **how: Any) -> Result:
         larger = len(mechanism.parameters.free) > len(with_only(arm(), Model()).parameters.free)
@@ -131,7 +141,7 @@ def test_models_are_compared_on_the_poses_that_all_of_them_predict(
         return calibrate(mechanism, given, **how)
 
     monkeypatch.setattr(validation, "calibrate", failing)
-    found = compare_models(arm(), data, MODELS, noise=NOISE, folds=5)
+    found = compare_models(arm(), data, MODELS, noise=NOISE, folds=5, method="implicit-loop")
     assert [len(m.validation.failed) for m in found.models if m.validation] == [
         0,
         *[1] * (len(found.models) - 1),
@@ -159,7 +169,9 @@ def test_a_model_that_cannot_be_fitted_is_listed_and_the_others_are_compared(
         return calibrate(mechanism, given, **how)
 
     monkeypatch.setattr(validation, "calibrate", failing)
-    found = compare_models(arm(), measured({}, 1), MODELS, noise=NOISE, folds=5)
+    found = compare_models(
+        arm(), measured({}, 1), MODELS, noise=NOISE, folds=5, method="implicit-loop"
+    )
     assert found.recommended == "geometric"
     failed = {m.name: m.failed for m in found.models if m.failed}
     assert set(failed.values()) == {"too few poses for this model"}

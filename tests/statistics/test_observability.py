@@ -35,7 +35,9 @@ def test_the_indices_are_those_of_the_singular_values() -> None:
     data = linear()
     J = np.column_stack([data["u"], data["v"], np.ones(40)]) / SD
     s = np.linalg.svd(J / np.linalg.norm(J, axis=0), compute_uv=False)
-    found = lc.findings(lc.calibrate(LINEAR, data, noise=NOISE)).observability
+    found = lc.findings(
+        lc.calibrate(LINEAR, data, noise=NOISE, method="implicit-loop")
+    ).observability
     assert pytest.approx(np.prod(s) ** (1 / 3) / math.sqrt(40)) == found.O1
     assert pytest.approx(s[-1] / s[0]) == found.O2
     assert pytest.approx(s[-1]) == found.O3
@@ -71,9 +73,13 @@ def test_neither_units_nor_the_size_of_all_sds_matter() -> None:
         {"a": (1.0, "1"), "b": (500.0, "1"), "c": (0.0, "m")},
         outputs=("y",),
     )
-    one = lc.findings(lc.calibrate(LINEAR, linear(), noise=NOISE)).observability
+    one = lc.findings(
+        lc.calibrate(LINEAR, linear(), noise=NOISE, method="implicit-loop")
+    ).observability
     tenfold = lc.Noise({"u": 0.0, "v": 0.0, "y": 10 * SD})
-    other = lc.findings(lc.calibrate(scaled, linear(), noise=tenfold)).observability
+    other = lc.findings(
+        lc.calibrate(scaled, linear(), noise=tenfold, method="implicit-loop")
+    ).observability
     assert list(asdict(other).values()) == pytest.approx(list(asdict(one).values()))
 
 
@@ -81,7 +87,8 @@ def test_repeating_every_pose_changes_only_the_first_index() -> None:
     data = linear()
     twice = lc.Dataset.from_arrays(data).take(np.tile(np.arange(40), 2))
     one, two = (
-        lc.findings(lc.calibrate(LINEAR, d, noise=NOISE)).observability for d in (data, twice)
+        lc.findings(lc.calibrate(LINEAR, d, noise=NOISE, method="implicit-loop")).observability
+        for d in (data, twice)
     )
     assert pytest.approx(one.O1 / math.sqrt(2)) == two.O1
     others = list(asdict(one).values())[1:]
@@ -91,7 +98,9 @@ def test_repeating_every_pose_changes_only_the_first_index() -> None:
 def test_a_direction_that_is_not_seen_makes_all_zero_whatever_the_prior() -> None:
     data = {**linear(), "v": np.zeros(40)}
     for prior in (None, lc.Prior({"b": 0.1})):
-        found = lc.findings(lc.calibrate(LINEAR, data, noise=NOISE, prior=prior))
+        found = lc.findings(
+            lc.calibrate(LINEAR, data, noise=NOISE, prior=prior, method="implicit-loop")
+        )
         assert set(asdict(found.observability).values()) == {0.0}
         assert found.identifiability.condition_number is None
 
@@ -99,7 +108,9 @@ def test_a_direction_that_is_not_seen_makes_all_zero_whatever_the_prior() -> Non
 def test_data_beside_the_prior_by_hand() -> None:
     data = {**linear(), "v": np.zeros(40)}
     prior = lc.Prior({"a": 0.1, "b": 0.02, "c": 1.0})
-    said = lc.findings(lc.calibrate(LINEAR, data, noise=NOISE, prior=prior)).identifiability
+    said = lc.findings(
+        lc.calibrate(LINEAR, data, noise=NOISE, prior=prior, method="implicit-loop")
+    ).identifiability
     learned = {entry.parameter: entry for entry in said.learned}
     assert learned["b"].ratio == pytest.approx(1.0, rel=1e-12)
     assert learned["b"].words.startswith(
@@ -122,10 +133,14 @@ def test_redundant_parameters_are_named_with_and_without_a_prior() -> None:
         outputs=("y",),
     )
     noise = lc.Noise({"u": 0.0, "y": SD})
-    flat = lc.findings(lc.calibrate(double, linear(), noise=noise)).identifiability.weak
+    flat = lc.findings(
+        lc.calibrate(double, linear(), noise=noise, method="implicit-loop")
+    ).identifiability.weak
     assert [set(d.combination) for d in flat] == [{"base", "tool"}]
     assert flat[0].words == "'base' and 'tool' cannot be distinguished by these poses"
-    held = lc.calibrate(double, linear(), noise=noise, prior=lc.Prior({"tool": 1e-3}))
+    held = lc.calibrate(
+        double, linear(), noise=noise, prior=lc.Prior({"tool": 1e-3}), method="implicit-loop"
+    )
     assert "only prior knowledge" in lc.findings(held).identifiability.weak[0].words
 
 
@@ -133,7 +148,7 @@ def test_a_nearly_null_direction_says_how_far_one_sd_goes() -> None:
     rng = np.random.default_rng(5)
     u = rng.normal(0, 1, 60)
     data = {"u": u, "v": u + 1e-3 * rng.normal(0, 1, 60), "y": 1.5 * u + rng.normal(0, SD, 60)}
-    result = lc.calibrate(LINEAR, data, noise=NOISE)
+    result = lc.calibrate(LINEAR, data, noise=NOISE, method="implicit-loop")
     (weak,) = lc.findings(result).identifiability.weak
     assert set(weak.combination) == {"a", "b"}
     assert weak.condition is not None
@@ -159,7 +174,7 @@ def test_the_calibration_index_counts_equations() -> None:
     readings = {q: np.array(v) for q, v in simulated.read({"xP": 1e-4}).readings.items()}
     readings["yP"][:5] = np.nan
     noise = lc.Noise({"?P": 1e-4, "phi?": 1e-4})
-    result = lc.calibrate(simulated.truth, readings, noise=noise)
+    result = lc.calibrate(simulated.truth, readings, noise=noise, method="implicit-loop")
     index = lc.findings(result).identifiability.index
     assert (index.value, index.sensed, index.mobility) == (35, 75, 40)
     assert index.words() == (

@@ -17,7 +17,13 @@ WEAK = {"xP": 1e-4, "yP": 1e-4, "phi2": 0.1, "phi3": 1e-3}
 def fitted(sds, prior, seed: int, **how) -> lc.Result:
     poses = lc.grid_poses({"phi2": STEPS, "phi3": STEPS})
     made = lc.simulate(TRUTH, poses, noise=lc.Noise(sds), seed=seed)
-    return lc.calibrate(START, made.dataset, noise=lc.Noise(sds), prior=lc.Prior(prior), **how)
+    return lc.calibrate(
+        START,
+        made.dataset,
+        noise=lc.Noise(sds),
+        prior=lc.Prior(prior),
+        **{"method": "implicit-loop", **how},
+    )
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -10,13 +10,16 @@ import pytest
 
 import loopcal as lc
 from analyses.gross_errors import Counts, run, sds
-from analyses.instruments import setup
+from analyses.instruments import ARM_VALUES, setup, six_axis
 from loopcal.errors import InputError
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import build_problem
+from loopcal.mechanisms.instruments.point import point
+from loopcal.mechanisms.machine import assemble
 from loopcal.statistics import causes
 from loopcal.statistics.verdict import verdict_of
 from loopcal.units import from_si
+from tests.estimation.test_contacts import READINGS
 from tests.reference.simulated import ma1400, planar_arm
 
 ARM = ma1400(60)
@@ -35,7 +38,9 @@ def written(change=lambda readings: None) -> lc.Dataset:
 
 def outliers(change, **how) -> lc.Outliers:
     noise = None if how.get("method") == "least-squares" else NOISE
-    return lc.find_outliers(lc.calibrate(START, written(change), noise=noise, **how))
+    return lc.find_outliers(
+        lc.calibrate(START, written(change), noise=noise, **{"method": "implicit-loop", **how})
+    )
 
 
 @cache
@@ -79,7 +84,9 @@ def test_a_gross_error_of_an_instruments_only_reading_may_be_blamed_on_it(
     data = replace(data, readings={**data.readings, reading: wrong})
     start = given.nominal(2)
     start = start.with_parameters(start.parameters.with_fixed(given.held))
-    (found,) = lc.find_outliers(lc.calibrate(start, data, noise=given.noise)).found
+    (found,) = lc.find_outliers(
+        lc.calibrate(start, data, noise=given.noise, method="implicit-loop")
+    ).found
     assert found.pose == "31"
     assert reading in (found.quantity, *found.indistinct)
     assert found.size
@@ -88,7 +95,7 @@ def test_a_gross_error_of_an_instruments_only_reading_may_be_blamed_on_it(
 def test_good_data_have_no_outliers() -> None:
     named = 0
     for draw in range(40):
-        result = lc.calibrate(START, ARM.read(SDS, draw), noise=NOISE)
+        result = lc.calibrate(START, ARM.read(SDS, draw), noise=NOISE, method="implicit-loop")
         named += len(lc.find_outliers(result)) > 0
     assert named <= 6  # a level of 5 %
 
@@ -296,8 +303,10 @@ def test_pose_13_of_the_measured_workspace_is_named(shared_data, monkeypatch) ->
     monkeypatch.setenv("LOOPCAL_DATA", str(path.parents[1]))
     project = lc.read_project("examples/motoman/right_arm_workspace.toml")
     data = lc.load_dataset(project)
-    for how in ({"method": "least-squares"}, {"noise": data.noise}):
-        found = lc.find_outliers(lc.calibrate(project.mechanism, data.dataset, **how))
+    for method, noise in (("least-squares", None), ("implicit-loop", data.noise)):
+        found = lc.find_outliers(
+            lc.calibrate(project.mechanism, data.dataset, noise=noise, method=method)
+        )
         assert found.by_residuals
         assert found.found[0].pose == "13"
         assert len(found) < 0.1 * len(data.dataset)
@@ -308,7 +317,7 @@ def test_a_loop_in_the_plane_tells_what_cannot_be_told_apart() -> None:
     sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-4, "phi3": 1e-4}
     readings = {q: v.copy() for q, v in arm.read(sds, 2).readings.items()}
     readings["xP"][5] += 0.02
-    result = lc.calibrate(arm.truth, readings, noise=lc.Noise(sds))
+    result = lc.calibrate(arm.truth, readings, noise=lc.Noise(sds), method="implicit-loop")
     found = lc.find_outliers(result).found
     assert [o.pose for o in found] == ["6"]
     assert "xP" in (found[0].quantity, *found[0].indistinct)
@@ -324,14 +333,18 @@ def test_the_document_says_how_the_poses_were_tested() -> None:
 @pytest.mark.parametrize("wrong", [{"level": 0.0}, {"level": 1.0}, {"scale": "guess"}])
 def test_a_rule_that_is_none_is_refused(wrong) -> None:
     with pytest.raises(InputError):
-        lc.find_outliers(lc.calibrate(START, written(), noise=NOISE), **wrong)
+        lc.find_outliers(
+            lc.calibrate(START, written(), noise=NOISE, method="implicit-loop"), **wrong
+        )
 
 
 def test_no_outlier_is_not_said_as_if_all_were_well_where_chi_squared_rejects() -> None:
     arm = planar_arm(60)
     sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-4, "phi3": 1e-4}
     few = {q: sd / 3 for q, sd in sds.items()}
-    found = lc.find_outliers(lc.calibrate(arm.truth, arm.read(sds, 2), noise=lc.Noise(few)))
+    found = lc.find_outliers(
+        lc.calibrate(arm.truth, arm.read(sds, 2), noise=lc.Noise(few), method="implicit-loop")
+    )
     assert found.rejected is not None
     assert len(found) > 0 or "chi-squared rejects" in str(found)
     assert "outliers: none" not in str(found)
@@ -341,8 +354,65 @@ def test_sds_far_too_large_are_doubted_in_the_report_as_in_the_summary() -> None
     arm = planar_arm(60)
     sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-4, "phi3": 1e-4}
     wide = {q: 1e3 * sd if q in ("xP", "yP") else sd for q, sd in sds.items()}
-    result = lc.calibrate(arm.truth, arm.read(sds, 2), noise=lc.Noise(wide))
+    result = lc.calibrate(arm.truth, arm.read(sds, 2), noise=lc.Noise(wide), method="implicit-loop")
     told = verdict_of(result.document)
     assert told.sound.code == "sds-too-large"
     assert told.grade == "bad"
     assert any("scatter less" in warning for warning in result.warnings)
+
+
+def three_targets(names: str) -> lc.Mechanism:
+    """A six-axis arm with so many targets on its tool, seen by one tracker."""
+    seen = [
+        point(n, readings=[f"{a}_{n}" for a in "xyz"], station="tracker", target=n) for n in names
+    ]
+    values = {n: v for n, v in ARM_VALUES.items() if not n.startswith("tool")}
+    corners = np.random.default_rng(8).uniform(-0.15, 0.15, (len(names), 3))
+    for name, corner in zip(names, corners, strict=True):
+        values |= dict(zip((f"{name}_{a}" for a in "xyz"), corner.tolist(), strict=True))
+    return assemble(six_axis(), seen, values)
+
+
+@pytest.mark.parametrize("names", ["A", "AB", "ABC"])
+def test_a_hit_target_is_told_from_wrong_joints_where_other_targets_can_tell(names: str) -> None:
+    """With one target both may be to blame, and with two the joints: these fit six equations."""
+    arm, noise = three_targets(names), lc.Noise({"q*": 2e-5, "[xyz]_*": 2e-5})
+    rng = np.random.default_rng(3)
+    hits, joints = (5, 11, 17), (8, 21, 30)
+    moved = {i: rng.normal(0.0, 2e-3, 3) for i in hits}
+    data = lc.simulate(arm, READINGS, noise=noise, seed=1).dataset
+    readings = {q: v.copy() for q, v in data.readings.items()}
+    for i in hits:
+        for axis, size in zip("xyz", moved[i], strict=True):
+            readings[f"{axis}_A"][i] += size
+    for i in joints:
+        for q in ("q2", "q3", "q5"):
+            readings[q][i] += rng.normal(0.0, 3e-3)
+    prior = lc.Prior({"*": 1e-3})
+    result = lc.calibrate(arm, readings, noise=noise, prior=prior, method="implicit-loop")
+    found = {int(o.pose) - 1: o for o in lc.find_outliers(result).found}
+    assert sorted(found) == sorted((*hits, *joints))
+    assert all(o.quantity is None for o in found.values())
+    expected = {
+        "A": (("A", "the joints"), ("A", "the joints")),
+        "AB": (("A", "the joints"), ("the joints",)),
+        "ABC": (("A",), ("the joints",)),
+    }[names]
+    assert {found[i].together for i in hits} == {expected[0]}
+    assert {found[i].together for i in joints} == {expected[1]}
+    if names == "ABC":
+        for i in hits:
+            assert found[i].size == pytest.approx(np.linalg.norm(moved[i]), abs=2e-4)
+            assert "the point of 'A' is off by" in str(found[i])
+
+
+def test_a_single_bad_reading_names_the_instrument_that_read_it() -> None:
+    arm, noise = three_targets("AB"), lc.Noise({"q*": 2e-5, "[xyz]_*": 2e-5})
+    data = lc.simulate(arm, READINGS, noise=noise, seed=1).dataset
+    readings = {q: v.copy() for q, v in data.readings.items()}
+    readings["y_B"][4] += 2e-3
+    readings["q5"][9] += 2e-3
+    prior = lc.Prior({"*": 1e-3})
+    result = lc.calibrate(arm, readings, noise=noise, prior=prior, method="implicit-loop")
+    found = {o.quantity: o.instrument for o in lc.find_outliers(result).found}
+    assert found == {"y_B": "B", "q5": None}

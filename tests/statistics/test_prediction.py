@@ -26,7 +26,11 @@ def coverage(simulated: Simulated, sds: dict[str, float], new: dict[str, np.ndar
     inside = []
     for draw in range(DRAWS):
         result = lc.calibrate(
-            simulated.truth, simulated.read(sds, seed=draw), noise=noise, start="nominal"
+            simulated.truth,
+            simulated.read(sds, seed=draw),
+            noise=noise,
+            start="nominal",
+            method="implicit-loop",
         )
         read = {q: v + rng.normal(0, sds[q], len(v)) for q, v in new.items()}
         found = lc.predict(result, read)
@@ -52,7 +56,9 @@ def test_95_percent_regions_cover_for_six_axes() -> None:
 def planar() -> lc.Result:
     sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 3e-4, "phi3": 1e-4}
     simulated = planar_arm(poses=25)
-    return lc.calibrate(simulated.truth, simulated.read(sds), noise=lc.Noise(sds))
+    return lc.calibrate(
+        simulated.truth, simulated.read(sds), noise=lc.Noise(sds), method="implicit-loop"
+    )
 
 
 def test_both_parts_against_differences() -> None:
@@ -119,7 +125,9 @@ def test_nothing_to_predict_and_nothing_to_predict_from_are_refused() -> None:
     rod = lc.Mechanism.from_function(
         lambda x, p: p.a - x.length, {"length": "m"}, {"a": (1.0, "m")}
     )
-    measured = lc.calibrate(rod, {"length": [1.0, 1.1]}, noise=lc.Noise({"length": 0.1}))
+    measured = lc.calibrate(
+        rod, {"length": [1.0, 1.1]}, noise=lc.Noise({"length": 0.1}), method="implicit-loop"
+    )
     with refused("no-outputs"):
         lc.predict(measured, {"length": [1.0]})
 
@@ -133,7 +141,9 @@ def test_an_undetermined_direction_is_unknown_only_where_it_moves_the_output() -
     )
     u = np.linspace(0, 1, 20)
     noise = lc.Noise({"u": 0.0, "w": 0.0, "y": 1e-3})
-    result = lc.calibrate(double, {"u": u, "w": np.ones(20), "y": 1.1 * u + 0.3}, noise=noise)
+    result = lc.calibrate(
+        double, {"u": u, "w": np.ones(20), "y": 1.1 * u + 0.3}, noise=noise, method="implicit-loop"
+    )
     found = lc.predict(result, {"u": [0.5, 0.5], "w": [1.0, 2.0]})
     assert found.sd["y"][0] < 1e-3
     assert np.isinf(found.sd["y"][1])
@@ -146,7 +156,7 @@ def test_no_alarm_at_the_calibration_poses_and_one_far_away() -> None:
     arm, noise = lc.planar_two_link(), lc.Noise({"?P": 1e-4, "phi?": 1e-4})
     near = lc.random_poses({"phi2": (0.3, 0.5), "phi3": (0.8, 1.0)}, 60, seed=2)
     made = lc.simulate(arm, near, noise=noise, seed=2)
-    result = lc.calibrate(arm, made.dataset, noise=noise)
+    result = lc.calibrate(arm, made.dataset, noise=noise, method="implicit-loop")
     assert not lc.predict(result, near).extrapolated.any()
     assert lc.predict(result, {"phi2": [-2.0], "phi3": [2.5]}).extrapolated.all()
 

@@ -23,7 +23,7 @@ def calibrated(noise: lc.Noise, poses: int = 12) -> lc.Result:
     at = lc.random_poses(BOX, poses, seed=3)
     really = lc.Noise(noise.entries)
     readings = lc.simulate(ARM, at, noise=really, seed=4).dataset
-    return lc.calibrate(ARM, readings, noise=noise, start="nominal")
+    return lc.calibrate(ARM, readings, noise=noise, start="nominal", method="implicit-loop")
 
 
 def from_files(result: lc.Result, folder: Path) -> Predictor:
@@ -93,7 +93,7 @@ def passive() -> tuple[lc.Mechanism, lc.Result]:
     t = np.linspace(0.5, 1.5, 8)
     data = {"x": 6.0 * t, "s": 3.0 * t + 0.3, "t": t}
     noise = lc.Noise({"x": 1e-3, "s": np.inf, "t": 1e-3})
-    return line, lc.calibrate(line, data, noise=noise)
+    return line, lc.calibrate(line, data, noise=noise, method="implicit-loop")
 
 
 def test_the_column_of_a_quantity_that_no_sensor_reads_is_a_guess(tmp_path: Path) -> None:

@@ -30,7 +30,9 @@ def test_the_sd_of_a_prediction_is_that_of_one_position_however_many_stations_se
     noise = lc.Noise({"q*": 1e-5, "[xyz]_*": 1e-4})
     prior = lc.Prior({"*": 1e-4})
     data = lc.simulate(arm, READINGS, noise=noise, seed=1).dataset
-    result = lc.calibrate(arm, data, noise=noise, prior=prior, start="nominal")
+    result = lc.calibrate(
+        arm, data, noise=noise, prior=prior, start="nominal", method="implicit-loop"
+    )
     found = lc.predict(result, {q: values[:4] for q, values in READINGS.items()})
     table = found.columns()
     for i, name in enumerate(names):
@@ -62,7 +64,9 @@ def test_one_instrument_keeps_its_columns() -> None:
     noise = lc.Noise({"q*": 1e-5, "[xyz]_*": 1e-4})
     prior = lc.Prior({"*": 1e-4})
     data = lc.simulate(arm, READINGS, noise=noise, seed=1).dataset
-    result = lc.calibrate(arm, data, noise=noise, prior=prior, start="nominal")
+    result = lc.calibrate(
+        arm, data, noise=noise, prior=prior, start="nominal", method="implicit-loop"
+    )
     found = lc.predict(result, {q: values[:4] for q, values in READINGS.items()})
     assert {"sd [m]", "sd from parameters [m]", "sd from readings [m]"} <= set(found.columns())
 

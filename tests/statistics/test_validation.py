@@ -29,7 +29,7 @@ DATA = ARM.read(SDS, seed=1)
 def by_hand(left_out: np.ndarray[Any, Any], **how: Any) -> tuple[lc.Result, np.ndarray[Any, Any]]:
     """A fit from scratch without some poses, and its prediction errors there (2, n)."""
     rest = np.setdiff1d(np.arange(len(DATA)), left_out)
-    fit = lc.calibrate(ARM.truth, DATA.take(rest), **how)
+    fit = lc.calibrate(ARM.truth, DATA.take(rest), **{"method": "implicit-loop", **how})
     v = fit.value
     a = DATA["phi2"][left_out] + v["phi20"]
     b = a + DATA["phi3"][left_out] + v["phi30"]
@@ -103,8 +103,8 @@ def test_blocks_are_regions_that_keep_repeats_together() -> None:
 
 def test_blocked_validation_predicts_regions_by_fits_of_the_others() -> None:
     groups = repeated(ARM.truth, DATA)
-    found = validate(ARM.truth, DATA, noise=NOISE, folds=5, blocks=4)
-    alone = validate(ARM.truth, DATA, noise=NOISE, folds=5)
+    found = validate(ARM.truth, DATA, noise=NOISE, folds=5, blocks=4, method="implicit-loop")
+    alone = validate(ARM.truth, DATA, noise=NOISE, folds=5, method="implicit-loop")
     assert found.blocked is not None
     assert found.accuracy == alone.accuracy
     assert found.blocked.distances is not None
@@ -118,13 +118,17 @@ def test_blocked_validation_predicts_regions_by_fits_of_the_others() -> None:
 def test_stated_regions_hold_as_often_as_they_say() -> None:
     """40 draws of 40 poses: the share has a standard error of 0.5 %."""
     held = [
-        validate(ARM.truth, ARM.read(SDS, seed=seed), noise=NOISE, folds=4).coverage
+        validate(
+            ARM.truth, ARM.read(SDS, seed=seed), noise=NOISE, folds=4, method="implicit-loop"
+        ).coverage
         for seed in range(40)
     ]
     shares = [found.share for found in held if found is not None]
     assert len(shares) == 40
     assert np.mean(shares) == pytest.approx(0.95, abs=0.015)
-    wrong = validate(ARM.truth, DATA, noise={"?P": 1e-4, "phi?": 1e-4}, folds=4).coverage
+    wrong = validate(
+        ARM.truth, DATA, noise={"?P": 1e-4, "phi?": 1e-4}, folds=4, method="implicit-loop"
+    ).coverage
     assert wrong is not None
     assert wrong.share < 0.5
 
@@ -136,7 +140,10 @@ def test_stated_groups_stay_together() -> None:
         assert len(set((part // 4).tolist())) == 2
 
 
-@pytest.mark.parametrize("how", [{"method": "least-squares"}, {"noise": NOISE}], ids=str)
+BY_NOISE = {"noise": NOISE, "method": "implicit-loop"}
+
+
+@pytest.mark.parametrize("how", [{"method": "least-squares"}, BY_NOISE], ids=str)
 def test_refits_give_nothing_away(how: dict[str, Any]) -> None:
     parts = folds(repeated(ARM.truth, DATA), 5, seed=2)
     found = validate(ARM.truth, DATA, folds=5, seed=2, **how)
@@ -153,17 +160,19 @@ def test_refits_that_begin_at_learnt_sds_give_nothing_away() -> None:
     """The second encoder, exact here, may end at zero in one fit and not in another."""
     data = ARM.read(SDS | {"phi3": 0.0}, seed=3)
     noise = lc.Noise(SDS, estimate={"phi?": "each"})
-    found = validate(ARM.truth, data, folds=5, seed=2, noise=noise)
+    found = validate(ARM.truth, data, folds=5, seed=2, noise=noise, method="implicit-loop")
     assert found.distances is not None
     for part in folds(repeated(ARM.truth, data), 5, seed=2):
         rest = data.take(np.setdiff1d(np.arange(len(data)), part))
-        other = validate(ARM.truth, rest, noise=noise, other=data.take(part))
+        other = validate(
+            ARM.truth, rest, noise=noise, other=data.take(part), method="implicit-loop"
+        )
         assert found.distances[part] == pytest.approx(other.distances, rel=1e-4)
 
 
 def test_the_predictive_likelihood_is_that_of_the_misclosure() -> None:
     part = held_out(repeated(ARM.truth, DATA), 0.2, seed=4)
-    found = validate(ARM.truth, DATA, noise=NOISE, hold_out=0.2, seed=4)
+    found = validate(ARM.truth, DATA, noise=NOISE, hold_out=0.2, seed=4, method="implicit-loop")
     fit, errors = by_hand(part, noise=NOISE)
     v, total = fit.value, 0.0
     for i, e in zip(part, errors.T, strict=True):
@@ -184,8 +193,8 @@ def test_the_right_noise_predicts_best() -> None:
         ARM.truth,
         DATA,
         {
-            "right": {"noise": NOISE},
-            "wrong": {"noise": wrong},
+            "right": {"noise": NOISE, "method": "implicit-loop"},
+            "wrong": {"noise": wrong, "method": "implicit-loop"},
             "basic": {"method": "least-squares"},
         },
         folds=5,
@@ -200,13 +209,15 @@ def test_the_right_noise_predicts_best() -> None:
 
 def test_sds_by_pose_and_estimated_ones_are_validated_too() -> None:
     by_pose = lc.Noise({q: np.full(len(DATA), sd) for q, sd in SDS.items()})
-    plain = validate(ARM.truth, DATA, noise=NOISE, folds=4)
-    assert validate(ARM.truth, DATA, noise=by_pose, folds=4).log_likelihood == pytest.approx(
-        plain.log_likelihood
-    )
+    plain = validate(ARM.truth, DATA, noise=NOISE, folds=4, method="implicit-loop")
+    assert validate(
+        ARM.truth, DATA, noise=by_pose, folds=4, method="implicit-loop"
+    ).log_likelihood == pytest.approx(plain.log_likelihood)
     begun = lc.Noise(SDS | {"phi2": 1e-4, "phi3": 1e-4}, estimate={"phi?": "group"})
-    learnt = validate(ARM.truth, DATA, noise=begun, folds=4)
-    stated = validate(ARM.truth, DATA, noise=lc.Noise(begun.entries), folds=4)
+    learnt = validate(ARM.truth, DATA, noise=begun, folds=4, method="implicit-loop")
+    stated = validate(
+        ARM.truth, DATA, noise=lc.Noise(begun.entries), folds=4, method="implicit-loop"
+    )
     assert learnt.log_likelihood is not None
     assert stated.log_likelihood is not None
     assert plain.log_likelihood is not None
@@ -216,7 +227,7 @@ def test_sds_by_pose_and_estimated_ones_are_validated_too() -> None:
 
 def test_another_file_is_predicted_by_the_fit_of_all() -> None:
     other = planar_arm(3, seed=9).read(SDS, seed=5)
-    found = validate(ARM.truth, DATA, noise=NOISE, other=other)
+    found = validate(ARM.truth, DATA, noise=NOISE, other=other, method="implicit-loop")
     assert found.poses == other.poses
     assert found.log_likelihood is not None
     assert found.accuracy is not None
@@ -229,8 +240,13 @@ def test_poses_that_a_part_leaves_open_have_no_likelihood() -> None:
     joints[0], joints[1, -1] = np.linspace(0, 2, 12), 0.7  # one pose alone tells l2 from l3
     exact = SDS | {"phi3": 0.0}
     data = arm_at(arm, joints).read(exact, seed=3)
-    assert validate(arm, data, noise=lc.Noise(exact), folds=12).log_likelihood is None
-    assert validate(arm, data, noise=lc.Noise(exact), hold_out=0.2, seed=2).log_likelihood
+    assert (
+        validate(arm, data, noise=lc.Noise(exact), folds=12, method="implicit-loop").log_likelihood
+        is None
+    )
+    assert validate(
+        arm, data, noise=lc.Noise(exact), hold_out=0.2, seed=2, method="implicit-loop"
+    ).log_likelihood
 
 
 def test_a_pose_without_outputs_changes_no_likelihood() -> None:
@@ -238,9 +254,16 @@ def test_a_pose_without_outputs_changes_no_likelihood() -> None:
     blank = {
         q: np.append(v, np.nan if q in ("xP", "yP") else 0.3) for q, v in DATA.readings.items()
     }
-    whole = lc.calibrate(ARM.truth, DATA, noise=NOISE)
-    other = validate(ARM.truth, DATA, noise=NOISE, full=whole, other=DATA)
-    more = validate(ARM.truth, DATA, noise=NOISE, full=whole, other=lc.Dataset.from_arrays(blank))
+    whole = lc.calibrate(ARM.truth, DATA, noise=NOISE, method="implicit-loop")
+    other = validate(ARM.truth, DATA, noise=NOISE, full=whole, other=DATA, method="implicit-loop")
+    more = validate(
+        ARM.truth,
+        DATA,
+        noise=NOISE,
+        full=whole,
+        other=lc.Dataset.from_arrays(blank),
+        method="implicit-loop",
+    )
     assert more.log_likelihood == pytest.approx(other.log_likelihood, rel=1e-12)
     assert more.by_pose is not None
     assert more.by_pose[-1] == 0.0
@@ -292,7 +315,7 @@ def test_the_measured_workspace(
     data = lc.Dataset(data.readings, data.units, data.poses)
     methods: dict[str, dict[str, Any]] = {
         "basic": {"method": "least-squares"},
-        "new": {"noise": noise},
+        "new": {"noise": noise, "method": "implicit-loop"},
     }
     found = compare_methods(read.mechanism, data, methods, folds=10).validations
     basic, new = (found[name].accuracy for name in methods)
@@ -313,9 +336,9 @@ def test_a_fold_that_fails_is_reported_and_the_others_count(
             raise InputError("these poses do not close")
         return calibrate(mechanism, data, **how)
 
-    whole = validate(ARM.truth, DATA, noise=NOISE, folds=5)
+    whole = validate(ARM.truth, DATA, noise=NOISE, folds=5, method="implicit-loop")
     monkeypatch.setattr(validation, "calibrate", failing)
-    found = validate(ARM.truth, DATA, noise=NOISE, folds=5)
+    found = validate(ARM.truth, DATA, noise=NOISE, folds=5, method="implicit-loop")
     (failed,) = found.failed
     assert (failed.number, failed.poses, failed.reason) == (3, 8, "these poses do not close")
     assert found.parts == 5
@@ -328,6 +351,14 @@ def test_a_fold_that_fails_is_reported_and_the_others_count(
 
 
 def test_where_every_fold_fails_there_is_no_validation() -> None:
-    full = lc.calibrate(ARM.truth, DATA, noise=NOISE)
+    full = lc.calibrate(ARM.truth, DATA, noise=NOISE, method="implicit-loop")
     with refused("not-converged", "max_iterations"):
-        validate(ARM.truth, DATA, noise=NOISE, folds=5, full=full, max_iterations=0)
+        validate(
+            ARM.truth,
+            DATA,
+            noise=NOISE,
+            folds=5,
+            full=full,
+            max_iterations=0,
+            method="implicit-loop",
+        )

@@ -18,7 +18,7 @@ from loopcal.document.choice import Candidate, Chosen
 from loopcal.document.dependence import Dependence, InstrumentDependence, Likeness
 from loopcal.document.findings import ColumnFault, OtherOptimum, Outlier, Undetermined
 from loopcal.document.goodness_of_fit import ChiSquared
-from loopcal.document.result_document import ResultDocument
+from loopcal.document.result_document import CoarseReadings, ResultDocument
 from loopcal.document.terms import TermEntry
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.statistics.predictor import predictor
@@ -37,8 +37,10 @@ def clean() -> ResultDocument:
     arm = planar_arm(60)
     off, noise = arm.off(2e-3, 2e-3, seed=3), lc.Noise(SDS)
     data = arm.read(SDS, 1)
-    result = lc.calibrate(off, data, noise=noise, start="nominal")
-    validation = lc.validate(off, data, noise=noise, full=result, folds=5, start="nominal")
+    result = lc.calibrate(off, data, noise=noise, start="nominal", method="implicit-loop")
+    validation = lc.validate(
+        off, data, noise=noise, full=result, folds=5, start="nominal", method="implicit-loop"
+    )
     return validation.added_to(lc.findings(result).added_to(result.document))
 
 
@@ -77,6 +79,7 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
     "regions-too-small": ("validation.coverage", Coverage(0.95, 0.6, 60), False),
     "overfitted": ("accuracy.after.rms", 1e-4, None),
     "outliers": ("outliers", (OUTLIER,), None),
+    "readings-coarse": ("data.coarse", (CoarseReadings(("phi2",), "rad", 1.7e-3, 5e-4),), None),
     "other-optimum": (
         "other_optima",
         (OtherOptimum({"l2": 0.6}, 250.0, "another optimum: l2 600 mm"),),
@@ -104,6 +107,8 @@ def test_every_finding_has_its_answer(code: str) -> None:
     path, value, passed = FINDINGS[code]
     # least squares is tested where it predicted poses not used
     begun = changed(clean(), "validation", None) if code == "untested" else clean()
+    if code == "overfitted":  # stated regions contain what few poses leave open
+        begun = changed(clean(), "validation.coverage", None)
     found = verdict_of(changed(begun, path, value))
     assert found.sound.code == code
     assert found.sound.passed is passed
@@ -124,6 +129,17 @@ def test_a_prior_that_the_data_contradict_is_named() -> None:
     usual = replace(tense, value=entry.nominal + 5 * entry.sd)
     parameters = (*document.parameters[:2], usual, *document.parameters[3:])
     assert verdict_of(replace(document, parameters=parameters)).sound.passed
+
+
+def test_regions_that_hold_contain_what_few_poses_leave_open() -> None:
+    assert verdict_of(changed(clean(), "accuracy.after.rms", 1e-4)).sound.passed
+
+
+def test_an_outlier_of_the_kind_that_good_data_have_is_no_finding() -> None:
+    document = changed(clean(), "outliers", (replace(OUTLIER, p_value=4e-4),))
+    assert document.outlier_tests is not None
+    assert verdict_of(document).sound.passed
+    assert verdict_of(replace(document, outlier_tests=None)).sound.code == "outliers"
 
 
 def test_an_error_of_the_machine_model_leaves_the_question_open() -> None:
@@ -174,7 +190,9 @@ def corner(poses: int = 40) -> lc.Result:
     arm = planar_arm(poses)
     near = np.random.default_rng(2).uniform(0.0, 0.15, (2, poses))
     data = arm_at(arm.truth, near).read(SDS, 1)
-    return lc.calibrate(arm.truth, data, noise=lc.Noise(SDS), start="nominal")
+    return lc.calibrate(
+        arm.truth, data, noise=lc.Noise(SDS), start="nominal", method="implicit-loop"
+    )
 
 
 def test_poses_in_a_corner_are_valid_there_only_and_both_sds_are_named() -> None:
@@ -257,7 +275,13 @@ def test_false_alarms_over_clean_draws_are_rare() -> None:
     arm = planar_arm(40)
     found = []
     for seed in range(40):
-        result = lc.calibrate(arm.truth, arm.read(SDS, seed), noise=lc.Noise(SDS), start="nominal")
+        result = lc.calibrate(
+            arm.truth,
+            arm.read(SDS, seed),
+            noise=lc.Noise(SDS),
+            start="nominal",
+            method="implicit-loop",
+        )
         found.append(lc.verdict(result).sound.passed)
     assert found.count(False) <= 2
 
@@ -293,7 +317,7 @@ def test_every_code_is_described() -> None:
     assert {rule.code for rule in SOUND} <= described
     source = "".join(
         Path(ROOT / "src" / "loopcal" / "statistics" / name).read_text("utf-8")
-        for name in ("verdict.py", "tolerance.py", "verified.py")
+        for name in ("answers.py", "verdict.py", "tolerance.py", "verified.py")
     )
     given = set(re.findall(r"Answer\(\s*(?:True|False|None),\s*\"([a-z-]+)\"", source))
     assert given <= described

@@ -62,7 +62,7 @@ def calibrated(arm: Simulated, seed: int, poses: int, estimate: bool) -> lc.Resu
     outputs = tuple(arm.truth.outputs)
     noise = lc.Noise(sds_of(arm), estimate={outputs: "group"} if estimate else {})
     data = arm.read(sds_of(arm), seed).take(np.arange(poses))
-    return lc.calibrate(arm.truth, data, noise=noise, start="nominal")
+    return lc.calibrate(arm.truth, data, noise=noise, start="nominal", method="implicit-loop")
 
 
 def test_learnt_sds_of_few_poses_do_not_raise_the_false_alarms() -> None:
@@ -103,7 +103,7 @@ def test_what_was_mounted_anew_is_found_only_where_it_is_stated() -> None:
     given = setup("six-axis spherical")
     made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1)
     nominal = given.truth.with_parameters(given.truth.parameters.with_fixed(given.held))
-    result = lc.calibrate(nominal, made.dataset, noise=given.noise)
+    result = lc.calibrate(nominal, made.dataset, noise=given.noise, method="implicit-loop")
     moved = another_day(given, 1).with_nominal({"tool_x": 0.06})
     day = lc.simulate(moved, given.driven, noise=given.noise, seed=2).dataset
     stays = lc.verify(result, day)
@@ -144,7 +144,9 @@ def test_it_stands_beside_the_nominal_machine_placed_with_the_same_freedom() -> 
     arm = planar_arm(60)
     off = arm.off(2e-3, 2e-3, seed=3)
     noise = lc.Noise(sds_of(arm))
-    result = lc.calibrate(off, arm.read(sds_of(arm), 1), noise=noise, start="nominal")
+    result = lc.calibrate(
+        off, arm.read(sds_of(arm), 1), noise=noise, start="nominal", method="implicit-loop"
+    )
     found = lc.verify(result, elsewhere(arm, 5, 40).read(sds_of(arm), 2), tolerance=1e-3)
     assert found.calibrated is not None
     assert found.nominal is not None
@@ -161,7 +163,9 @@ def test_the_readings_of_another_result_serve_as_well() -> None:
     arm = planar_arm(40)
     day = elsewhere(arm, 5, 30).read(sds_of(arm), 2)
     first = calibrated(arm, 1, 40, estimate=False)
-    again = lc.calibrate(arm.truth, day, noise=lc.Noise(sds_of(arm)), start="nominal")
+    again = lc.calibrate(
+        arm.truth, day, noise=lc.Noise(sds_of(arm)), start="nominal", method="implicit-loop"
+    )
     assert lc.verify(first, again).document() == lc.verify(first, day).document()
 
 

@@ -52,6 +52,9 @@ class WeakDirection:
     condition: Size | None
     """Largest singular value over that of this direction; null: not determined."""
     words: str
+    size: Size | None = None
+    """Of the direction that changes the size of the machine, all lengths alike: the share of it
+    that the data allow within one sd; null: another direction."""
 
 
 @dataclass(frozen=True)
@@ -169,17 +172,37 @@ class RegionRange:
 
 
 @dataclass(frozen=True)
-class RegionEntry:
-    """The working region, and the sd that the parameters cause there beside the measured poses."""
+class RegionSd:
+    """The predicted sd in the working region, beside that at the measured poses.
 
-    ranges: tuple[RegionRange, ...]
+    Of what the parameters cause and of what the fit leaves unexplained at its poses.
+    """
+
     unit: str
     sd_at_poses: Size
     """Rms over the measured poses, root of the trace over the outputs."""
     sd: Size | None
     """Rms over the region; null: unbounded, the data leave a direction open."""
     ratio: Size | None
-    """Of the two; of the instrument with the largest."""
+    """Of the two."""
+
+
+@dataclass(frozen=True)
+class RegionEntry:
+    """The working region, and how sure the calibration is there."""
+
+    ranges: tuple[RegionRange, ...]
+    by: tuple[RegionSd, ...]
+    """For each unit of outputs that of the instrument with the largest ratio; the worst first."""
+
+    @property
+    def worst(self) -> RegionSd:
+        """The largest ratio of any unit."""
+        return self.by[0]
+
+    def of(self, unit: str) -> RegionSd | None:
+        """Of one unit; None where no output has it."""
+        return next((one for one in self.by if one.unit == unit), None)
 
 
 @dataclass(frozen=True)
@@ -226,13 +249,34 @@ class Outlier:
     """What probably happened."""
     verified: bool = False
     """Whether correcting it made the pose unremarkable."""
+    instrument: str | None = None
+    """The instrument that read `quantity`; null: a joint, or written by an earlier version."""
+    together: tuple[str, ...] = ()
+    """Where quantity is null: the instruments whose readings together explain the pose, and "the
+    joints"; several: these readings cannot distinguish them. Of one point, size is how far off."""
+
+    @property
+    def blamed(self) -> str:
+        """What is to blame, in words."""
+        if self.quantity is not None:
+            of = f" ({self.instrument})" if self.instrument else ""
+            return self.quantity + of
+        if not self.together:
+            return "the whole pose"
+        if self.size is not None:
+            return f"the point of {self.together[0]!r}"
+        instruments = [repr(who) for who in self.together if who != "the joints"]
+        named = [*instruments, *(["the joints"] if "the joints" in self.together else [])]
+        return f"several readings of {' or of '.join(named)}"
 
     def __str__(self) -> str:
-        who = "no single reading explains it"
-        if self.quantity is not None and self.size is not None and self.unit is not None:
-            who = f"{self.quantity} is off by {with_unit(self.size, self.unit)}"
+        who = "no single reading or instrument explains it"
+        if self.size is not None and self.unit is not None:
+            who = f"{self.blamed} is off by {with_unit(self.size, self.unit)}"
             if self.indistinct:
                 who += f" (or else {', '.join(self.indistinct)})"
+        elif self.together:
+            who = f"{self.blamed} are off"
         text = f"pose {self.pose}: {who}, "
         text += "inf" if self.statistic is None else significant(abs(self.statistic), 3)
         text += " sds" if self.quantity is not None else " chi-squared"

@@ -61,6 +61,11 @@ class ParameterEntry:
     degrees_of_freedom: Size | None = None
     """Of Student's t, where sds were learnt; null: normal, because all sds are known."""
 
+    @property
+    def stderr(self) -> float | None:
+        """The sd, by the name of lmfit."""
+        return self.sd
+
 
 @dataclass(frozen=True)
 class CovarianceEntry:
@@ -75,6 +80,11 @@ class CovarianceEntry:
     """The same as if the learnt sds were known; null: none were learnt."""
     slopes: tuple[tuple[tuple[float, ...], ...], ...] = ()
     """Its changes per sd of each independent error of the learnt sds."""
+    scatter: tuple[tuple[float, ...], ...] | None = None
+    """The covariance that the scatter of the poses shows, valid where noise or model are wrong;
+    null: learnt terms carry the error of the model, a stream, or a robust loss."""
+    scatter_freedom: Size | None = None
+    """From so many independent poses."""
 
 
 @dataclass(frozen=True)
@@ -97,12 +107,18 @@ class NoiseEntry:
     p_value: float | None = None
     """Of so large a rise if there were no such noise."""
     share: Probability | None = None
-    """Of chi-squared: what the corrections of these quantities contribute to it. A share far above
-    what the sd deserves: the sensor is worse than stated, or the machine model lacks something."""
+    """Of chi-squared: what the corrections of these quantities contribute to it, which depends on
+    their weight."""
     role: Literal["reading", "disturbance"] = "reading"
     """reading: of sensors; disturbance: an error of the machine model, which no sensor reads."""
     slopes: tuple[float, ...] = ()
     """Relative changes of the variance, sd squared, along each of the slopes of `covariance`."""
+    redundancy: Size | None = None
+    """Sum of the redundancy numbers of these readings: degrees of freedom that test their sd; null:
+    a stream, a robust loss, or written by an earlier version."""
+    variance_factor: Size | None = None
+    """Chi-squared of their corrections over their redundancy: 1 where the sd is right (Foerstner
+    1979). The sensor with the largest is the first to suspect."""
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 from loopcal.document.accuracy import AccuracyEntry, ModelEntry, ValidationEntry
@@ -29,6 +30,7 @@ from loopcal.document.fit import (
     StatusEntry,
 )
 from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.reliability import Reliability
 from loopcal.document.tables import (
     accuracy_table,
     interval_table,
@@ -43,6 +45,7 @@ from loopcal.document.verdict import Verdict
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import unstated_mountings
 from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import with_unit
 
 SCHEMA: Literal[2] = 2
 
@@ -54,6 +57,22 @@ class JoinedFile:
     file: str | None
     sha256: str | None
     """Of the bytes of the file."""
+
+
+@dataclass(frozen=True)
+class CoarseReadings:
+    """Quantities recorded in steps that are not small against their sd."""
+
+    quantities: tuple[str, ...]
+    unit: str
+    step: Size
+    """[SI unit]"""
+    sd: Size
+    """Of the rounding alone: step over the root of 12."""
+
+    def __str__(self) -> str:
+        step, sd = with_unit(self.step, self.unit, 2), with_unit(self.sd, self.unit, 2)
+        return f"{', '.join(self.quantities)} in steps of {step}, which alone is an sd of {sd}"
 
 
 @dataclass(frozen=True)
@@ -79,6 +98,8 @@ class DataEntry:
     """Ids of the poses left out because their rows copy others in every column."""
     discarded: tuple[str, ...] = ()
     """Ids of the outliers that the method "auto" left out of the fit and of its accuracy."""
+    coarse: tuple[CoarseReadings, ...] = ()
+    """Readings recorded in steps that are not small against their sds."""
 
     def warnings(self) -> tuple[str, ...]:
         """What the reader must know of the rows."""
@@ -202,6 +223,8 @@ class ResultDocument:
     """Null where the mechanism has no outputs, or it was not computed."""
     outliers: tuple[Outlier, ...] | None
     """Worst first. Null: no reading was tested."""
+    reliability: Reliability | None = None
+    """What single readings can hide; null: not computed."""
     outlier_tests: OutlierTests | None = None
     """How outliers were found; null: no reading was tested."""
     column_faults: tuple[ColumnFault, ...] | None = None
@@ -254,6 +277,15 @@ class ResultDocument:
         for warning in self.warnings:
             lines += ["", f"WARNING  {warning}"]
         return "\n".join(lines)
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenResult:
+    """The files of a result: their folder, their names, and the content of result.json."""
+
+    folder: Path
+    files: tuple[str, ...]
+    document: ResultDocument
 
 
 def _state(document: ResultDocument) -> list[str]:

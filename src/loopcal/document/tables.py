@@ -15,6 +15,7 @@ from loopcal.document.accuracy import (
 )
 from loopcal.document.fit import NoiseEntry, ParameterEntry
 from loopcal.document.terms import TermEntry
+from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import by_sd, size, unit_shown
 from loopcal.presentation.text_table import columns
 
@@ -156,8 +157,8 @@ def recommendation(models: Sequence[ModelEntry]) -> str:
 
 
 def sensor_table(noise: Sequence[NoiseEntry]) -> list[str]:
-    """One line per sensor: its sd, how sure and from where, and its share in chi-squared."""
-    rows = [["sensor", "sd", "sd of sd", "at most", "chi-squared", "from", "unit"]]
+    """One line per sensor: its sd, how sure and from where, and its variance factor."""
+    rows = [["sensor", "sd", "sd of sd", "at most", "factor", "from", "unit"]]
     for entry in noise:
         first, last = entry.quantities[0], entry.quantities[-1]
         sd_of_sd, upper = entry.sd_of_sd, entry.upper
@@ -167,12 +168,13 @@ def sensor_table(noise: Sequence[NoiseEntry]) -> list[str]:
                 size(entry.sd, entry.unit, 3, fine=True),
                 "" if sd_of_sd is None else size(sd_of_sd, entry.unit, 2, fine=True),
                 "" if upper is None else size(upper, entry.unit, 2, fine=True),
-                "" if entry.share is None else f"{entry.share:.0%}",
+                "" if entry.variance_factor is None else significant(entry.variance_factor, 2),
                 entry.source,
                 unit_shown(entry.unit, fine=True),
             ]
         )
-    return columns(rows)
+    note = "(factor: chi-squared of the sensor over its redundancy; 1 where its sd is right)"
+    return [*columns(rows), note]
 
 
 TERM_HEAD = ("model error", "sd", "from", "to", "unit", "used", "of", "gain", "meaning")
@@ -189,7 +191,7 @@ def term_rows(terms: Sequence[TermEntry]) -> list[tuple[str, ...]]:
             unit_shown(term.unit, fine=True),
             f"{term.effective:.1f}",
             str(term.columns),
-            "" if term.gain is None else f"{term.gain:.0f}",
+            "" if term.gain is None else f"{term.gain:z.0f}",
             term.words,
         )
         for term in terms

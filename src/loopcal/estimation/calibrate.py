@@ -14,7 +14,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.faults.misfit import at_start
 from loopcal.estimation.faults.search import PLAUSIBLE, UNREPAIRED, column_faults
 from loopcal.estimation.fit import Fit, FitOptions, Start
-from loopcal.estimation.methods.registry import names_where
+from loopcal.estimation.methods.registry import PLAIN, names_where
 from loopcal.estimation.model_error import modelled, noise_told, weighed
 from loopcal.estimation.noise.learning import components, with_model
 from loopcal.estimation.problem.alignment import begins_aligned, placed
@@ -55,14 +55,14 @@ def calibrate(
     trusted: bool = False,
     **options: Unpack[FitOptions],
 ) -> Result:
-    """Calibrate a mechanism by one stated method.
+    """Calibrate a mechanism by one stated method, by default the implicit loop.
 
     As `loopcal.statistics.calibrate.calibrate`, which also chooses the method. near: the fit begins
     where one of nearly the same readings ended, which found these corrections (N,) of what no
     sensor reads, so a misfit is no reason to try other starts; trusted: no fault of the file is
     sought.
     """
-    fit, stated = Fit.of(fit, options), Noise.of(noise)
+    fit, stated = Fit.of(fit or Fit(method=PLAIN), options), Noise.of(noise)
     refuse_noise(fit, stated)
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)

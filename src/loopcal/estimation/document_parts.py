@@ -11,13 +11,18 @@ from numpy.typing import NDArray
 
 from loopcal.document.fit import CovarianceEntry, NoiseEntry, ParameterEntry, StatusEntry
 from loopcal.document.plain import known
-from loopcal.document.result_document import DataEntry, JoinedFile
+from loopcal.document.result_document import CoarseReadings, DataEntry, JoinedFile
+from loopcal.estimation.redundancy import UNCONTROLLED, Redundancy
 from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.datasheet import rounding_sd
+from loopcal.measurements.rounding import recorded_step
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.small_samples import LearntCovariance
 
 Array = NDArray[np.float64]
+_COARSE = 0.5
+"""Steps whose rounding alone is this share of an sd are not small against it."""
 
 
 def status_entry(status: Status) -> StatusEntry:
@@ -67,12 +72,46 @@ def _short(values: Array) -> Array:
 
 
 def noise_entries(
-    noise: Sequence[NoiseEntry], shares: Mapping[str, float]
+    noise: Sequence[NoiseEntry],
+    shares: Mapping[str, float],
+    quantities: Sequence[str],
+    checked: Redundancy | None,
 ) -> tuple[NoiseEntry, ...]:
-    """The sds with the share of each in chi-squared."""
+    """The sds with the share of each in chi-squared, and what tests it; quantities: of its rows."""
+    found = []
+    for entry in noise:
+        entry = replace(entry, share=min(sum(shares.get(q, 0.0) for q in entry.quantities), 1.0))
+        if checked is not None:
+            rows = [quantities.index(q) for q in entry.quantities]
+            number = max(float(np.nansum(checked.numbers[rows])), 0.0)
+            square = max(float(np.nansum(checked.squares[rows])), 0.0)
+            tested = number > UNCONTROLLED * np.isfinite(checked.numbers[rows]).sum()
+            factor = square / number if tested else None
+            entry = replace(entry, redundancy=number, variance_factor=factor)
+        found.append(entry)
+    return tuple(found)
+
+
+def coarse_readings(data: Dataset, noise: Sequence[NoiseEntry]) -> tuple[CoarseReadings, ...]:
+    """Quantities whose rounding makes a quarter or more of the variance of their readings.
+
+    Corrections far smaller than the rounding show that the column holds targets on a grid.
+    """
+    found: dict[tuple[str, float], list[str]] = {}
+    for entry in noise:
+        shown = entry.sd * math.sqrt(
+            1.0 if entry.variance_factor is None else entry.variance_factor
+        )
+        for quantity in entry.quantities:
+            if entry.role != "reading" or quantity not in data.readings:
+                continue
+            step = recorded_step(data, quantity)
+            sd = rounding_sd(step)
+            if sd > 0.0 and shown >= _COARSE * sd >= _COARSE**2 * entry.sd:
+                found.setdefault((entry.unit, step), []).append(quantity)
     return tuple(
-        replace(entry, share=min(sum(shares.get(q, 0.0) for q in entry.quantities), 1.0))
-        for entry in noise
+        CoarseReadings(tuple(names), unit, step, rounding_sd(step))
+        for (unit, step), names in found.items()
     )
 
 

@@ -9,7 +9,7 @@ from typing import TypedDict, Unpack
 
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.methods.method import Method
-from loopcal.estimation.methods.registry import DEFAULT, method_named, names_where
+from loopcal.estimation.methods.registry import DEFAULT, PLAIN, method_named, names_where
 from loopcal.estimation.solve.loss import Loss, loss_named
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
@@ -153,7 +153,7 @@ class Fit:
         Only readings of instruments are uncertain then, all alike.
         """
         learns = self.method.exact and self.model_error != "none"
-        return method_named(DEFAULT) if learns else self.method
+        return method_named(PLAIN) if learns else self.method
 
     @property
     def label(self) -> str:

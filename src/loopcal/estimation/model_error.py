@@ -15,7 +15,8 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.measurements.noise import MODEL, Noise
-from loopcal.mechanisms.structure.structured import EFFECT, MANY_POSES, structured
+from loopcal.mechanisms.structure.smooth import vectors_for
+from loopcal.mechanisms.structure.structured import EFFECT, structured
 
 if TYPE_CHECKING:
     from loopcal.estimation.fit import Fit
@@ -55,7 +56,7 @@ def modelled(fit: Fit, mechanism: Mechanism, poses: int) -> Mechanism:
     """
     if fit.model_error == "none" or EFFECT in mechanism.effects:
         return mechanism
-    return structured(mechanism, discrepancy=poses >= MANY_POSES)
+    return structured(mechanism, discrepancy=vectors_for(poses))
 
 
 def _isotropic(mechanism: Mechanism) -> bool:

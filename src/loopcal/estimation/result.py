@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,17 @@ from loopcal.document.plain import known
 from loopcal.document.result_document import SCHEMA, DataEntry, MechanismEntry, ResultDocument
 from loopcal.document.terms import TermEntry
 from loopcal.document.verdict import Verdict
+from loopcal.document.views import Views
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
-from loopcal.estimation.dependence.dependence import Depending, dependence
+from loopcal.estimation.dependence.dependence import (
+    Depending,
+    Drifting,
+    covariance_under,
+    dependence,
+)
 from loopcal.estimation.document_parts import (
+    coarse_readings,
     covariance_entry,
     data_entry,
     noise_entries,
@@ -37,7 +44,9 @@ from loopcal.estimation.noise.learning import entries, joint_covariances, words
 from loopcal.estimation.noise.terms import term_entries
 from loopcal.estimation.noise.variances import all_learnt
 from loopcal.estimation.prediction import output_differences
+from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.redundancy import Redundancy, redundancy
 from loopcal.estimation.residuals import Closure, by_name, residuals
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum
 from loopcal.estimation.solve.robust import RobustSums
@@ -53,14 +62,19 @@ if TYPE_CHECKING:
     from loopcal.estimation.noise.kenward_roger import LearntParameters
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 Addition = Callable[[ResultDocument], ResultDocument]
 """Adds to the document of a result what was found beside the fit."""
 
 
 @dataclass(frozen=True)
 class AllPoses:
-    """What all poses of a stream say, where the arrays of its result show only some of them."""
+    """What all poses of a stream say, where the arrays of its result show only some of them.
 
+    poses: how many there are.
+    """
+
+    poses: int
     accuracy_before: Accuracy | None
     accuracy_after: Accuracy | None
     model_discrepancy: float | None
@@ -68,7 +82,7 @@ class AllPoses:
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Result(Views):
     """The result of a calibration. Values are SI; mappings go by name.
 
     fit: the settings; dataset: the readings; problem: with the sds used, solution: where the fit
@@ -97,6 +111,15 @@ class Result:
     faults: tuple[ColumnFault, ...] = ()
     judge: Callable[[Result], Verdict] | None = None
     """What judges the result when its verdict is first asked for."""
+    memory: dict[object, Any] = field(default_factory=dict)
+    """What was found of this fit at some cost, shared by results that differ in words alone."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a worker sends: the fields; what follows from them is computed where it is asked."""
+        return {one.name: getattr(self, one.name) for one in fields(self)} | {"memory": {}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
 
     @property
     def method(self) -> str:
@@ -155,16 +178,35 @@ class Result:
         return self._independent
 
     @property
-    def drifts(self) -> bool:
-        """Whether the covariance allows for serial dependence."""
-        return self._depending is not None and self._depending.covariance is not None
+    def drifting(self) -> Drifting | None:
+        """The drift that the covariance allows for, None without serial dependence."""
+        return None if self._depending is None else self._depending.drifting
+
+    def covariance_through(self, S: Array, drifting: Drifting | None) -> LearntCovariance:
+        """Covariance of S times the estimated parameters, S (N, m, n), under a known drift, or were
+        no residuals dependent. It tests nothing."""
+        if drifting is not None:
+            method = self.fit.solver
+            known = covariance_under(
+                drifting,
+                self.problem,
+                self.solution,
+                exact=method.exact,
+                at_readings=method.at_readings,
+            )
+            return LearntCovariance.known(known).through(S)
+        if self._learnt is not None and not self.variance_factor_applied:
+            return self._learnt.through(S)
+        return self._independent.through(S)
 
     @property
-    def covariance_if_independent(self) -> Array:
-        """(n, n) of the estimated parameters, were no residuals dependent. It tests nothing."""
-        if self._learnt is not None and not self.variance_factor_applied:
-            return self._learnt.matrix
-        return self._independent.matrix
+    def learnt_noise(self) -> tuple[tuple[tuple[int, ...], Array], ...]:
+        """Of each learnt sd of sensors: the quantities, by position, and the relative changes (a,)
+        of its variance along the slopes of `covariance_through`."""
+        if self._learnt is None or self.estimate is None:
+            return ()
+        stated = self.estimate.stated
+        return tuple(zip((c.quantities for c in stated), self._learnt.relative, strict=True))
 
     @cached_property
     def _independent(self) -> LearntCovariance:
@@ -273,7 +315,9 @@ class Result:
         """The sds that were used."""
         if self.fit.solver.exact:
             return ()
-        errors = None if self._learnt is None else self._learnt.errors
+        errors = None
+        if self._learnt is not None and self.drifting is None:  # a drift has no slopes
+            errors = self._learnt.errors[: len(self._learnt.ratios)]
         return entries(self.problem, self.estimate, self.stated, errors)
 
     @cached_property
@@ -327,7 +371,7 @@ class Result:
 
     @cached_property
     def accuracy_before(self) -> Accuracy | None:
-        """Of the nominal machine; None without outputs, or where no pose tells."""
+        """Of the nominal machine; None without outputs, or where no pose shows it."""
         if self.all_poses is not None:
             return self.all_poses.accuracy_before
         return accuracy(self.deviations(self.differences_before))
@@ -410,7 +454,7 @@ class Result:
         The covariance of the methods as they were published; where residuals depend on the pose
         order it is too small.
         """
-        return replace(self, taken_as_independent=True)
+        return replace(self, taken_as_independent=True, memory={})
 
     def with_variance_factor(self) -> Result:
         """The same result with its covariance multiplied by the variance factor.
@@ -436,11 +480,7 @@ class Result:
 
     @property
     def chi_squared_shares(self) -> Mapping[str, float]:
-        """What the corrections of each quantity contribute to chi-squared; they add up to 1.
-
-        A sensor that takes far more than its sd deserves is worse than stated, or takes the blame
-        for what the machine model lacks.
-        """
+        """What the corrections of each quantity contribute to chi-squared; they add up to 1."""
         squares = {}
         for quantity, corrections in self.corrections.items():
             sds = self.reading_sds[quantity]
@@ -450,6 +490,20 @@ class Result:
         return {quantity: square / total for quantity, square in squares.items()}
 
     @property
+    def _redundancy(self) -> Redundancy | None:
+        """What readings control of each other; None of a stream, a robust loss, exact readings."""
+        method = self.fit.solver
+        if self.all_poses is not None or self.fit.robust_loss is not None or method.exact:
+            return None
+        equations = pose_equations(
+            self.problem,
+            self.solution.parameters,
+            self.solution.corrections,
+            at_readings=method.at_readings,
+        )
+        return redundancy(self.problem, equations, self.spectrum.covariance())
+
+    @property
     def calibrated(self) -> Mechanism:
         """The mechanism with the calibrated values as its nominal ones."""
         return self.mechanism.with_nominal(self.value)
@@ -457,6 +511,13 @@ class Result:
     @property
     def _data(self) -> DataEntry:
         return data_entry(self.dataset, self.solution.poses, [*self.mechanism.quantities])
+
+    def remembered(self, what: object, found: Callable[[], T]) -> T:
+        """What was found of this fit under this name, found once."""
+        if what not in self.memory:
+            self.memory[what] = found()
+        value: T = self.memory[what]
+        return value
 
     def adding(self, *additions: Addition) -> Result:
         """The same result with a document that gains these."""
@@ -489,6 +550,8 @@ class Result:
     def _document(self) -> ResultDocument:
         errors = self.errors or {}
         loose = self.identifiability.loose
+        quantities = self.mechanism.tape.quantities
+        noise = noise_entries(self.noise, self.chi_squared_shares, quantities, self._redundancy)
         return ResultDocument(
             schema=SCHEMA,
             loopcal="",
@@ -506,7 +569,7 @@ class Result:
                 for p in self.mechanism.parameters
             ),
             covariance=covariance_entry(self.estimated, self.learnt_covariance, loose),
-            noise=noise_entries(self.noise, self.chi_squared_shares),
+            noise=noise,
             noise_covariances=() if self.fit.solver.exact else joint_covariances(self.problem),
             terms=self.terms,
             sds_settled=None if self.estimate is None else self.estimate.settled,
@@ -523,7 +586,7 @@ class Result:
             prediction=None,
             outliers=None,
             column_faults=self.faults or None,
-            data=self._data,
+            data=replace(self._data, coarse=coarse_readings(self.dataset, noise)),
             warnings=self.warnings,
             inputs={},
             versions={},
@@ -531,11 +594,6 @@ class Result:
 
     def __str__(self) -> str:
         return str(self.document)
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return f"<pre>{escape(str(self))}</pre>"
 
     def __repr__(self) -> str:
         state = "converged" if self.status.converged else self.status.reason

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +81,12 @@ def native_noise(
 
 
 def _native(linearisation: Linearisation) -> _compiled.Engine:
+    return _compiled.Engine(*_tables(linearisation))
+
+
+@lru_cache(maxsize=64)
+def _tables(linearisation: Linearisation) -> tuple[Any, ...]:
+    """What an engine is made from; several threads make one each."""
     tape, varies, program = _prepared(linearisation)
     used = sorted(
         {a for one in program.instructions for a in one.arguments if not varies[a]}
@@ -89,7 +96,7 @@ def _native(linearisation: Linearisation) -> _compiled.Engine:
     once = _Once(tape, varies)
     shape = (linearisation.loops, len(linearisation.quantities), len(linearisation.parameters))
     inputs = (len(tape.quantities), len(tape.known))
-    return _compiled.Engine(
+    return (
         _instructions(program, place),
         program.ends,
         [place[output] for output in tape.outputs],

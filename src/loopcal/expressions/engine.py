@@ -30,15 +30,17 @@ def engine_for(
 ) -> Engine:
     """This thread's engine for f and its derivatives by the given parameters and quantities (all).
 
-    Made once and kept, because binding the registers takes longer than a small block.
+    Made once and kept, because binding the registers takes longer than a small block; made anew for
+    blocks of more poses than it takes.
     """
-    kept: dict[Any, Engine] = _engines.__dict__.setdefault("kept", {})
+    kept: dict[Any, NumpyEngine | CompiledEngine] = _engines.__dict__.setdefault("kept", {})
     quantities = tape.quantities if quantities is None else quantities
     kind = engine_class()
     use_threads()
-    key = (kind, tape, parameters, size, quantities)
-    if key not in kept:
+    key = (kind, tape, parameters, quantities)
+    present = kept.get(key)
+    if present is None or present.size < size:
         if len(kept) > 32:
             kept.clear()
-        kept[key] = kind(linearise(tape, quantities, parameters), size)
-    return kept[key]
+        present = kept[key] = kind(linearise(tape, quantities, parameters), size)
+    return present

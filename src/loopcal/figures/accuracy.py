@@ -10,10 +10,10 @@ import numpy as np
 from loopcal.figures.figure import (
     AFTER,
     BEFORE,
-    COLOURS,
     Array,
     Figure,
     axis,
+    colours,
     layout,
     names,
     numbers,
@@ -74,11 +74,16 @@ def over_poses(
     ids: Sequence[str],
     unit: str,
     what: str,
+    shades: Mapping[str, str] | None = None,
 ) -> Figure | None:
-    """Values (N,) [unit] against pose number, one panel before and one after; None without any."""
+    """Values (N,) [unit] against pose number, one panel before and one after; None without any.
+
+    shades: the colour of each name.
+    """
     panels = [panel for panel in (before, after) if panel]
     if not panels:
         return None
+    shades = shades or colours(name for panel in panels for name in panel)
     sizes = np.nanmax(np.abs(_stack(panels)), axis=0, initial=0.0)
     chosen = thinned(sizes)
     data: list[dict[str, Any]] = []
@@ -94,7 +99,7 @@ def over_poses(
                     "x": (chosen.index + 1).tolist(),
                     "y": numbers(values[chosen.index]),
                     "text": names([ids[j] for j in chosen.index]),
-                    "marker": {"color": COLOURS[i % len(COLOURS)], "size": 4},
+                    "marker": {"color": shades[name], "size": 4},
                     "yaxis": "y" if number == 1 else "y2",
                 }
             )

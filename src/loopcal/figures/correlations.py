@@ -8,6 +8,9 @@ import numpy as np
 
 from loopcal.figures.figure import Array, Figure, axis, layout, names, numbers, shown_text
 
+LABEL = 12
+"""Pixels that a label needs."""
+
 
 def correlations(covariance: Array, parameters: Sequence[str]) -> Figure | None:
     """A map of the correlations of a covariance (n, n), NaN where unknown; None below n = 2."""
@@ -28,10 +31,11 @@ def correlations(covariance: Array, parameters: Sequence[str]) -> Figure | None:
         "type": "heatmap",
         "x": labels,
         "y": labels,
-        "z": [numbers(row) for row in matrix],
+        # hundredths: no eye tells more of a colour
+        "z": [numbers(np.round(row, 2)) for row in matrix],
         "zmin": -1,
         "zmax": 1,
-        "colorscale": [[0, "#c8304b"], [0.5, "rgba(128,128,128,0.10)"], [1, "#2b7bd6"]],
+        "colorscale": [[0, "#d55e00"], [0.5, "rgba(128,128,128,0.10)"], [1, "#0072b2"]],
         "colorbar": {"thickness": 10, "tickfont": {"size": 9}},
     }
     return Figure(
@@ -42,8 +46,9 @@ def correlations(covariance: Array, parameters: Sequence[str]) -> Figure | None:
         f"Map of the correlations of {len(sds)} parameters: {told}",
         (data,),
         layout(
-            min(220 + 16 * len(sds), 760),
+            220 + LABEL * len(sds),
             xaxis=axis("", tickangle=-90, **ticks),
             yaxis=axis("", autorange="reversed", **ticks),
         ),
+        least_width=160 + LABEL * len(sds),
     )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from html import escape
 from typing import Any
 
@@ -14,15 +14,25 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 BEFORE, AFTER = "#8d8f96", "#2b7bd6"
 """Colours before and after a calibration, legible on light and on dark."""
+MARK = "#b3261e"
 COLOURS = (
-    *("#2b7bd6", "#d9622b", "#2c9a62", "#a25bc4", "#b8860b"),
-    *("#c74372", "#4a8f9c", "#7d7f3a", "#8a6d5a", "#6a6fd8"),
+    *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00"),
+    *("#56b4e9", "#8c510a", "#7570b3", "#b2a800", "#6b7280"),
 )
+"""Distinct also without green cones (deuteranopia); the first eight after Okabe and Ito."""
+
+
+def colours(names: Iterable[str]) -> dict[str, str]:
+    """A colour for each name, the same in every figure of a page."""
+    return {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(dict.fromkeys(names))}
 
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """caption: what to see in it; label: the text alternative; data, layout: plotly's."""
+    """caption: what to see in it; label: the text alternative; data, layout: plotly's.
+
+    least_width: [px] below which its labels cannot be read, so that it scrolls; 0: none.
+    """
 
     key: str
     title: str
@@ -30,12 +40,34 @@ class Figure:
     label: str
     data: tuple[Mapping[str, Any], ...]
     layout: Mapping[str, Any]
+    least_width: int = 0
+
+    def marked(self, poses: Mapping[int, str]) -> Figure:
+        """A figure over the poses with a line before each of these: number from 1 -> its id."""
+        if not poses:
+            return self
+        line = {"type": "line", "xref": "x", "yref": "paper", "y0": 0, "y1": 1}
+        look = {"color": MARK, "width": 1.5, "dash": "dash"}
+        lines = [{**line, "x0": n - 0.5, "x1": n - 0.5, "line": look} for n in poses]
+        listed = ", ".join(poses.values())
+        words = f" Dashed line: something changed here (from pose {listed} on)."
+        layout = {**self.layout, "shapes": lines}
+        return replace(self, caption=self.caption + words, layout=layout)
 
     def json(self) -> str:
         """For a script element: nothing in it can end that element or begin a comment."""
         content = {"data": self.data, "layout": self.layout}
         text = json.dumps(content, allow_nan=False, separators=(",", ":"))
         return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+    def plotly(self) -> Any:
+        """As a plotly figure with its title, which a notebook shows."""
+        from plotly.graph_objects import Figure as PlotlyFigure
+
+        drawn = PlotlyFigure({"data": list(self.data), "layout": dict(self.layout)})
+        margin = {**self.layout["margin"], "t": 90}
+        height = self.layout["height"] + 70
+        return drawn.update_layout(title={"text": self.title}, margin=margin, height=height)
 
 
 def numbers(values: Array) -> list[Any]:
@@ -55,7 +87,9 @@ def names(texts: Sequence[str]) -> list[str]:
 
 def axis(title: str, **more: Any) -> dict[str, Any]:
     """An axis with a title of its own."""
-    return {"title": {"text": title}, "automargin": True, **more}
+    # 20000, never 20k
+    plain = {"exponentformat": "power", "minexponent": 6}
+    return {"title": {"text": title}, "automargin": True, **plain, **more}
 
 
 def layout(height: int, **more: Any) -> dict[str, Any]:

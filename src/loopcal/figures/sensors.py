@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from loopcal.figures.figure import (
-    COLOURS,
     Array,
     Figure,
     axis,
@@ -19,37 +18,69 @@ from loopcal.figures.figure import (
 )
 from loopcal.figures.thinning import POINTS, thinned
 
+NORMAL = "#8d8f96"
+"""Colour of the normal curve."""
+COLUMNS = 3
+"""Panels side by side."""
 
-def normalised(corrections: Mapping[str, Array]) -> Figure | None:
-    """Densities of corrections (N,) over their sds, beside the normal curve; None without any."""
+
+def normalised(corrections: Mapping[str, Array], shades: Mapping[str, str]) -> Figure | None:
+    """Densities of corrections (N,) over their sds, a panel each, beside the normal curve.
+
+    shades: the colour of each sensor. None without any corrections.
+    """
     usable = {name: values[np.isfinite(values)] for name, values in corrections.items()}
     usable = {name: values for name, values in usable.items() if values.size}
     if not usable:
         return None
     reach = min(max(4.0, *(float(np.abs(v).max()) for v in usable.values())), 12.0)
-    curve = np.linspace(-reach, reach, 121)
+    curve = np.linspace(-reach, reach, 61)
     edges = np.linspace(-reach, reach, 41)
-    data: list[dict[str, Any]] = [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "name": "normal curve",
-            "x": numbers(curve),
-            "y": numbers(np.exp(-0.5 * curve**2) / np.sqrt(2.0 * np.pi)),
-            "line": {"color": "#8d8f96", "width": 3, "dash": "dot"},
-        }
-    ]
+    rows = -(-len(usable) // COLUMNS)
+    data: list[dict[str, Any]] = []
+    more: dict[str, Any] = {}
+    titles = []
     for i, (name, values) in enumerate(usable.items()):
+        row, column = divmod(i, COLUMNS)
+        suffix = str(i + 1) if i else ""
+        left, top = column / COLUMNS, 1.0 - row / rows
+        right, bottom = left + 0.88 / COLUMNS, top - 0.72 / rows
+        here = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
+        quiet = {"showticklabels": False, "rangemode": "tozero", "title": {"text": ""}}
+        more[f"xaxis{suffix}"] = axis("", domain=[left, right], anchor=f"y{suffix}", nticks=5)
+        more[f"yaxis{suffix}"] = axis("", domain=[bottom, top], anchor=f"x{suffix}") | quiet
         counts = np.histogram(np.clip(values, -reach, reach), edges)[0]
         density = counts / (values.size * (edges[1] - edges[0]))
-        data.append(
+        normal = np.exp(-0.5 * curve**2) / np.sqrt(2.0 * np.pi)
+        lines = [
+            (0.5 * (edges[1:] + edges[:-1]), density, {"shape": "hvh", "width": 1.5}, "tozeroy"),
+            (curve, normal, {"dash": "dot", "width": 2, "color": NORMAL}, "none"),
+        ]
+        for x, y, line, fill in lines:
+            data.append(
+                {
+                    "type": "scatter",
+                    "mode": "lines",
+                    "name": shown_text(name),
+                    "x": numbers(x),
+                    "y": numbers(y),
+                    "line": {"color": shades[name], **line},
+                    "fill": fill,
+                    "hoverinfo": "skip",
+                    **here,
+                }
+            )
+        rms = float(np.sqrt(np.square(values).mean()))
+        titles.append(
             {
-                "type": "scatter",
-                "mode": "lines",
-                "name": shown_text(name),
-                "x": numbers(0.5 * (edges[1:] + edges[:-1])),
-                "y": numbers(density),
-                "line": {"shape": "hvh", "color": COLOURS[i % len(COLOURS)], "width": 1.5},
+                "text": f"{shown_text(name)}, rms {rms:.2f}",
+                "x": left,
+                "y": top,
+                "xref": "paper",
+                "yref": "paper",
+                "xanchor": "left",
+                "yanchor": "bottom",
+                "showarrow": False,
             }
         )
     told = ", ".join(
@@ -63,12 +94,18 @@ def normalised(corrections: Mapping[str, Array]) -> Figure | None:
         "errors are not only noise. Values beyond the ends are counted at the ends.",
         f"Distributions of corrections over their sds beside the normal curve: {told}.",
         tuple(data),
-        layout(340, xaxis=axis("correction / sd"), yaxis=axis("density", rangemode="tozero")),
+        layout(150 * rows + 40, annotations=titles, showlegend=False, **more)
+        | {"margin": {"l": 8, "r": 8, "t": 32, "b": 8}},
     )
 
 
-def drift(corrections: Mapping[str, Array], ids: Sequence[str]) -> Figure | None:
-    """Corrections (N,) over their sds against pose number, a panel each; None without any."""
+def drift(
+    corrections: Mapping[str, Array], ids: Sequence[str], shades: Mapping[str, str]
+) -> Figure | None:
+    """Corrections (N,) over their sds against pose number, a panel each; None without any.
+
+    shades: the colour of each sensor.
+    """
     usable = {n: v for n, v in corrections.items() if np.isfinite(v).any()}
     if not usable:
         return None
@@ -92,7 +129,7 @@ def drift(corrections: Mapping[str, Array], ids: Sequence[str]) -> Figure | None
                 "x": (chosen.index + 1).tolist(),
                 "y": numbers(values[chosen.index]),
                 "text": names([ids[j] for j in chosen.index]),
-                "marker": {"color": COLOURS[i % len(COLOURS)], "size": 3},
+                "marker": {"color": shades[name], "size": 3},
                 "yaxis": f"y{suffix}",
             }
         )

@@ -1,70 +1,148 @@
-"""Arrows at the measured points, from measured to computed, and the machine's skeleton."""
+"""The measured points in space with arrows to the computed ones, and the machine beside them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from loopcal.figures.figure import Array, Figure, axis, layout, numbers
+from loopcal.figures.figure import Array, Figure, axis, layout, names, numbers
 from loopcal.figures.thinning import thinned
 from loopcal.presentation.rounding import significant
 
-ARROWS = 800
-SHADES = ("#3b6fb5", "#2a9d8f", "#c9a227", "#e07b39", "#c8304b")
+ARROWS = 500
+SHADES = ("#0072b2", "#56b4e9", "#c9b200", "#e69f00", "#b5340a")
 """From the shortest to the longest arrows."""
+MACHINE = "#8d8f96"
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """A machine drawn in one pose: points (k, d) [m] of its lines, and a label of each or none."""
+
+    points: Array
+    labels: tuple[str, ...] = ()
 
 
 def arrows(
-    points: Array, differences: Array, skeleton: Array | None, unit: str, factor: float
+    points: Array,
+    stages: Mapping[str, Array],
+    machine: Machine | None,
+    ids: Sequence[str],
+    unit: str,
+    factor: float,
 ) -> Figure | None:
-    """Differences (d, N) [SI], computed minus measured, at measured points (d, N) [SI]; d = 2 or 3.
+    """Arrows from measured to computed points, for each stage; the last one is shown first.
 
-    skeleton: (k, d) joints of the machine in one pose; factor: SI in terms of `unit`, in which
-    sizes are told. None where no pose has both.
+    points: (d, N) measured [SI], d = 2 or 3; stages: name -> differences (d, N) [SI], computed
+    minus measured; ids: of the poses; factor: SI in terms of `unit`, in which sizes are stated.
+    None where no pose has both.
     """
-    sizes = np.sqrt(np.square(differences).sum(axis=0)) + 0.0 * points.sum(axis=0)
-    chosen = thinned(sizes, ARROWS)
+    sizes = {name: np.sqrt(np.square(d).sum(axis=0)) for name, d in stages.items()}
+    last = list(stages)[-1]
+    chosen = thinned(sizes[last] + 0.0 * points.sum(axis=0), ARROWS)
     if not chosen.index.size:
         return None
-    at, along, size = points[:, chosen.index], differences[:, chosen.index], sizes[chosen.index]
-    extent = float(np.linalg.norm(np.ptp(at, axis=1))) or 1.0
-    scale = _round(0.08 * extent / max(float(np.percentile(size, 95)), 1e-15))
-    edges = np.linspace(0.0, float(size.max()), len(SHADES) + 1)
-    shade = np.clip(np.searchsorted(edges, size, side="left") - 1, 0, len(SHADES) - 1)
+    at = points[:, chosen.index]
+    drawn = {}
+    told = []
+    for name, differences in stages.items():
+        along, size = differences[:, chosen.index], sizes[name][chosen.index]
+        labels = [
+            f"pose {ids[i]}<br>{significant(s / factor, 3)} {unit}" if s == s else ""
+            for i, s in zip(chosen.index, size, strict=True)
+        ]
+        scale = _scale(at, size)
+        drawn[name] = _stage(at, scale * along, size / factor, labels, f"{unit} {name}")
+        told.append(f"{_times(scale)} times {name}")
     data: list[dict[str, Any]] = []
-    for i, colour in enumerate(SHADES):
-        which = shade == i
-        if which.any():
-            lines = _lines(at[:, which], scale * along[:, which])
-            name = f"up to {significant(float(edges[i + 1]) / factor, 2)} {unit}"
-            data.append(_trace(lines, name, {"color": colour, "width": 2}))
-    if skeleton is not None:
-        trace = _trace(skeleton.T, "machine in one of the poses", {"color": "#8d8f96", "width": 5})
-        data.append({**trace, "mode": "lines+markers", "marker": {"size": 5, "color": "#8d8f96"}})
-    largest = significant(float(np.nanmax(sizes)) / factor, 3)
-    times = f"{scale:,.0f}" if scale >= 1 else f"{scale:.3g}"
+    if machine is not None:
+        data.append(_machine(machine))
+    still = len(data)
+    data += [{**t, "visible": n == last} for n, traces in drawn.items() for t in traces]
+    largest = significant(float(np.nanmax(sizes[last])) / factor, 3)
+    of = [name for name, traces in drawn.items() for _ in traces]
     return Figure(
         "arrows",
-        "Where the calibrated model still differs",
-        f"Arrows from measured to computed point, drawn {times} times as long as they are and "
-        "coloured by size. Parallel neighbours indicate a missing effect in the model; arrows "
-        f"in all directions are noise.{chosen.words}",
-        f"{chosen.index.size} arrows at the measured points, {times} times enlarged; the largest "
-        f"difference is {largest} {unit}.",
+        "Where the model differs from what was measured",
+        f"Arrows from measured to computed point, enlarged {', '.join(told)}, coloured by size. "
+        "Parallel neighbours indicate a missing effect in the model; arrows in all directions "
+        f"are noise.{chosen.words}",
+        f"{chosen.index.size} arrows at the measured points; the largest difference "
+        f"{last} calibration is {largest} {unit}.",
         tuple(data),
-        _layout(len(points)),
+        _layout(len(points), _switch(list(stages), still, of)),
     )
 
 
-def _layout(dimensions: int) -> dict[str, Any]:
+def _stage(
+    at: Array, along: Array, size: Array, labels: Sequence[str], words: str
+) -> list[dict[str, Any]]:
+    """Arrows by shade, and a mark at each point that names its pose."""
+    edges = np.linspace(0.0, float(np.nanmax(size)), len(SHADES) + 1)
+    shade = np.clip(np.searchsorted(edges, size, side="left") - 1, 0, len(SHADES) - 1)
+    found = []
+    for i, colour in enumerate(SHADES):
+        which = (shade == i) & np.isfinite(size)
+        if which.any():
+            lines = _lines(at[:, which], along[:, which])
+            name = f"up to {significant(float(edges[i + 1]), 2)} {words}"
+            found.append(
+                {**_trace(lines, name, {"color": colour, "width": 2}), "hoverinfo": "skip"}
+            )
+    marks = {"color": [SHADES[i] for i in shade], "size": 2 if len(at) == 3 else 5}
+    trace = _trace(at, "pose", {})
+    del trace["line"]
+    hover = {"text": names(labels), "hoverinfo": "text", "showlegend": False}
+    return [*found, {**trace, "mode": "markers", "marker": marks, **hover}]
+
+
+def _machine(machine: Machine) -> dict[str, Any]:
+    trace = _trace(machine.points.T, "machine in one of the poses", {"color": MACHINE, "width": 5})
+    marks = {"size": 5, "color": MACHINE}
+    text = {"text": names(machine.labels), "textposition": "top right", "hoverinfo": "text"}
+    mode = "lines+markers+text" if machine.labels else "lines+markers"
+    return {**trace, "mode": mode, "marker": marks, **(text if machine.labels else {})}
+
+
+def _switch(stages: Sequence[str], still: int, of: Sequence[str]) -> dict[str, Any]:
+    """Buttons that show one stage at a time; of: the stage of each trace after the still ones."""
+    if len(stages) < 2:
+        return {}
+    buttons = [
+        {
+            "label": f"{stage} calibration",
+            "method": "restyle",
+            "args": ["visible", [True] * still + [name == stage for name in of]],
+        }
+        for stage in stages
+    ]
+    menu = {"type": "buttons", "direction": "right", "buttons": buttons, "x": 0, "y": 1.0}
+    place = {"xanchor": "left", "yanchor": "bottom", "active": len(stages) - 1, "pad": {"b": 4}}
+    # plotly marks the active button in white, also on a dark page
+    return {"updatemenus": [{**menu, **place, "showactive": False}]}
+
+
+def _scale(at: Array, size: Array) -> float:
+    extent = float(np.linalg.norm(np.ptp(at, axis=1))) or 1.0
+    return _round(0.08 * extent / max(float(np.nanpercentile(size, 95)), 1e-15))
+
+
+def _times(scale: float) -> str:
+    return f"{scale:,.0f}" if scale >= 1 else f"{scale:.3g}"
+
+
+def _layout(dimensions: int, more: Mapping[str, Any]) -> dict[str, Any]:
+    below = {"orientation": "h", "x": 0, "y": -0.02 if dimensions == 3 else -0.1, "yanchor": "top"}
+    more = {**more, "margin": {"l": 8, "r": 8, "t": 48 if more else 16, "b": 8}, "legend": below}
     if dimensions == 2:
-        return layout(
-            480, xaxis=axis("[m]"), yaxis=axis("[m]", scaleanchor="x", scaleratio=1), dragmode="pan"
-        )
+        plane = {"xaxis": axis("[m]"), "yaxis": axis("[m]", scaleanchor="x", scaleratio=1)}
+        return layout(520, dragmode="pan", **plane) | more
     scene = {f"{a}axis": {"title": {"text": f"{a} [m]"}} for a in "xyz"}
-    camera = {"eye": {"x": 1.6, "y": 1.6, "z": 0.9}}
-    return layout(560, scene={"aspectmode": "data", "camera": camera, **scene})
+    camera = {"eye": {"x": 1.0, "y": 1.0, "z": 0.45}}
+    return layout(620, scene={"aspectmode": "data", "camera": camera, **scene}) | more
 
 
 def _trace(coordinates: Array, name: str, line: dict[str, Any]) -> dict[str, Any]:

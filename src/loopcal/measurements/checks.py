@@ -82,6 +82,17 @@ def check_dataset(
     )
 
 
+def refuse_implausible(dataset: Dataset, quantities: Mapping[str, str]) -> None:
+    """Raise InputError for degrees taken as rad, millimetres as m, and degC as K.
+
+    quantities: quantity -> unit the mechanism expects, of those whose unit nobody stated.
+    """
+    for quantity, si in quantities.items():
+        if quantity in dataset.readings and not np.isnan(dataset.readings[quantity]).all():
+            _stop_if_far(dataset, quantity, si)
+            _stop_if_cold(dataset, quantity, si)
+
+
 def check_units(dataset: Dataset, quantities: Mapping[str, str]) -> None:
     """Raise InputError where a stated unit has another dimension than the mechanism's."""
     for quantity, expected in quantities.items():
@@ -161,7 +172,7 @@ def _stop_if_far(dataset: Dataset, quantity: str, si: str) -> None:
             f"{size.size} readings lie beyond {bound:.3g} {si}; they look like {looks}",
             code="implausible-unit",
             place=_value(dataset, index, quantity),
-            remedy=f'state unit = "{likely}"; if {si} is right, set check = false for {quantity!r}',
+            remedy=_other_unit(dataset, quantity, likely, si),
         )
 
 
@@ -177,6 +188,13 @@ def _stop_if_cold(dataset: Dataset, quantity: str, si: str) -> None:
         place=_value(dataset, index, quantity),
         remedy=f'state unit = "degC"; if K is right, set check = false for {quantity!r}',
     )
+
+
+def _other_unit(dataset: Dataset, quantity: str, likely: str, si: str) -> str:
+    """What to do: in a project, or in Python where the readings have no file."""
+    if not dataset.source.name:
+        return f'give units={{"{quantity}": "{likely}"}}, or "{si}" if {si} is right'
+    return f'state unit = "{likely}"; if {si} is right, set check = false for {quantity!r}'
 
 
 def _repeated_poses(dataset: Dataset) -> Iterator[DataWarning]:

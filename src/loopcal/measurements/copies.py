@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from loopcal import chi_squared
 from loopcal.measurements.dataset import Dataset
-from loopcal.measurements.resolution import grid
-from loopcal.units import difference_to_si, from_si
+from loopcal.measurements.rounding import recorded_step
 
 Array = NDArray[np.float64]
 Positions = NDArray[np.intp]
@@ -83,16 +82,10 @@ def _by_chance(data: Dataset, driven: list[str], read: list[str]) -> float:
         square = float(np.square(values[good] - mean[own]).sum())
         if spare and square > 1e-24 * np.square(values[good]).sum():
             scatters = True
-            share *= min(1.0, _step(data, name) / (2.0 * math.sqrt(math.pi * square / spare)))
+            share *= min(
+                1.0, recorded_step(data, name) / (2.0 * math.sqrt(math.pi * square / spare))
+            )
     return share * float((counts * (counts - 1.0)).sum() / 2.0) if scatters else 0.0
-
-
-def _step(data: Dataset, name: str) -> float:
-    """The step [SI] of a column in the unit in which it was written; 0 for real numbers."""
-    values = data.readings[name]
-    stated = data.source.stated.get(name, "1")
-    step = grid(np.asarray(from_si(values[np.isfinite(values)], stated))).step
-    return 0.0 if step is None else float(difference_to_si(step, stated))
 
 
 def _rare(number: int, expected: float) -> bool:

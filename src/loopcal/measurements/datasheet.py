@@ -242,7 +242,7 @@ def encoder_sd(
 ) -> float:
     """The sd [SI] of an encoder, its parts added in quadrature.
 
-    bits: it tells 2^bits positions per turn; counts: or so many (lines times interpolation,
+    bits: it distinguishes 2^bits positions per turn; counts: or so many (lines times interpolation,
     edges included); accuracy: a bound or sd with its unit, "5 arcsec" or "3 um", of the `kind`
     "mpe" (default; over `coverage`, 2 or "uniform") or "sd"; gear: turns of the encoder per turn
     of the joint, which divide all of these; rounded_to: step [SI] of the readings as written.

@@ -32,7 +32,7 @@ ESTIMATES = ("each", "group")
 class Noise:
     """What is said about the sensors: sd [SI] by quantity, glob or group; later entries win.
 
-    A value is one sd, an array (N,) with one sd per reading, or for several quantities together,
+    A value is one sd, or an array (N,) with one sd per reading; for several quantities together,
     keyed by a tuple of names, a covariance (b, b) or one per pose (N, b, b) [SI squared], or a
     `Tracker`, which gives each reading the covariance of the place where it was taken.
 
@@ -107,11 +107,17 @@ class Noise:
         more.estimate = {**self.estimate, key: "group"}
         return more
 
-    def learnt_at(self, factor: float) -> Noise:
-        """The noise as given, with the sds that are to be learnt multiplied by a factor."""
-        names = {n for key in self.estimate for n in (key if isinstance(key, tuple) else (key,))}
+    def learnt_at(self, factors: Mapping[str, float]) -> Noise:
+        """The noise as given, with the sds that are learnt in groups multiplied by their factors.
+
+        factors: by the name of the group: its quantities, joined by commas.
+        """
+        groups = [key if isinstance(key, tuple) else (key,) for key in self.estimate]
+        by = {n: factors.get(", ".join(names), 1.0) for names in groups for n in names}
         given = copy(self)
-        given.entries = {k: v * factor if k in names else v for k, v in self.entries.items()}
+        given.entries = {
+            k: v * by[k] if isinstance(k, str) and k in by else v for k, v in self.entries.items()
+        }
         given.estimate = {}
         return given
 

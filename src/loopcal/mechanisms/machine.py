@@ -39,7 +39,7 @@ class Machine:
 
     quantities: joints, passive joints and platform coordinates, name -> SI unit; parameters by
     name; frame(x, p): T_base_body; equations(x, p): values of the closure loops, named in
-    `loops`; home: a typical value [SI] of the quantities that nobody may read, from which the
+    `loops`; home: a typical value [SI] of the quantities that no sensor may read, from which the
     search for them begins; known: constants that vary by pose; dimension: 2 for a machine that
     moves in the plane z = 0; gauge: parameters that only say where its frames lie; chain: the
     steps from the base to the body, where it is a serial arm; lines(x, p): what draws it, polylines

@@ -46,11 +46,16 @@ def motoman_ma1400(
     first joint, as a `Joint` takes them, say {"rz": pi / 2} for an instrument that sees the arm
     turned so far that x1 and y3 would run away. Source: seed, chapter 5.
     """
-    joints = [
-        Joint(f"theta_{i}", f"transition-{axis}", direction=direction)
-        for i, (axis, direction) in enumerate(zip(AXES, DIRECTIONS, strict=True), 1)
-    ]
+    joints = list(motoman_joints())
     joints[0] = replace(joints[0], before=dict(before))
     made = serial_arm(joints, {**NOMINAL, **(nominal or {})}, name=name)
     described = {"type": "motoman-ma1400", "before": joints[0].before}
     return replace(made, description=described)
+
+
+def motoman_joints() -> tuple[Joint, ...]:
+    """The six joints, theta_1 to theta_6."""
+    return tuple(
+        Joint(f"theta_{i}", f"transition-{axis}", direction=direction)
+        for i, (axis, direction) in enumerate(zip(AXES, DIRECTIONS, strict=True), 1)
+    )

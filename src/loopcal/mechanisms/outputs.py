@@ -39,6 +39,14 @@ def seen_outputs(mechanism: Mechanism) -> tuple[Seen, ...]:
     return tuple(one for family in _families(mechanism) for one in _seen(mechanism, family))
 
 
+def distance_unit(mechanism: Mechanism) -> str:
+    """SI unit of the distances between computed and measured outputs: of positions where any is
+    seen, else of angles."""
+    seen = seen_outputs(mechanism)
+    units = [one.unit for one in seen if one.position]
+    return "m" if "m" in units or not seen else units[0] if units else "rad"
+
+
 def _seen(mechanism: Mechanism, family: Family) -> Iterator[Seen]:
     its = [q for q in family.readings if q in mechanism.outputs]
     if not its:

@@ -67,19 +67,19 @@ def fix_redundant(
     readings: Mapping[str, Array] | None = None,
     unmeasured: Sequence[str] = (),
 ) -> Mechanism:
-    """The mechanism with those parameters fixed that no readings could tell from others.
+    """The mechanism with those parameters fixed that no readings could distinguish from others.
 
     What stays free is determined by readings in enough poses; `remarks` say why each of the
     others is fixed. Gone through are first those in `keep` (names or globs), which stay free in any
     case, then of an arm its instruments' parameters, then the joints' from base to tip; one is
     fixed where it does to the readings what those before it do together. Parameters with a prior
     sd are left free. It is decided at the nominal values, at random poses within the joints'
-    limits. A value of 0 of an arm's instruments is taken to mean that nobody knows it, as that of
+    limits. A value of 0 of an arm's instruments is taken as unknown, as that of
     a target, and moved off; stated: names of those that are meant (default: all but what is free
     and 0; where a station stands never matters).
 
     Where readings must fit each other, as those of parallel machines, give them, quantity -> (N,)
-    [SI], say those of a `Simulation`; unmeasured: names or globs of quantities that nobody reads.
+    [SI], say those of a `Simulation`; unmeasured: names or globs of quantities without a sensor.
 
     Raises InputError for such a machine without readings, and for names that are not there.
     Source: Khalil and Gautier (1991).

@@ -40,7 +40,7 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     if not mechanism.chain:
         return None
     steps = (*station, *mechanism.chain)
-    tool = _looked_at(mechanism)
+    tool = target_names(mechanism)
     T, points = np.eye(4), []
     for step in steps:
         if step.joint is not None:
@@ -51,6 +51,14 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     return np.array(points)
 
 
+def skeleton_labels(mechanism: Mechanism) -> tuple[str, ...]:
+    """The name of the joint at each point of an arm's skeleton, and of its end; none of others."""
+    if (mechanism.description or {}).get("type") == "planar-two-link":
+        return ("phi2", "phi3", "end point")
+    joints = [step.joint for step in mechanism.chain if step.joint is not None]
+    return (*joints, "", "end point") if joints else ()
+
+
 def _seen(lines: Sequence[Array], T: Array, dimension: int) -> Array:
     """The lines as a station sees them that stands at T (4, 4), one below the other."""
     parted = [np.vstack([line @ T[:3, :3].T + T[:3, 3], np.full(3, np.nan)]) for line in lines]
@@ -58,13 +66,13 @@ def _seen(lines: Sequence[Array], T: Array, dimension: int) -> Array:
     return seen
 
 
-def _looked_at(mechanism: Mechanism) -> tuple[str, ...]:
-    """Names of the coordinates of the first instrument's target, in the body's frame."""
+def target_names(mechanism: Mechanism) -> tuple[str, ...]:
+    """Parameters of the first instrument's target, in the body's frame; none if unknown."""
     if isinstance(mechanism.placement, ChainPlacement):
         return mechanism.placement.tool
     described = mechanism.description or {}
     if "instrument" not in described:
-        return tool_names(described["joints"])
+        return tool_names(described["joints"]) if "joints" in described else ()
     targets = [entry.get("target") for entry in described["instrument"]]
     target: str | list[str] = next((t for t in targets if t), [])
     return Target.named(target).parameters if isinstance(target, str) else tuple(target)

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.result_document import ResultDocument
+from loopcal.document.tables import shown_parameters
 from loopcal.estimation.accuracy import deviations, main_distances
 from loopcal.figures.accuracy import distance_histogram, over_poses
 from loopcal.figures.correlations import correlations
-from loopcal.figures.figure import Figure
+from loopcal.figures.figure import Figure, colours
+from loopcal.figures.parameters import Change, changes
 from loopcal.figures.sensors import drift, normalised
-from loopcal.figures.space import arrows
+from loopcal.figures.space import Machine, arrows
 from loopcal.mechanisms.outputs import point_outputs, points
-from loopcal.mechanisms.skeleton import skeleton
+from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.presentation.shown import factor, unit_shown
 from loopcal.report.source import Source
 
 Array = NDArray[np.float64]
+_OVER_POSES = ("residuals", "drift")
 
 
 def figures(source: Source) -> dict[str, Figure]:
@@ -29,14 +33,26 @@ def figures(source: Source) -> dict[str, Figure]:
         for quantity in source.document.data.quantities
         if (values := source.table.normalised.get(quantity)) is not None
     }
+    shades = colours([*source.document.data.quantities, *source.table.differences_after])
     found = [
         *_of_outputs(source),
-        _residuals(source),
-        normalised(sensors),
-        drift(sensors, source.table.poses),
+        _residuals(source, shades),
+        normalised(sensors, shades),
+        drift(sensors, source.table.poses, shades),
+        _parameters(source.document),
         _correlations(source.document),
     ]
-    return {figure.key: figure for figure in found if figure is not None}
+    marks = _changed(source)
+    drawn = [figure for figure in found if figure is not None]
+    return {f.key: f.marked(marks) if f.key in _OVER_POSES else f for f in drawn}
+
+
+def _changed(source: Source) -> dict[int, str]:
+    """Number from 1 -> id of the poses from which on something was changed at once."""
+    points = source.document.change_points
+    steps = [] if points is None else [p.pose for p in points.found if p.shape == "step"]
+    ids = list(source.table.poses)
+    return {ids.index(pose) + 1: pose for pose in dict.fromkeys(steps) if pose in ids}
 
 
 def _of_outputs(source: Source) -> list[Figure | None]:
@@ -46,17 +62,26 @@ def _of_outputs(source: Source) -> list[Figure | None]:
         return []
     unit = accuracy.unit
     scale = factor(unit)
-    lengths = [_lengths(source, differences) / scale for differences in (before, after)]
+    lengths = [distances(source, differences) / scale for differences in (before, after)]
     found = [distance_histogram(lengths[0], lengths[1], unit_shown(unit))]
-    seen = _points(source, after)
-    if unit == "m" and seen is not None:
-        at, along = seen
-        found.append(arrows(at, along, _skeleton(source, at), unit_shown(unit), scale))
+    seen = {"before": _points(source, before), "after": _points(source, after)}
+    stages = {name: both.along for name, both in seen.items() if both is not None}
+    if unit == "m" and (last := seen["after"]) is not None:
+        machine, poses = _machine(source, last.at), source.table.poses
+        found.append(arrows(last.at, stages, machine, poses, unit_shown(unit), scale))
     return found
 
 
-def _points(source: Source, differences: Mapping[str, Array]) -> tuple[Array, Array] | None:
+@dataclass(frozen=True, eq=False)
+class _Seen:
     """Points (d, N) [m] that one instrument measured, and computed minus measured ones."""
+
+    at: Array
+    along: Array
+
+
+def _points(source: Source, differences: Mapping[str, Array]) -> _Seen | None:
+    """The points of the instrument whose place is known, if any is."""
     readings = source.table.readings
     families = source.mechanism.families if source.mechanism else ()
     # the machine is drawn where the first instrument sees it whose place is known
@@ -65,20 +90,23 @@ def _points(source: Source, differences: Mapping[str, Array]) -> tuple[Array, Ar
         if names and all(name in readings and name in differences for name in names):
             at = np.array([readings[name] for name in names])
             computed = at + np.array([differences[name] for name in names])
-            return points(family, at), points(family, computed) - points(family, at)
+            return _Seen(points(family, at), points(family, computed) - points(family, at))
     if families or len(differences) not in (2, 3) or not differences.keys() <= readings.keys():
         return None
-    return np.array([readings[name] for name in differences]), np.array([*differences.values()])
+    return _Seen(
+        np.array([readings[name] for name in differences]), np.array([*differences.values()])
+    )
 
 
-def _residuals(source: Source) -> Figure | None:
+def _residuals(source: Source, shades: Mapping[str, str]) -> Figure | None:
     accuracy, table = source.document.accuracy, source.table
     before, after = table.differences_before, table.differences_after
     if accuracy is not None and after:
         scale, unit = factor(accuracy.unit), unit_shown(accuracy.unit)
         alike = [n for n in after if _unit(source, n) in (None, accuracy.unit)]
         scaled = [{n: d[n] / scale for n in alike} for d in (before, after)]
-        return over_poses(scaled[0], scaled[1], table.poses, unit, "Computed minus measured")
+        what = "Computed minus measured"
+        return over_poses(scaled[0], scaled[1], table.poses, unit, what, shades)
     # without outputs the loops are all there is; that corrected readings close them says nothing
     loops = table.residuals_after if source.document.sensors_exact else {}
     return over_poses(
@@ -92,7 +120,7 @@ def _unit(source: Source, quantity: str) -> str | None:
     return None if known is None else known.quantities.get(quantity)
 
 
-def _lengths(source: Source, differences: Mapping[str, Array]) -> Array:
+def distances(source: Source, differences: Mapping[str, Array]) -> Array:
     """Distances of computed from measured outputs, of every instrument and pose."""
     if source.mechanism is not None and tuple(differences) == source.mechanism.compared:
         given = np.array([*differences.values()])
@@ -107,7 +135,7 @@ def _lengths(source: Source, differences: Mapping[str, Array]) -> Array:
     return found
 
 
-def _skeleton(source: Source, points: Array) -> Array | None:
+def _machine(source: Source, points: Array) -> Machine | None:
     """The machine in the pose whose measured point lies nearest to the middle of all."""
     if source.mechanism is None:
         return None
@@ -121,13 +149,26 @@ def _skeleton(source: Source, points: Array) -> Array | None:
         return None
     pose = int(np.nanargmin(away))
     try:
-        return skeleton(source.mechanism, {q: float(v[pose]) for q, v in readings.items()})
+        lines = skeleton(source.mechanism, {q: float(v[pose]) for q, v in readings.items()})
     except KeyError:
         return None  # a joint that was never read
+    return None if lines is None else Machine(lines, skeleton_labels(source.mechanism))
+
+
+def _parameters(document: ResultDocument) -> Figure | None:
+    entries = [p for p in shown_parameters(document.parameters, document.terms) if not p.fixed]
+    groups = []
+    for unit in dict.fromkeys(p.unit for p in entries):
+        its = [p for p in entries if p.unit == unit]
+        off = np.array([p.value - p.nominal for p in its]) / factor(unit)
+        sds = np.array([np.nan if p.sd is None else p.sd for p in its]) / factor(unit)
+        groups.append(Change(unit_shown(unit), [p.name for p in its], off, sds))
+    return changes(groups)
 
 
 def _correlations(document: ResultDocument) -> Figure | None:
     covariance = document.covariance
-    names = covariance.names
-    matrix = np.array(covariance.matrix, dtype=float).reshape((len(names),) * 2)
-    return correlations(matrix, names)
+    shown = {p.name for p in shown_parameters(document.parameters, document.terms)}
+    kept = [i for i, name in enumerate(covariance.names) if name in shown]
+    matrix = np.array(covariance.matrix, dtype=float).reshape((len(covariance.names),) * 2)
+    return correlations(matrix[np.ix_(kept, kept)], [covariance.names[i] for i in kept])

@@ -11,14 +11,19 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from loopcal.document.plain import plain
 from loopcal.document.result_document import ResultDocument
+from loopcal.document.tables import shown_parameters
 from loopcal.errors import UsageError
 from loopcal.estimation.methods.registry import method_named
 from loopcal.estimation.result import Result
 from loopcal.figures.figure import plotly_javascript
-from loopcal.report import tables
-from loopcal.report.drawn import figures
+from loopcal.report import tables, top
+from loopcal.report.drawn import distances, figures
+from loopcal.report.glossary import meaning
+from loopcal.report.parameters import parameter_groups
 from loopcal.report.source import Source, source_of
 from loopcal.statistics.verdict import verdict_of
 
@@ -77,19 +82,30 @@ def page_of(result: Result, folder: str | Path) -> Callable[[ResultDocument], st
 def _result(source: Source, number: int) -> dict[str, Any]:
     """What the template says of one result."""
     document = source.document
-    drawn = figures(source)
+    verdict = document.verdict or verdict_of(document)
+    before, after = (
+        distances(source, d) if d else np.empty(0)
+        for d in (source.table.differences_before, source.table.differences_after)
+    )
     return {
         "name": source.name,
         "title": source.title,
         "id": f"r{number}",
         "document": document,
-        "verdict": document.verdict or verdict_of(document),
-        "figures": drawn,
+        "verdict": verdict,
+        "headline": top.shortened(verdict.headline),
+        "against": top.against(document),
+        "record": top.record(document),
+        "bars": top.accuracy_bars(document),
+        "region": top.region_bars(source),
+        "figures": figures(source),
         "accuracy": tables.accuracy_tables(document),
+        "worst": tables.worst_table(source, before, after),
         "models": tables.model_table(document),
         "sensors": tables.sensor_table(source),
+        "reliability": tables.reliability_table(document),
         "terms": tables.term_table(document),
-        "parameters": tables.parameter_table(document),
+        "parameters": parameter_groups(source),
         "outliers": tables.outlier_table(document),
         "facts": tables.facts_table(document),
         "identifiability": identifiability_words(document),
@@ -99,12 +115,17 @@ def _result(source: Source, number: int) -> dict[str, Any]:
 
 
 def identifiability_words(document: ResultDocument) -> list[str]:
-    """Which directions the poses determine, which hardly, which not at all."""
+    """Which directions the poses determine, which hardly, which not at all.
+
+    Of those that lie within the learnt model error alone none is listed.
+    """
     found = document.identifiability
+    shown = {p.name for p in shown_parameters(document.parameters, document.terms)}
     words = [f"{found.rank} of {found.parameters} parameters are determined."]
     words += [f"Not determined: {entry.words}" for entry in found.not_identifiable]
-    words += [entry.words for entry in found.weak_directions or ()]
-    learned = found.data_versus_prior or ()
+    weak = found.weak_directions or ()
+    words += [entry.words for entry in weak if shown.intersection(entry.combination)]
+    learned = [entry for entry in found.data_versus_prior or () if entry.parameter in shown]
     words += [entry.words for entry in learned if entry.ratio > LITTLE]
     return words
 
@@ -119,13 +140,15 @@ def environment() -> Environment:
     """The templates of this package; whatever is put into them is escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    return Environment(
+    made = Environment(
         loader=PackageLoader("loopcal.report", "template"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    made.globals |= {"meaning": meaning, "shortened": top.shortened}
+    return made
 
 
 def part(name: str) -> str:

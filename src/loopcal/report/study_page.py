@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -162,13 +161,9 @@ def _example(result: Result) -> dict[str, Figure]:
 
 
 def _residuals(result: Result, poses: Sequence[str]) -> Figure | None:
-    figure = over_poses(
-        result.residuals_before, result.residuals_after, poses, "SI", "Values of the loop equations"
-    )
-    if figure is None or result.fit.solver.exact:
-        return figure
-    closed = " Corrected readings close the loops to rounding; this does not show accuracy."
-    return replace(figure, caption=figure.caption + closed)
+    # corrected readings close the loops to rounding, which shows no accuracy
+    after = result.residuals_after if result.fit.solver.exact else {}
+    return over_poses(result.residuals_before, after, poses, "SI", "Values of the loop equations")
 
 
 def _arrows(result: Result) -> Figure | None:
@@ -180,4 +175,4 @@ def _arrows(result: Result) -> Figure | None:
     differences = np.array([result.differences_after[q] for q in outputs])
     if not np.abs(differences).max(initial=0.0) > ROUNDING:
         return None
-    return arrows(points, differences, None, "mm", 1e-3)
+    return arrows(points, {"after": differences}, None, result.dataset.poses, "mm", 1e-3)

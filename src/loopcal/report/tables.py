@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.fit import ParameterEntry
@@ -15,11 +16,12 @@ from loopcal.document.tables import (
     Stage,
     accuracy_stages,
     distances_shown,
-    shown_parameters,
     term_rows,
 )
 from loopcal.presentation.shown import NONE, by_sd, chance, percent, size, unit_shown, with_unit
 from loopcal.report.source import Source
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -112,12 +114,17 @@ def sensor_table(source: Source) -> Table | None:
                 entry.source,
                 rms,
                 mean,
+                NONE if entry.variance_factor is None else f"{entry.variance_factor:.2f}",
             )
         )
     if not rows:
         return None
     head = ("sensor", "sd", "sd of sd", "at most", "unit", "from", "rms corr./sd", "mean corr./sd")
-    return Table("Sds of the sensors, and corrections over them", head, tuple(rows))
+    caption = (
+        "Sds of the sensors, and corrections over them; factor: chi-squared of the sensor over its "
+        "redundancy, 1 where its sd is right"
+    )
+    return Table(caption, (*head, "factor"), tuple(rows))
 
 
 def term_table(document: ResultDocument) -> Table | None:
@@ -131,16 +138,19 @@ def term_table(document: ResultDocument) -> Table | None:
     return Table(caption, TERM_HEAD, tuple(term_rows(document.terms)))
 
 
-def parameter_table(document: ResultDocument) -> Table:
+def parameter_head(document: ResultDocument) -> tuple[str, ...]:
+    """What the cells of a parameter's row are."""
+    head = ("parameter", "nominal", "value", "change", "sd", "unit", "change/sd", "prior's share")
+    return (*head, "error") if _with_error(document) else head
+
+
+def _with_error(document: ResultDocument) -> bool:
+    return any(entry.error is not None for entry in document.parameters)
+
+
+def parameter_cells(entry: ParameterEntry, document: ResultDocument) -> tuple[str, ...]:
     """Nominal and calibrated value, sd, change in sds, and how much of it the prior says."""
-    with_error = any(entry.error is not None for entry in document.parameters)
-    head = ["parameter", "nominal", "value", "change", "sd", "unit", "change/sd", "prior's share"]
-    shown = shown_parameters(document.parameters, document.terms)
-    rows = [_parameter(entry, with_error) for entry in shown]
-    if with_error:
-        head.append("error")
-    caption = "Parameters; the prior's share is (sd / prior sd)², 0 % where the data alone decide"
-    return Table(caption, tuple(head), tuple(rows))
+    return _parameter(entry, _with_error(document))
 
 
 def _parameter(entry: ParameterEntry, with_error: bool) -> tuple[str, ...]:
@@ -172,7 +182,7 @@ def outlier_table(document: ResultDocument) -> Table | None:
     rows = [
         (
             entry.pose,
-            entry.quantity or "the whole pose",
+            entry.blamed,
             size(entry.statistic, "1", 3),
             chance(entry.p_value),
             NONE if entry.size is None else with_unit(entry.size, entry.unit or "1"),
@@ -182,6 +192,57 @@ def outlier_table(document: ResultDocument) -> Table | None:
     ]
     head = ("pose", "reading", "statistic", "p-value", "off by", "probable cause")
     return Table("Poses that do not fit the others", head, tuple(rows))
+
+
+def reliability_table(document: ResultDocument) -> Table | None:
+    """What single readings can hide, by sensor."""
+    found = document.reliability
+    if found is None or not found.sensors:
+        return None
+    rows = [
+        (
+            one.quantity,
+            percent(one.redundancy),
+            NONE if one.detectable is None else with_unit(one.detectable, one.unit, 2),
+            NONE if one.largest is None else with_unit(one.largest, one.unit, 2),
+            NONE if one.effect is None else with_unit(one.effect, found.unit or "1", 2),
+            one.pose or NONE,
+            str(one.uncontrolled),
+        )
+        for one in found.sensors
+    ]
+    caption = (
+        f"What single readings can hide: smallest error that a test at {100 * found.alpha:g} % "
+        f"finds with a probability of {found.power:.0%} (median and largest), and how far such an "
+        "error moves the predictions (rms over the measured poses)"
+    )
+    head = ("sensor", "redundancy", "detectable", "largest", "effect", "at pose", "unchecked")
+    return Table(caption, head, tuple(rows))
+
+
+WORST = 10
+
+
+def worst_table(source: Source, before: Array, after: Array) -> Table | None:
+    """The poses whose calibrated machine is farthest from what was measured, with causes.
+
+    before, after: (N,) distances [SI] of nominal and calibrated machine.
+    """
+    accuracy = source.document.accuracy
+    if accuracy is None or not np.isfinite(after).any():
+        return None
+    order = np.argsort(np.where(np.isfinite(after), -after, np.inf))[:WORST]
+    named = {entry.pose: entry for entry in source.document.outliers or ()}
+    rows = []
+    for i in order[np.isfinite(after[order])].tolist():
+        pose = source.table.poses[i]
+        found = named.get(pose)
+        cause = "does not fit the others" if found else NONE
+        cells = [size(float(d[i]), accuracy.unit, 3) for d in (before, after)]
+        rows.append((pose, *cells, (found and found.cause) or cause))
+    unit = unit_shown(accuracy.unit)
+    head = ("pose", f"nominal [{unit}]", f"calibrated [{unit}]", "probable cause")
+    return Table("The poses with the largest error after calibration", head, tuple(rows))
 
 
 def facts_table(document: ResultDocument) -> Table:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Unpack
 
+from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate as calibrate_by_method
 from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.result import Result
@@ -35,13 +36,13 @@ def calibrate(
     data: a Dataset, or a dict of (N,) arrays or any DataFrame of readings in SI units; noise: a
     Noise, or a dict of sds [SI] by quantity, which every method needs that is not exact; fit: the
     settings, or as keyword arguments prior, method, loss, start, max_iterations, tolerance and
-    model_error, which override it; progress: called at every iteration. Angles are rad, lengths m
-    throughout.
+    model_error, which override it; progress: called at every iteration of a fit of all poses.
+    Angles are rad, lengths m throughout.
 
-    method "auto" lets the others compete and takes the one that predicts poses not used
+    method "auto" (default) lets the others compete and takes the one that predicts poses not used
     (`loopcal.statistics.choice`); `Result.chosen` says which, over what, by how much. scheme: what
-    it leaves out, by default 10 folds and 5 regions; executor: who does its fits, by default this
-    process. Without noise it weighs the readings as least squares does.
+    it leaves out, by default 10 folds and 5 regions; executor: who does its fits, by default the
+    threads of this process. Without noise it weighs the readings as least squares does.
 
     "implicit-loop" finds the parameters of maximum likelihood while every loop
     closes: minimise sum_i c_i^T Sigma^-1 c_i + (p - nominal)^T Sigma_p^-1 (p - nominal) over
@@ -71,9 +72,22 @@ def calibrate(
     """
     asked, told = Fit.of(fit, options), Noise.of(noise)
     if not asked.method.choice:
+        _refuse_sharing(asked, scheme, executor)
         found = calibrate_by_method(mechanism, data, noise=told, fit=asked, progress=progress)
         return replace(found, judge=verdict)
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
-    found = choose(Case(mechanism, data, told, asked), scheme, executor).calibrated
+    case = Case(mechanism, data, told, asked)
+    found = choose(case, scheme, executor, iterated=progress).calibrated
     return replace(found, judge=verdict)
+
+
+def _refuse_sharing(fit: Fit, scheme: Scheme | None, executor: Executor | None) -> None:
+    given = [n for n, value in (("scheme", scheme), ("executor", executor)) if value is not None]
+    if given:
+        raise InputError(
+            f"{' and '.join(given)} would have no effect: the method {fit.method.name!r} makes one "
+            "fit of all poses",
+            code="unsupported",
+            remedy="leave it out, validate by lc.validate, or use method = 'auto'",
+        )

@@ -15,6 +15,7 @@ from loopcal.estimation.result import Result
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.small_samples import LearntCovariance
+from loopcal.statistics.scatter import Scatter, scatter
 from loopcal.statistics.stored_covariance import stored_covariance
 
 Array = NDArray[np.float64]
@@ -38,7 +39,8 @@ class Calibrated:
     apart from others; rejected: chi-squared, where it rejects the stated sds; carried: whether
     parameters with learnt sds (terms) carry the error of the model; noise: the sds of its sensors;
     residual: of a method that takes the readings as exact; gain: the covariance at the sds that the
-    fit used, were no residuals dependent, by which the prior weighed; None is `covariance`.
+    fit used, were no residuals dependent, by which the prior weighed; None is `covariance`;
+    scatter: the covariance (n_all, n_all) that the poses themselves show, where it is known.
     """
 
     name: str
@@ -54,12 +56,14 @@ class Calibrated:
     noise: tuple[NoiseEntry, ...] = ()
     residual: ResidualVariance | None = None
     gain: Array | None = None
+    scatter: Scatter | None = None
 
     @classmethod
     def of(cls, result: Result, name: str) -> Calibrated:
         """From a result."""
         system, parameters = result.spectrum, result.mechanism.parameters
         exact = result.fit.solver.exact
+        seen = scatter(result)
         loose = system.scale[:, None] * system.directions[:, ~system.kept]
         free, size = result.problem.free, len(parameters)
         return cls(
@@ -76,6 +80,7 @@ class Calibrated:
             result.noise,
             _residual(result.solution.chi_squared, result.freedom) if exact else None,
             _spread(LearntCovariance.known(result.spectrum.covariance()), free, size).matrix,
+            seen and seen.through(np.eye(size)[:, free]),
         )
 
     @classmethod
@@ -98,6 +103,7 @@ class Calibrated:
         covariance = stored_covariance(document.covariance, determined)
         prior = [entries[n].prior_sd for n in names]
         exact = document.sensors_exact
+        seen = Scatter.of(document.covariance)
         return cls(
             name,
             mechanism.with_nominal({n: entries[n].value for n in names}),
@@ -111,12 +117,22 @@ class Calibrated:
             bool(document.terms),
             document.noise,
             _residual(_squares(document), _freedom(document)) if exact else None,
+            scatter=seen and seen.through(np.eye(len(names))[:, free]),
         )
 
     @property
     def factor(self) -> float:
         """By how much the residuals are larger than the stated variances say; 1 where not."""
         return 1.0 if self.rejected is None else self.rejected.variance_factor or 1.0
+
+    @property
+    def as_its_scatter(self) -> Calibrated:
+        """With the covariance that its poses themselves show, where it is known."""
+        if self.scatter is None:
+            return self
+        gain = self.covariance.plain if self.gain is None else self.gain
+        seen = LearntCovariance.known(self.scatter.matrix)
+        return replace(self, covariance=seen, gain=gain)
 
     @property
     def as_its_residuals(self) -> Calibrated:

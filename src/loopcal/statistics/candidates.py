@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from loopcal.estimation.methods import implicit_loop
 from loopcal.estimation.model_error import instrument_noise, modelled
 from loopcal.estimation.nominal import nominal_machine
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.validation import Case
 
 NOMINAL = "nominal"
@@ -32,20 +33,25 @@ class Entrant:
         return self.drawn or (self.case.fit.method.exact and not self.structured)
 
 
-def entrants(case: Case, moved: Collection[str] = ()) -> Iterator[Entrant]:
+def entrants(
+    case: Case, moved: Collection[str] = (), made: Mechanism | None = None
+) -> Iterator[Entrant]:
     """All that compete for a case: those with a model error first, the nominal machine last.
 
-    moved: parameters of what slipped during the run, which all of them estimate.
+    moved: parameters of what slipped during the run, which all of them estimate; made: the machine
+    with its model error, where it is at hand.
     """
     fit, lossless = case.fit, case.fit.robust_loss is None
     methods = fit.among(case.data, case.noise)
-    for method in methods if lossless else ():
+    own, with_error = fit.with_prior(case.mechanism), fit.changed(model_error="structured")
+    if made is None:
+        made = modelled(with_error, own, len(case.data)) if lossless else own
+    for method in methods if len(made.terms) > len(own.terms) else ():
         if method.at_readings:
             continue  # the noise of the model error says nothing about the parameters anyway
-        with_error = fit.changed(method=method, model_error="structured")
-        own = with_error.with_prior(case.mechanism)
-        if len(modelled(with_error, own, len(case.data)).terms) > len(own.terms):
-            yield Entrant(f"{method.name} with model error", replace(case, fit=with_error), True)
+        its = with_error.changed(method=method, prior=None)  # the mechanism has the prior already
+        name = f"{method.name} with model error"
+        yield Entrant(name, replace(case, mechanism=made, fit=its), True)
     for method in methods:
         plain = fit.changed(method=method, model_error="none")
         yield Entrant(method.name, replace(case, fit=plain))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
@@ -47,13 +47,15 @@ class Suspect:
     """A pose that does not fit: its chi-squared t of so many degrees of freedom.
 
     explained: reading -> (size of its error [SI], what is left of t without that reading), for
-    the readings that explain the pose alone, the best first.
+    the readings that explain the pose alone, the best first; together: where none does, instruments
+    whose readings explain it together, with how far their point is off [m], and the joints.
     """
 
     pose: int
     t: float
     freedom: int
     explained: Mapping[int, tuple[float, float]]
+    together: Mapping[str, float | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -122,7 +122,7 @@ def find_shifts(result: Result, *, level: float = 0.01, most: int = 8) -> Shifts
     if result.all_poses is not None or not 4 * LEAST <= count <= MOST_POSES:
         return replace(NOT_SEARCHED, level=level)
     with one_blas_thread():
-        return _Search(result, level).run(most)
+        return result.remembered(("shifts", level, most), lambda: _Search(result, level).run(most))
 
 
 class _Search:

@@ -18,7 +18,10 @@ from loopcal.document.change_points import ChangePoint, ChangePoints
 from loopcal.document.findings import Outlier
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult
+from loopcal.estimation.fit import Fit
+from loopcal.estimation.model_error import modelled
 from loopcal.estimation.result import Result
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.change_points import LEAST, Shifts, find_shifts
 from loopcal.statistics.outliers import find_outliers
 from loopcal.statistics.predictive import taken
@@ -41,7 +44,8 @@ class Changes:
 
     case: with effects for the changes, without the outliers; kept: positions of its poses in the
     case as asked for; plain: that case without the effects; found: what was modelled; outliers:
-    what was discarded; searched: the last search; toml: the lines that state the changes.
+    what was discarded; searched: the last search; toml: the lines that state the changes; whole:
+    the fit of the case, made: its machine with the model error, None where nothing happened.
     """
 
     case: Case
@@ -51,6 +55,8 @@ class Changes:
     outliers: Mapping[str, Outlier] = field(default_factory=dict)
     searched: Shifts | None = None
     toml: str = ""
+    whole: Result | None = None
+    made: Mechanism | None = None
 
     @property
     def moved(self) -> tuple[str, ...]:
@@ -87,13 +93,13 @@ def unchanged(case: Case) -> Changes:
     return Changes(case, case, np.arange(len(case.data)))
 
 
-def changes(case: Case, way: Case, whole: Result) -> Changes:
+def changes(case: Case, way: Fit, whole: Result) -> Changes:
     """What is certain to have happened during the run of a case.
 
-    way: the case as fitted by the structured candidate that fits best; whole: that fit of all
-    poses. Where the machine cannot have such effects, or is not fitted better by them, nothing.
+    way: how the structured candidate that fits best is fitted; whole: that fit of all poses. Where
+    the machine cannot have such effects, or is not fitted better by them, nothing.
     """
-    told = unchanged(case)
+    told, way = unchanged(case), way.changed(prior=case.fit.prior)
     for _ in range(ROUNDS):
         searched = find_shifts(whole)
         new = [p for p in searched.found if _certain(p, told.found)]
@@ -101,6 +107,7 @@ def changes(case: Case, way: Case, whole: Result) -> Changes:
             break
         try:
             told, whole = _modelled(case, way, replace(told, searched=searched), new)
+            told = replace(told, whole=whole)
         except (InputError, NoTrustworthyResult):
             break
     return told
@@ -117,7 +124,7 @@ def apart(point: ChangePoint, known: Sequence[ChangePoint]) -> bool:
 
 
 def _modelled(
-    case: Case, way: Case, told: Changes, new: Sequence[ChangePoint]
+    case: Case, way: Fit, told: Changes, new: Sequence[ChangePoint]
 ) -> tuple[Changes, Result]:
     """The case with further changes, without what then does not fit; and the fit of the rest."""
     number = {pose: i + 1 for i, pose in enumerate(case.data.poses)}
@@ -127,7 +134,9 @@ def _modelled(
     full = replace(case, mechanism=made.mechanism, data=made.data)
     told = replace(told, found=found, toml=shift_lines(case.data, found))
     told = _kept(told, case, full, told.kept)
-    fitted = replace(told.case, fit=way.fit).calibrated()
+    machine = modelled(way, way.with_prior(told.case.mechanism), len(told.case.data))
+    told, way = replace(told, made=machine), way.changed(prior=None)
+    fitted = replace(told.case, mechanism=machine, fit=way).calibrated()
     if not fitted.status.converged:
         raise NoTrustworthyResult("the fit with the changes did not converge", code="not-converged")
     tests = find_outliers(fitted)
@@ -136,7 +145,7 @@ def _modelled(
         return told, fitted
     kept = np.array([i for i in told.kept if case.data.poses[i] not in bad], dtype=np.intp)
     told = _kept(replace(told, outliers={**told.outliers, **bad}), case, full, kept)
-    fitted = replace(told.case, fit=way.fit).calibrated()
+    fitted = replace(told.case, mechanism=machine, fit=way).calibrated()
     return told, fitted
 
 

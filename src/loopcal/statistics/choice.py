@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +30,14 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.result import Result
-from loopcal.execution.executor import Executor, Progress
-from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.presentation.shown import size, unit_shown
+from loopcal.estimation.solve.solver import Progress as Iterated
+from loopcal.execution.executor import Executor, Progress, gathered
+from loopcal.execution.local import own_threads
+from loopcal.presentation.shown import by_sd, size, unit_shown
 from loopcal.statistics.candidates import Entrant, entrants
 from loopcal.statistics.changes import Changes, changes, unchanged
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
+from loopcal.statistics.gain import Gain
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.validation import (
     Case,
@@ -115,31 +118,38 @@ def choose(
     scheme: Scheme | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
+    iterated: Iterated | None = None,
 ) -> Choice:
     """The candidate that predicts poses not used, as the head of this module says.
 
     scheme: what is left out, by default 10 folds and 5 regions, fewer where poses are few; where it
     names other readings, these are predicted by what was chosen by default. Where nothing can be
-    left out, the first candidate that converges is taken, unvalidated.
+    left out, the first candidate that converges is taken, unvalidated. progress: called with how
+    many fits without some of the poses are done; iterated: at every iteration of a fit of all.
 
     Raises InputError where no candidate can be fitted.
     """
-    judged: list[Judged] = []
-    for entrant in entrants(case):
-        if any(one.whole for one in judged):
-            entrant = replace(entrant, case=replace(entrant.case, trusted=True))
-        judged.append(_fitted(entrant))
+    judged, waiting = list[Judged](), list(entrants(case))
+    while waiting and not any(one.whole for one in judged):  # the first fit seeks faults for all
+        entrant = waiting.pop(0)
+        judged.append(_fitted(entrant, iterated))
         whole = judged[-1].whole
         if whole is not None and whole.faults:  # no candidate is of use
             words = f"{entrant.name}; nothing was compared: the file is at fault"
             none = Chosen(entrant.name, (), words, ())
             return Choice(case.fit.method.name, whole, none, None, None)
-    if not any(one.whole for one in judged):
-        raise next(one.error for one in judged if one.error)
+    waiting = [replace(e, case=replace(e.case, trusted=True)) for e in waiting]
+    judged += _all_fitted(waiting, iterated)
+    _refuse(judged)
     case = replace(case, trusted=True)
-    told = _changes(case, judged)
+    best = _closest(judged)
+    told = (
+        changes(case, best.entrant.case.fit, best.whole) if best and best.whole else unchanged(case)
+    )
     if told.found:
-        case, judged = told.case, [_fitted(entrant) for entrant in entrants(told.case, told.moved)]
+        case = told.case
+        known = {best.name: told.whole} if best else {}
+        judged = _all_fitted(list(entrants(case, told.moved, told.made)), iterated, known)
     other = scheme if scheme and scheme.other is not None else None
     plan = _plan(told.plain, None if other else _of(scheme, told))
     if plan is not None:
@@ -153,19 +163,29 @@ def choose(
     return replace(found, validation=validated(taken, found.result, other))
 
 
-def _changes(case: Case, judged: Sequence[Judged]) -> Changes:
-    """What happened during the run, by the structured candidate that fits best."""
+def _refuse(judged: Sequence[Judged]) -> None:
+    """Raise the first error where nothing can be calibrated, or at no size that means anything.
+
+    A machine of unknown size stays refused although the spread of its lengths about the drawing
+    can be learnt: every fit makes it smaller, because the joints' noise moves a small machine less.
+    """
+    own = [one for one in judged if not one.entrant.drawn]
+    plain = [one for one in own if not one.entrant.structured]
+    sizeless = all(one.error is not None and one.error.code == "unknown-size" for one in plain)
+    able = plain if sizeless else own
+    if not any(one.whole for one in able):
+        raise next(one.error for one in able if one.error)
+
+
+def _closest(judged: Sequence[Judged]) -> Judged | None:
+    """The structured candidate that fits best: it tells what happened during the run."""
     able = [one for one in judged if one.entrant.structured and one.whole and not one.failed]
-    if not able:
-        return unchanged(case)
 
     def misfit(one: Judged) -> float:
         after = one.whole and one.whole.accuracy_after
         return after.rms if after else math.inf
 
-    best = min(able, key=misfit)
-    assert best.whole is not None
-    return changes(case, best.entrant.case, best.whole)
+    return min(able, key=misfit, default=None)
 
 
 def _of(scheme: Scheme | None, told: Changes) -> Scheme | None:
@@ -175,9 +195,23 @@ def _of(scheme: Scheme | None, told: Changes) -> Scheme | None:
     return replace(scheme, groups=[scheme.groups[i] for i in told.kept])
 
 
-def _fitted(one: Entrant) -> Judged:
+def _all_fitted(
+    entrants: Sequence[Entrant],
+    iterated: Iterated | None,
+    known: Mapping[str, Result | None] = MappingProxyType({}),
+) -> list[Judged]:
+    """Candidates with their fits of all poses, side by side; known: those at hand, by name."""
+
+    def fitted(known: Mapping[str, Result | None], one: Entrant) -> Judged:
+        return _fitted(one, iterated, known.get(one.name))
+
+    return gathered(own_threads(), fitted, known, entrants)
+
+
+def _fitted(one: Entrant, iterated: Iterated | None, whole: Result | None = None) -> Judged:
+    """A candidate with its fit of all poses; whole: that fit, where it is at hand."""
     try:
-        whole = one.case.calibrated()
+        whole = one.case.calibrated(progress=iterated) if whole is None else whole
     except (InputError, NoTrustworthyResult) as error:
         return Judged(one, None, failed=error.message, error=error)
     if not whole.status.converged:
@@ -205,23 +239,20 @@ def _validated(
 ) -> list[Judged]:
     """All candidates on the parts of a plan; costly ones that are hopeless at half time go."""
     halves = plan.indices[::2], plan.indices[1::2]
-    alive = [one for one in judged if not one.failed]
-    total, before = len(plan.indices) * len(alive), 0
+    total, before = len(plan.indices) * sum(not one.failed for one in judged), 0
 
     def told(done: int, _: int) -> None:
         if progress:
             progress(before + done, total)
 
     for half in halves:
-        found = {}
-        for one in judged:
-            if one.failed or one.whole is None:
-                found[one.name] = one
-                continue
-            made = left_out(one.entrant.case, one.whole, half, executor, told, anew=plan.anew)
-            before += len(half)
-            found[one.name] = replace(one, made=(*one.made, *made))
-        judged = _without_hopeless(list(found.values())) if half is halves[0] else [*found.values()]
+        fitted = {one.name: (one.entrant.case, one.whole) for one in judged if one.whole}
+        alive = [one.name for one in judged if not one.failed and one.name in fitted]
+        found = left_out([fitted[name] for name in alive], half, executor, told, anew=plan.anew)
+        before += len(half) * len(alive)
+        made = dict(zip(alive, found, strict=True))
+        judged = [replace(one, made=(*one.made, *made.get(one.name, ()))) for one in judged]
+        judged = _without_hopeless(judged) if half is halves[0] else judged
     count = len(halves[0])
     order = np.argsort([*range(0, 2 * count, 2), *range(1, 2 * len(halves[1]), 2)])
     return [_ordered(one, order) for one in judged]
@@ -258,20 +289,19 @@ def _rms(one: Judged) -> float:
     assert one.whole is not None
     if not one.whole.mechanism.outputs:
         return 0.0
-    parts = [_risks(one.whole.mechanism, p) for p in one.made if isinstance(p, Predicted)]
+    parts = [_risks(one.whole, p) for p in one.made if isinstance(p, Predicted)]
     values = np.concatenate(parts) if parts else np.empty(0)
     values = values[np.isfinite(values)]
     return math.sqrt(float(values.mean())) if values.size else math.inf
 
 
-def _risks(mechanism: Mechanism, part: Predicted) -> Array:
+def _risks(whole: Result, part: Predicted) -> Array:
     """(n,) squared distances; without outputs minus twice the log densities."""
-    distances = by_pose(deviations(mechanism, part.measured, part.differences))
+    distances = by_pose(deviations(whole.mechanism, part.measured, part.differences))
     if distances is not None:
         return np.square(distances)
-    if part.stated is None:
-        return np.full(len(part.index), np.nan)
-    return -2.0 * part.stated.log_density
+    stated = part.stated(whole.drifting)
+    return np.full(len(part.index), np.nan) if stated is None else -2.0 * stated.log_density
 
 
 def _risk(one: Judged, plan: Plan, poses: int) -> Array:
@@ -281,50 +311,21 @@ def _risk(one: Judged, plan: Plan, poses: int) -> Array:
         for number, part in enumerate(one.made):
             if isinstance(part, Predicted):
                 row = int(number >= len(plan.random.indices))
-                found[row, part.index] = _risks(one.whole.mechanism, part)
+                found[row, part.index] = _risks(one.whole, part)
     return found
-
-
-@dataclass(frozen=True)
-class Gap:
-    """Mean risk of one candidate minus that of another, and its standard error by clusters."""
-
-    mean: float
-    sd: float
-    clusters: int
-
-    @classmethod
-    def of(cls, own: Array, other: Array, cluster: Index) -> Gap:
-        """From risks (N,) of both; cluster: (N,) poses whose errors belong together."""
-        both = own - other
-        there = np.isfinite(both)
-        label = np.unique(cluster[there], return_inverse=True)[1]
-        count = int(label.max(initial=-1)) + 1
-        if not count:
-            return cls(math.nan, math.inf, 0)
-        mean = float(both[there].mean())
-        if count == 1:
-            return cls(mean, math.inf, 1)
-        sums = np.bincount(label, both[there] - mean)
-        sd = math.sqrt(count / (count - 1) * float(np.square(sums).sum())) / int(there.sum())
-        return cls(mean, sd, count)
-
-    @property
-    def significant(self) -> bool:
-        """Whether the first is better than the other beyond chance."""
-        from scipy.special import stdtrit
-
-        if self.clusters < 2 or not math.isfinite(self.mean):
-            return False
-        return self.mean < -float(stdtrit(self.clusters - 1, 0.975)) * self.sd
 
 
 def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
     nominal = next((one.whole for one in judged if one.entrant.drawn and not one.failed), None)
-    if plan is None or not any(one.made for one in judged):
+    if plan is None or not any(one.made for one in judged if not one.entrant.drawn):
         taken = _unvalidated(judged)
         assert taken.whole is not None
-        why = "there are too few different poses" if plan is None else "fits without some failed"
+        if not taken.whole.status.converged:
+            why = "no fit converged"
+        else:
+            why = (
+                "there are too few different poses" if plan is None else "fits without some failed"
+            )
         words = f"{taken.name}; not validated: {why}"
         chosen = Chosen(taken.name, _terms(taken), words, tuple(map(_bare, judged)))
         return Choice(case.fit.method.name, taken.whole, chosen, None, nominal)
@@ -332,7 +333,7 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
     taken = _taken([one for one in judged if one.made], risks, plan)
     assert taken.whole is not None
     found = {
-        one.name: pooled(one.whole, one.made, plan, one.entrant.case.data)
+        one.name: pooled(one.whole, one.made, plan, one.entrant.case.data, stating=one is taken)
         for one in judged
         if one.made and one.whole is not None
     }
@@ -341,12 +342,11 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
     over = []
     for one in ordered:
         own = found.get(one.name)
-        gap, scale = None, 0.0
+        gain = None
         if own is not None and own.accuracy is not None and best is not None:
-            gap = Gap.of(risks[one.name][0], risks[taken.name][0], plan.groups)
-            scale = own.accuracy.rms + best.rms
+            gain = Gain.in_rms(risks[taken.name][0], risks[one.name][0], plan.groups)
         learnt = one.whole if one.made and not taken.entrant.structured else None
-        entry = _candidate(one, own, gap, scale)
+        entry = _candidate(one, own, gain)
         over.append(replace(entry, terms=() if learnt is None else learnt.terms))
     better = [
         one.name
@@ -385,20 +385,25 @@ def _score(risk: Array) -> float:
 
 def _better(own: Array, other: Array, plan: Plan, enough: Callable[[Iterable[bool]], bool]) -> bool:
     """Whether a candidate is significantly better than another, in all or any of both ways."""
-    gaps = [Gap.of(own[0], other[0], plan.groups)]
+    gains = [Gain.of(own[0], other[0], plan.groups)]
     if plan.blocked is not None:
         region = np.zeros(len(plan.groups), dtype=np.intp)
         for number, index in enumerate(plan.blocked.indices):
             region[index] = number
-        gaps.append(Gap.of(own[1], other[1], region))
-    known = [gap for gap in gaps if gap.clusters]
-    return all(gap.mean < 0.0 for gap in known) and enough(gap.significant for gap in known)
+        gains.append(Gain.of(own[1], other[1], region))
+    known = [gain for gain in gains if gain.clusters]
+    return all(gain.difference > 0.0 for gain in known) and enough(
+        gain.better is True for gain in known
+    )
 
 
 def _unvalidated(judged: Sequence[Judged]) -> Judged:
-    """The first that converged, the nominal machine aside; else the first that was fitted."""
-    fitted = [one for one in judged if one.whole is not None]
-    return next((one for one in fitted if not one.failed and not one.entrant.drawn), fitted[0])
+    """The first calibration that converged; without one the first, whose status says why.
+
+    Never the nominal machine, which would hide that nothing could be calibrated.
+    """
+    fitted = [one for one in judged if one.whole is not None and not one.entrant.drawn]
+    return next((one for one in fitted if one.whole and one.whole.status.converged), fitted[0])
 
 
 def _terms(one: Judged) -> tuple[str, ...]:
@@ -409,23 +414,25 @@ def _bare(one: Judged) -> Candidate:
     return Candidate(one.name, None, None, None, None, one.failed or None)
 
 
-def _candidate(one: Judged, own: Validation | None, gap: Gap | None, scale: float) -> Candidate:
-    """As a document holds it; gap: of squared distances at random parts; scale: sum of both rms."""
+def _candidate(one: Judged, own: Validation | None, gain: Gain | None) -> Candidate:
+    """As a document holds it; gain: of the chosen one over it, at random parts."""
     if own is None or own.accuracy is None:
         return _bare(one)
     blocked = own.blocked and own.blocked.accuracy
-    known = gap is not None and scale > 0.0 and math.isfinite(gap.sd)
     return Candidate(
         one.name,
         own.accuracy.distances,
         blocked.distances if blocked else None,
-        gap.mean / scale if known and gap else None,
-        gap.sd / scale if known and gap else None,
+        None if gain is None else gain.difference,
+        None if gain is None else gain.sd,
     )
 
 
 def _words(over: Sequence[Candidate], unit: str, better: Sequence[str]) -> str:
-    """What was chosen, over what, by how much; better: those of less risk, not significantly."""
+    """What was chosen, over what, by how much with paired standard errors.
+
+    better: the names of those of less risk, but not significantly.
+    """
     taken, *others = over
     if taken.out_of_sample is None:
         return f"{taken.name}, which predicts poses not used best or as well as any"
@@ -434,13 +441,12 @@ def _words(over: Sequence[Candidate], unit: str, better: Sequence[str]) -> str:
     if taken.blocked is not None:
         words += f", {size(taken.blocked.rms, unit)} {shown} in regions not used"
     beaten = [
-        f"{one.name} {size(one.out_of_sample.rms, unit)}"
-        + (f" and {size(one.blocked.rms, unit)}" if one.blocked and taken.blocked else "")
+        f"{one.name} {by_sd(one.difference, one.sd, unit, sign=True)} ± {size(one.sd, unit, 2)}"
         for one in others
-        if one.out_of_sample is not None
+        if one.difference is not None
     ]
     if beaten:
-        words += f"; over {', '.join(beaten)} {shown}"
+        words += f"; rms of the others minus this: {', '.join(beaten)} {shown}"
     out = [one.name for one in others if one.out_of_sample is None]
     if out:
         words += f"; out: {', '.join(out)}"

@@ -23,6 +23,8 @@ from loopcal.statistics.optima import other_optima
 from loopcal.statistics.outliers import Outliers, find_outliers
 from loopcal.statistics.predictor import Predictor, predictor, usual_words
 from loopcal.statistics.region import Span, region_of
+from loopcal.statistics.reliability import ReadingReliability, reliability
+from loopcal.statistics.scatter import Scatter, scatter
 from loopcal.statistics.shifted import shift_lines
 from loopcal.statistics.validation import Case
 
@@ -33,7 +35,8 @@ class Findings:
     outliers: what does not fit; shifts: what moved along the run, toml: the lines that model it;
     optima: others that fit about as well; region: where the machine works, and the sd there;
     nominal: accuracy of the nominal machine, placed and mounted; noise_floor: what the noise of the
-    readings alone causes.
+    readings alone causes; reliability: what single readings can hide; scatter: the
+    covariance that the poses themselves show.
 
     Poses that fit with the shifts modelled are not outliers.
     """
@@ -48,6 +51,8 @@ class Findings:
     region: RegionEntry | None = None
     nominal: Distances | None = None
     noise_floor: float | None = None
+    reliability: ReadingReliability | None = None
+    scatter: Scatter | None = None
 
     def added_to(self, document: ResultDocument) -> ResultDocument:
         """The document of the result with these figures."""
@@ -60,6 +65,9 @@ class Findings:
         return replace(
             document,
             accuracy=accuracy,
+            covariance=document.covariance
+            if self.scatter is None
+            else self.scatter.added_to(document.covariance),
             change_points=moved,
             warnings=(*document.warnings, *new.warnings()),
             identifiability=self.identifiability.added_to(document.identifiability),
@@ -69,6 +77,7 @@ class Findings:
             else replace(self.predictor.entry, region=self.region),
             outliers=self.outliers.found,
             outlier_tests=self.outliers.tests,
+            reliability=None if self.reliability is None else self.reliability.entry,
             column_faults=self.outliers.columns,
             other_optima=self.optima,
         )
@@ -81,7 +90,9 @@ class Findings:
                 f"prediction: {words} at 95 % of these poses"
                 for words in usual_words(self.predictor.usual)
             ]
-        lines += self.identifiability.words() + self.outliers.lines() + self.shifts.lines()
+        lines += self.identifiability.words() + self.outliers.lines()
+        lines += [] if self.reliability is None else self.reliability.entry.lines()
+        lines += self.shifts.lines()
         return "\n".join(lines + [str(optimum) for optimum in self.optima])
 
 
@@ -119,6 +130,8 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
             None if known is None else region_of(result, known, region),
             None if result.all_poses is not None or chosen else nominal_distances(result),
             None if result.all_poses is not None else noise_floor(result),
+            reliability(result),
+            scatter(result),
         )
 
 

@@ -1,8 +1,11 @@
 """By how much one way predicts poses better than another, with its paired standard error.
 
-With distances a_i, b_i of the same N poses and D_i = b_i^2 - a_i^2,
+With risks r_i, s_i of the same N poses, D_i = s_i - r_i, and G clusters g of poses whose errors
+belong together (by default each pose its own),
 
-    rms_b - rms_a = mean(D) / (rms_a + rms_b),   sd = sd(D) / sqrt(N) / (rms_a + rms_b).
+    difference = mean(D),   sd^2 = G / (G - 1) sum_g (sum_{i in g} (D_i - mean(D)))^2 / N^2.
+
+Where risks are squared distances, rms_s - rms_r = mean(D) / (rms_r + rms_s), and so its sd.
 """
 
 from __future__ import annotations
@@ -14,34 +17,57 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-CERTAIN = 2.0
-"""So many sds of the difference make it significant."""
+LEVEL = 0.05
+"""Family of two sides: a difference this unlikely by chance is significant."""
 
 
 @dataclass(frozen=True)
 class Gain:
-    """difference: rms of the other minus rms of this one [unit]; sd: its paired standard error."""
+    """difference: mean risk of the other minus that of this one; sd: its standard error, infinite
+    where it is not known; clusters: of poses whose errors belong together."""
 
     difference: float
     sd: float
+    clusters: int
 
     @classmethod
-    def of(cls, distances: Array, others: Array) -> Gain | None:
-        """From distances (N,) of both; None where fewer than two poses have both."""
-        both = np.isfinite(distances) & np.isfinite(others)
-        n = int(both.sum())
-        if n < 2:
+    def of(cls, own: Array, others: Array, cluster: NDArray[np.intp] | None = None) -> Gain:
+        """From risks (N,) of both, NaN where there is none; cluster: (N,) labels."""
+        both = others - own
+        there = np.isfinite(both)
+        number = int(there.sum())
+        if not number:
+            return cls(math.nan, math.inf, 0)
+        labels = np.arange(len(both)) if cluster is None else cluster
+        label = np.unique(labels[there], return_inverse=True)[1]
+        count = int(label.max()) + 1
+        mean = float(both[there].mean())
+        if count == 1:
+            return cls(mean, math.inf, 1)
+        sums = np.bincount(label, both[there] - mean)
+        sd = math.sqrt(count / (count - 1) * float(np.square(sums).sum())) / number
+        return cls(mean, sd, count)
+
+    @classmethod
+    def in_rms(
+        cls, own: Array, others: Array, cluster: NDArray[np.intp] | None = None
+    ) -> Gain | None:
+        """Of root mean squares, from squared distances (N,); None below two clusters."""
+        found = cls.of(own, others, cluster)
+        if found.clusters < 2:
             return None
-        a, b = np.square(distances[both]), np.square(others[both])
-        total = math.sqrt(a.mean()) + math.sqrt(b.mean())
+        there = np.isfinite(own) & np.isfinite(others)
+        total = math.sqrt(own[there].mean()) + math.sqrt(others[there].mean())
         if total == 0.0:
-            return cls(0.0, 0.0)
-        D = b - a
-        return cls(float(D.mean()) / total, float(D.std(ddof=1)) / math.sqrt(n) / total)
+            return cls(0.0, 0.0, found.clusters)
+        return cls(found.difference / total, found.sd / total, found.clusters)
 
     @property
     def better(self) -> bool | None:
         """Whether this one is better; None where the difference may be chance."""
-        if abs(self.difference) <= CERTAIN * self.sd:
+        from scipy.special import stdtrit
+
+        if self.clusters < 2:
             return None
-        return self.difference > 0.0
+        chance = float(stdtrit(self.clusters - 1, 1.0 - 0.5 * LEVEL)) * self.sd
+        return None if abs(self.difference) <= chance else self.difference > 0.0

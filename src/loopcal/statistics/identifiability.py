@@ -29,6 +29,8 @@ SCHROER = 100.0
 SAYS_NOTHING, SAYS_LITTLE = 0.95, 0.7
 """Posterior over prior sd from which on the data said nothing, or little."""
 _LEADING, _MOST_NAMED = 0.3, 4
+_SAME = 0.95
+"""Cosine from which on a direction is that of the size."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,10 @@ def what_data_say(
     return WhatDataSay(
         system.condition if whole else None,
         _learned(problem, units, sds),
-        (*_undetermined(problem, system), *_weak(system, names, units, unit_sd)),
+        (
+            *_undetermined(problem, system),
+            *_weak(system, names, units, unit_sd, _lengths(problem, units)),
+        ),
         index,
     )
 
@@ -140,14 +145,23 @@ def _undetermined(problem: Problem, system: Spectrum) -> list[WeakDirection]:
     return found
 
 
+def _lengths(problem: Problem, units: Sequence[str]) -> Array:
+    """(n,) the step [SI] that doubles the size of the machine: its lengths, no angle."""
+    return np.where(np.array(units) == "m", problem.nominal, 0.0)
+
+
 def _weak(
-    system: Spectrum, names: Sequence[str], units: Sequence[str], unit_sd: float | None
+    system: Spectrum,
+    names: Sequence[str],
+    units: Sequence[str],
+    unit_sd: float | None,
+    lengths: Array,
 ) -> list[WeakDirection]:
     """Directions beyond Schroer's condition number that the data determine, the worst first."""
     s, highest = system.singular_values, float(system.singular_values.max(initial=0.0))
     weak = np.flatnonzero(system.kept & (s * SCHROER < highest))
     return [
-        _weak_direction(system, int(i), names, units, highest / float(s[i]), unit_sd)
+        _weak_direction(system, int(i), names, units, highest / float(s[i]), unit_sd, lengths)
         for i in weak[np.argsort(s[weak])]
     ]
 
@@ -159,6 +173,7 @@ def _weak_direction(
     units: Sequence[str],
     condition: float,
     unit_sd: float | None,
+    lengths: Array,
 ) -> WeakDirection:
     direction = system.directions[:, which]
     direction = direction / direction[int(np.argmax(np.abs(direction)))]
@@ -169,6 +184,12 @@ def _weak_direction(
     words = f"{_list([names[i] for i in leading])} are weakly distinguished by these poses"
     if len(leading) == 1:
         words = f"{names[leading[0]]!r} is weakly determined by these poses"
+    whole = _size(system, which, unit_sd, lengths)
+    if whole is not None:
+        words = (
+            "the size of the machine, all its lengths alike, is weakly determined by these poses: "
+            f"to {significant(100.0 * whole, 2)} %"
+        )
     words += f" (condition {significant(condition, 3)}"
     if unit_sd is not None:
         along = system.directions[:, which]
@@ -182,7 +203,17 @@ def _weak_direction(
             for i, u in zip(leading, shown, strict=True)
         ]
         words += f"; one sd along it: {', '.join(told)}"
-    return WeakDirection(shares, steps, known(condition), words + ")")
+    return WeakDirection(shares, steps, known(condition), words + ")", whole)
+
+
+def _size(system: Spectrum, which: int, unit_sd: float | None, lengths: Array) -> float | None:
+    """By which share all lengths change within one sd along a direction; None for another one."""
+    scaled = lengths / system.scale
+    length = float(np.linalg.norm(scaled))
+    along = abs(float(system.directions[:, which] @ scaled))
+    if unit_sd is None or along < _SAME * length or not length:
+        return None
+    return unit_sd / float(system.singular_values[which]) * along / length**2
 
 
 def _in(value: float, unit: str, *, sign: bool = False) -> str:

@@ -25,11 +25,9 @@ from numpy.typing import NDArray
 
 from loopcal import chi_squared
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.statistics.replacing import Replaced
+from loopcal.statistics.replacing import DETERMINED, Replaced
 
 Array = NDArray[np.float64]
-_DETERMINED = 1e-9
-"""Singular values so far below the largest are of directions that these poses do not show."""
 _UNSEEN = 1e-9
 """An undetermined step that moves the loops by less of what its parts move does not count."""
 
@@ -88,7 +86,7 @@ class Linearised:
         scale = np.linalg.norm(F, axis=0)
         scale = np.where(scale > 0.0, scale, 1.0)
         U, s, Vt = np.linalg.svd(F / scale, full_matrices=False)
-        kept = s > _DETERMINED * s.max(initial=0.0)
+        kept = s > DETERMINED * s.max(initial=0.0)
         solve = (Vt[kept].T / s[kept]) @ U[:, kept].T / scale[:, None]
         return cls(here.e, F, J @ root, root, solve, int(kept.sum()))
 

@@ -1,17 +1,18 @@
 """The equations of a fit in the order of the poses, ready to be searched for steps.
 
-Rows are the whitened equations E = Z z + v of each pose. Z holds the parameters and smooth
-functions of the joints along each instrument's readings (`mechanisms.structure.smooth`), whose
-variance is learnt by restricted likelihood: an arm that bends must not look like steps where
-neighbouring poses are measured one after the other. The rows are scaled by their own scatter, in
-every direction, and poses that fit badly count less (Huber), so that neither an error of the model
-nor one outlier passes for a step.
+Rows are the whitened equations E = Z z + v of each pose. Z holds the parameters and, where these
+have none, smooth functions of the joints along each instrument's readings
+(`mechanisms.structure.smooth`), whose variance is learnt by restricted likelihood: an arm that
+bends must not look like steps where neighbouring poses are measured one after the other. The rows
+are scaled by their own scatter, in every direction, and poses that fit badly count less (Huber), so
+that neither an error of the model nor one outlier passes for a step.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.mechanisms.structure.smooth import Smooth
+from loopcal.mechanisms.structure.structured import DISCREPANCY
 
 Array = NDArray[np.float64]
 _HUBER, _ROUNDS = 2.0, 3
@@ -169,13 +171,19 @@ class Step:
 
 @dataclass(frozen=True)
 class _Ridge:
-    """z (m,), root of H^-1, the degrees of freedom that the fit uses, and the variance of smooth
-    columns over that of a row."""
+    """z (m,), the degrees of freedom that the fit uses, the variance of smooth columns over that of
+    a row, and the factor of H, whose rows and columns are scaled."""
 
     z: Array
-    root: Array
     used: float
     ratio: float
+    factor: _Factor
+    scale: Array
+
+    @property
+    def root(self) -> Array:
+        """(m, k) with H^-1 = root root^T."""
+        return self.scale[:, None] * self.factor.root
 
 
 def _ridge(E: Array, Z: Array, P: Array, pull: Array, smooth: int, ratios: Array) -> _Ridge:
@@ -185,20 +193,23 @@ def _ridge(E: Array, Z: Array, P: Array, pull: Array, smooth: int, ratios: Array
     ZZ, g = flat.T @ flat, flat.T @ e + pull
     scale = 1.0 / np.sqrt(np.maximum(np.diag(ZZ) + np.diag(P), 1e-300))
     size = np.trace(ZZ[m - smooth :, m - smooth :]) / max(len(e) * smooth, 1)
+    scaled = (ZZ + P) * scale * scale[:, None]
     best, least, at = None, np.inf, 1.0
     for ratio in ratios.tolist() if smooth else (1.0,):
         precision = np.zeros(m)
         precision[m - smooth :] = max(size, 1e-300) / ratio
-        factor = _Factor.of((ZZ + P + np.diag(precision)) * scale * scale[:, None])
-        along = factor.half(scale * g)
-        criterion = factor.log_determinant - float(along @ along)
+        H = scaled.copy()
+        H.reshape(-1)[:: m + 1] += precision * np.square(scale)
+        factor = _Factor.of(H)
+        z = factor.solved(scale * g)
+        criterion = factor.log_determinant - float(z @ (scale * g))
         criterion -= float(np.log(precision[m - smooth :]).sum())
         if criterion < least:
-            best, least, at = factor, criterion, ratio
+            best, least, at, found, added = factor, criterion, ratio, z, precision
     assert best is not None
-    root = scale[:, None] * best.root
-    used = float(np.einsum("ik,ik->", root, ZZ @ root))
-    return _Ridge(root @ (root.T @ g), root, used, at)
+    held = (np.diag(P) + added) * np.square(scale)  # P is diagonal
+    used = len(best.values) - float(best.variances @ held)
+    return _Ridge(scale * found, used, at, best, scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,17 +237,27 @@ class _Factor:
     def log_determinant(self) -> float:
         return 2.0 * float(np.log(self.values).sum())
 
-    @property
+    @cached_property
     def root(self) -> Array:
         """(m, k) with H^-1 = root root^T."""
+        from scipy.linalg.lapack import dtrtri
+
         if self.L is None:
             return self.vectors / self.values
-        return np.asarray(np.linalg.inv(self.L).T)
+        return np.asarray(dtrtri(self.L, lower=1)[0].T)
 
-    def half(self, g: Array) -> Array:
-        """L^-1 g."""
-        found = self.root.T @ g if self.L is None else np.linalg.solve(self.L, g)
-        return np.asarray(found, dtype=np.float64)
+    @property
+    def variances(self) -> Array:
+        """(m,) the diagonal of H^-1."""
+        return np.asarray(np.square(self.root).sum(axis=1))
+
+    def solved(self, g: Array) -> Array:
+        """H^-1 g."""
+        from scipy.linalg import cho_solve
+
+        if self.L is None:
+            return np.asarray(self.root @ (self.root.T @ g))
+        return np.asarray(cho_solve((self.L, True), g, check_finite=False))
 
 
 def ordered_system(result: Result) -> OrderedSystem:
@@ -288,7 +309,7 @@ def _smooth_columns(problem: Problem, X: Array) -> Array:
     """(N, R, m) smooth functions of the joints along the readings of each instrument."""
     mechanism, names = problem.mechanism, problem.mechanism.tape.quantities
     joints = joint_rows(problem)
-    if not joints:
+    if not joints or DISCREPANCY in {term.name for term in mechanism.learnt_terms}:
         return np.zeros((*X.shape[:2], 0))
     smooth = Smooth.of([(names[i], mechanism.quantities[names[i]]) for i in joints], {})
     features = np.array(smooth.features({names[i]: problem.readings[i] for i in joints}))

@@ -1,14 +1,8 @@
-"""Outliers: which poses do not fit the others, which reading is to blame, and what happened to it.
-
-Within a pose the loops couple the readings, and a misfit shows in all of their corrections. So
-each reading is left out in turn and found again from the others: those that make the pose
-unremarkable may be to blame, and what they should have read says what happened.
-"""
+"""Outliers: poses that do not fit the others, what is to blame, and what happened to it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,22 +17,13 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.presentation.rounding import significant
 from loopcal.statistics.outlier_search import Search
-from loopcal.statistics.pose_tests import (
-    Fitted,
-    PoseTests,
-    misfit_there,
-    tail,
-    try_rows,
-)
+from loopcal.statistics.pose_tests import Fitted, PoseTests, tail
 
 if TYPE_CHECKING:
     from loopcal.statistics.causes import Cause, Suspect
 
 Array = NDArray[np.float64]
 SCALES = ("auto", "stated", "residual")
-UNREMARKABLE = 0.001
-"""A pose whose statistic has at least this probability is explained."""
-_ROUND = 24
 
 
 @dataclass(frozen=True)
@@ -102,7 +87,7 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
     root of the variance factor of the poses that fit; "auto" does so where the stated sds are
     plainly too small, and for least squares, which states none.
 
-    Every cause is tried: the reading is put right and the pose tested again at parameters it had no
+    Every cause is tried: the reading is corrected and the pose tested again at parameters it had no
     part in. Where the fit as a whole is bad, exchanged columns, columns in degrees instead of
     radians and reversed joints are tried on all poses.
 
@@ -118,6 +103,10 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
             code="unknown-name",
             remedy=f"choose one of {', '.join(SCALES)}",
         )
+    return result.remembered(("outliers", level, scale), lambda: _found(result, level, scale))
+
+
+def _found(result: Result, level: float, scale: str) -> Outliers:
     with one_blas_thread():
         search = Search(result, level, scale)
         columns = result.faults
@@ -141,85 +130,12 @@ def _named(
     if not where.size:
         return ()
     from loopcal.statistics.causes import find_causes
+    from loopcal.statistics.suspects import find_suspects
 
-    suspects = _suspects(search, fit, where, tests)
+    suspects = find_suspects(search, fit, where, tests)
     causes = find_causes(search.problem, search.result.dataset, fit, suspects, exact=search.exact)
     worst = np.argsort([-(s.t / max(s.freedom, 1)) for s in suspects], kind="stable")
     return tuple(_outlier(search.problem, suspects[i], causes[i]) for i in worst)
-
-
-def _suspects(
-    search: Search, fit: Fitted, where: NDArray[np.intp], tests: PoseTests
-) -> list[Suspect]:
-    """Each pose with every reading left out in turn and found from the others."""
-    from loopcal.statistics.causes import Suspect
-
-    explained: dict[int, dict[int, tuple[float, float]]] = {int(i): {} for i in where}
-    possible = np.isfinite(tests.w) & search.readings[:, None]
-    for anywhere in (False, True):
-        left = [i for i, own in explained.items() if not own]
-        pairs = [(i, int(j)) for i in left for j in np.flatnonzero(possible[:, i])]
-        starts = [search.problem.readings[j, i] for i, j in pairs]
-        if anywhere:
-            pairs, starts = _round_the_circle(search.problem, fit, pairs)
-        for i, j, size, t in _without_each(search, fit, pairs, starts):
-            explained[i][j] = (size, t)
-    return [
-        Suspect(
-            i,
-            float(tests.t[i]),
-            int(tests.freedom[i]),
-            dict(sorted(own.items(), key=lambda item: item[1][1])),
-        )
-        for i, own in explained.items()
-    ]
-
-
-def _left_out(problem: Problem, pairs: list[tuple[int, int]]) -> NDArray[np.bool_]:
-    """(k, V) what is unmeasured if of each pose one reading more is left out."""
-    rows = [i for i, _ in pairs]
-    without = np.isinf(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape))[:, rows]
-    for column, (_, j) in enumerate(pairs):
-        without[j, column] = True
-    return without
-
-
-def _round_the_circle(
-    problem: Problem, fit: Fitted, pairs: list[tuple[int, int]]
-) -> tuple[list[tuple[int, int]], list[float]]:
-    """The angles among these readings, and where on the circle each fits its pose best."""
-    names, units = problem.mechanism.tape.quantities, problem.mechanism.quantities
-    angles = [(i, j) for i, j in pairs if units[names[j]] == "rad"]
-    if not angles:
-        return [], []
-    turned = [pair for pair in angles for _ in range(_ROUND)]
-    readings = problem.readings[:, [i for i, _ in turned]]
-    for column, (_, j) in enumerate(turned):
-        readings[j, column] += 2 * np.pi * (column % _ROUND) / _ROUND
-    t = misfit_there(problem, fit, [i for i, _ in turned], readings, _left_out(problem, turned))
-    best = np.where(np.isfinite(t), t, np.inf).reshape(-1, _ROUND).argmin(axis=1)
-    columns = np.arange(len(angles)) * _ROUND + best
-    return angles, [float(readings[j, c]) for (_, j), c in zip(angles, columns, strict=True)]
-
-
-def _without_each(
-    search: Search, fit: Fitted, pairs: list[tuple[int, int]], starts: list[float]
-) -> Iterator[tuple[int, int, float, float]]:
-    """Pose, reading, size of its error and what is left of t, where that is unremarkable."""
-    if not pairs:
-        return
-    problem = search.problem
-    rows = [i for i, _ in pairs]
-    readings = problem.readings[:, rows]
-    for column, (_, j) in enumerate(pairs):
-        readings[j, column] = starts[column]
-    without = _left_out(problem, pairs)
-    tried = try_rows(problem, fit, rows, readings, without, exact=search.exact)
-    p = tried.tests.p_pose
-    for column, (i, j) in enumerate(pairs):
-        if p[column] >= UNREMARKABLE:
-            there = readings[j, column] + tried.corrections[j, column]
-            yield i, j, float(problem.readings[j, i] - there), float(tried.tests.t[column])
 
 
 def _outlier(problem: Problem, suspect: Suspect, cause: Cause | None) -> Outlier:
@@ -233,12 +149,17 @@ def _outlier(problem: Problem, suspect: Suspect, cause: Cause | None) -> Outlier
     whole = known(suspect.t)
     if not order or (cause is not None and cause.quantity is None):
         p = float(tail(np.array([suspect.t]), np.array([suspect.freedom]))[0])
-        size = unit = None
-        return Outlier(pose, None, whole, p, whole, size, unit, (), words, verified)
+        together = tuple(suspect.together) if cause is None else ()
+        size = suspect.together[together[0]] if len(together) == 1 else None
+        unit = None if size is None else "m"
+        found = Outlier(pose, None, whole, p, whole, size, unit, (), words, verified)
+        return replace(found, together=together)
     j = order[0]
     size, left = suspect.explained[j]
     w = float(np.copysign(np.sqrt(max(suspect.t - left, 0.0)), size))
     p = float(tail(np.array([w * w]), np.array([1]))[0])
     others = tuple(names[i] for i in order[1:])
     unit = problem.mechanism.quantities[names[j]]
-    return Outlier(pose, names[j], known(w), p, whole, size, unit, others, words, verified)
+    read = [f.name for f in problem.mechanism.families if names[j] in f.readings]
+    found = Outlier(pose, names[j], known(w), p, whole, size, unit, others, words, verified)
+    return replace(found, instrument=read[0] if read else None)

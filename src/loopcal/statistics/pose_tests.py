@@ -22,13 +22,12 @@ from numpy.typing import NDArray
 from loopcal import chi_squared
 from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.problem.problem import Problem, left_unmeasured, taken
+from loopcal.estimation.redundancy import UNCONTROLLED
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.reduced import Closed
 from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]
-NO_REDUNDANCY = 1e-6
-"""What the other readings control to less than this share cannot be tested."""
 
 
 @dataclass(frozen=True)
@@ -87,18 +86,18 @@ def pose_tests(
 
 
 def _block(block: PoseEquations, fit: Fitted, fitted: NDArray[np.bool_]) -> PoseTests:
-    spread = np.einsum("bri,ij,bsj->brs", block.D, fit.covariance, block.D)
+    spread = (block.D @ fit.covariance) @ block.D.transpose(0, 2, 1)
     values, vectors = np.linalg.eigh(spread)
     # The eigenvalues of W: what the other poses leave to test in each direction.
     own = np.where(fitted[:, None], 1.0 - values, 1.0 / (1.0 + values))
-    open_ = own > NO_REDUNDANCY
+    open_ = own > UNCONTROLLED
     turned = np.einsum("brs,br->bs", vectors, block.E)
     y = np.where(open_, turned * np.where(fitted[:, None], 1.0, own), 0.0)
     t = (np.square(y) / np.where(open_, own, 1.0)).sum(axis=1) / fit.factor
     X = np.einsum("brs,brk->bsk", vectors, block.X)
     power = np.einsum("bs,bsk->kb", np.where(open_, own, 0.0), np.square(X))
     whole = np.square(X).sum(axis=1).T
-    possible = (power > NO_REDUNDANCY * whole) & (power > 0.0)
+    possible = (power > UNCONTROLLED * whole) & (power > 0.0)
     root = np.sqrt(np.where(possible, power, 1.0))
     scale = np.sqrt(fit.factor)
     w = np.where(possible, -np.einsum("bsk,bs->kb", X, y) / root / scale, np.nan)

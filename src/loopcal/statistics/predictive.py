@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.calibrate import begun_near
+from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.model_error import noise_told, weighed
 from loopcal.estimation.noise.estimation import scaled
 from loopcal.estimation.noise.learning import with_model
@@ -30,6 +31,8 @@ from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
+from loopcal.small_samples import LearntCovariance, f_limit
+from loopcal.statistics.same_run import Run, SameRun
 
 Array = NDArray[np.float64]
 _UNPREDICTABLE = 1e-6
@@ -112,29 +115,37 @@ class Predictive:
     """What a fit stated of the misclosures of poses that it has not seen, and what they were.
 
     log_density (N,): log N(misclosure; 0, W + J Cov_p J^T); zero for a pose without loops. squares
-    (N,): misclosure^2 over that covariance, chi-squared with `loops` (N,) degrees of freedom.
+    (N,): misclosure^2 over that covariance, F-distributed but for a factor with `loops` (N,) and
+    `denominator` (N,) degrees of freedom.
     """
 
     log_density: Array
     squares: Array
     loops: NDArray[np.intp]
+    denominator: Array
 
     def inside(self, level: float = LEVEL) -> Array:
         """(N,) 1 where the measured point lies in its stated region, 0 outside, NaN without one."""
-        from scipy.special import chdtri
+        inside = np.full(len(self.squares), np.nan)
+        for loops in np.unique(self.loops[self.loops > 0]):
+            its = self.loops == loops
+            inside[its] = self.squares[its] <= f_limit(level, int(loops), self.denominator[its])
+        return inside
 
-        held = self.squares <= chdtri(np.maximum(self.loops, 1), 1.0 - level)
-        return np.where(self.loops > 0, held, np.nan)
 
-
-def predictive(fit: Result, held: Held, covariance: Array | None = None) -> Predictive | None:
+def predictive(
+    fit: Result, held: Held, drifting: Drifting | None = None, run: Run | None = None
+) -> Predictive | None:
     """What the fit stated of these poses; None where their misclosures have no density.
 
-    covariance: (n, n) of its parameters, by default its own.
+    drifting: the drift that its covariance allows for; run: where the poses stand in its run, None
+    for another one.
     """
-    problem = held.problem
-    covariance = fit.covariance if covariance is None else covariance
-    model = linear_model(problem, problem.start, held.corrections, ())
+    problem, learnt = held.problem, fit.learnt_noise
+    shared = None
+    if drifting is not None and run is not None:
+        shared = SameRun.of(fit, problem, held.corrections, drifting, run)
+    model = linear_model(problem, problem.start, held.corrections, [c for c, _ in learnt])
     own = 0.0
     if fit.fit.solver.exact:
         variance = fit.fit.solver.unit_variance(fit.information.chi_squared, fit.freedom)
@@ -147,26 +158,43 @@ def predictive(fit: Result, held: Held, covariance: Array | None = None) -> Pred
     scale = math.sqrt(own) if own else 1.0
     density, squares = np.zeros((2, len(problem.poses)))
     loops = np.zeros(len(problem.poses), dtype=np.intp)
+    denominator = np.full(len(problem.poses), math.inf)
     for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):
-        found = _densities(block, own, covariance, free, limit / scale)
+        r = block.e.shape[1]
+        W = block.fixed + block.G @ np.swapaxes(block.G, -1, -2) + own * np.eye(r)
+        if shared is not None:
+            noise = np.broadcast_to(np.eye(r), W.shape) if own else W
+            total = LearntCovariance.known(
+                shared.covariance(np.arange(len(problem.poses))[poses], noise, block.J)
+            )
+        else:
+            known = fit.covariance_through(block.J, drifting)
+            slopes = np.zeros((len(known.slopes), *W.shape))
+            if own and len(slopes):
+                slopes += math.sqrt(2.0 / fit.freedom) * W
+            elif len(slopes):
+                for j, (_, relative) in enumerate(learnt):
+                    G = block.G[:, :, block.owner == j]
+                    slopes += np.multiply.outer(relative, G @ np.swapaxes(G, -1, -2))
+            total = known.plus(LearntCovariance(W, W, slopes))
+        found = _densities(block, W, total.matrix, free, limit / scale)
         if found is None:
             return None
         density[poses], squares[poses] = found
-        loops[poses] = block.e.shape[1]
-    return Predictive(density, squares, loops)
+        loops[poses], denominator[poses] = r, total.denominator
+    return Predictive(density, squares, loops, denominator)
 
 
 def _densities(
-    block: ModelBlock, own: float, covariance: Array, free: Array, limit: float
+    block: ModelBlock, W: Array, covariance: Array, free: Array, limit: float
 ) -> tuple[Array, Array] | None:
-    """Log densities and squares of the poses of a block."""
+    """Log densities and squares of the poses of a block, whose own noise is W (b, r, r)."""
     r = block.e.shape[1]
-    W = block.fixed + own * np.eye(r)
     try:
         L = np.linalg.cholesky(W)
         if np.any(np.abs(np.linalg.solve(L, block.J @ free)) > limit):
             return None  # the fit cannot say where these loops are
-        L = np.linalg.cholesky(W + block.J @ covariance @ np.swapaxes(block.J, -1, -2))
+        L = np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:
         return None  # a loop without any uncertainty
     z = np.linalg.solve(L, block.e[:, :, None])[:, :, 0]

@@ -4,8 +4,9 @@ The working region is a box of joint readings: as the user states it, else the j
 turning joint of an arm without limits turns a quarter turn either way of the middle of its readings
 at least; what has none of these stays within its readings. The
 sd that the parameters cause (`predictor`) is averaged (rms) over random poses of the box, and over
-the measured ones. A ratio far above 1 says that the data hold the machine near their own poses
-only, whatever a cross-validation inside them says.
+the measured ones; what the fit leaves unexplained at its poses adds to both. A ratio far above 1
+says that the data hold the machine near their own poses only, whatever a cross-validation inside
+them says.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.findings import RegionEntry, RegionRange
+from loopcal.document.findings import RegionEntry, RegionRange, RegionSd
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.mechanisms.limits import joint_limits
-from loopcal.mechanisms.outputs import output_groups
+from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.statistics.predictor import Predictor, by_parameters, trace_sd
 
 Array = NDArray[np.float64]
@@ -76,20 +77,28 @@ def region_of(
     there = _sds(known, x, constants, also)
     some = slice(None, None, max(1, -(-problem.count // _MOST)))
     here = _sds(known, corrected[:, some], problem.known[:, some], also)
-    entries = []
+    worst: dict[str, tuple[float, RegionSd]] = {}
     for i, group in enumerate(output_groups(mechanism)):
         at, over = here[i][np.isfinite(here[i])], there[i][~np.isnan(there[i])]
         if not at.size or len(over) < _FEWEST:
             continue
-        mean, far = (float(np.sqrt(np.square(v).mean())) for v in (at, over))
-        entries.append((far / mean if mean else np.inf, mean, far, group.unit))
-    if not entries:
-        return None
-    ratio, mean, far, unit = max(entries)
-    finite = np.isfinite(far) and np.isfinite(ratio)
-    return RegionEntry(
-        tuple(ranges), unit, mean, far if finite else None, ratio if finite else None
-    )
+        left = _unexplained(result, group)
+        mean, far = (math.hypot(np.sqrt(np.square(v).mean()), left) for v in (at, over))
+        ratio = far / mean if mean else np.inf
+        finite = (far, ratio) if np.isfinite(far) and np.isfinite(ratio) else (None, None)
+        if ratio >= worst.get(group.unit, (0.0, None))[0]:
+            worst[group.unit] = ratio, RegionSd(group.unit, mean, *finite)
+    by = sorted(worst.values(), key=lambda one: -one[0])
+    return RegionEntry(tuple(ranges), tuple(one for _, one in by)) if by else None
+
+
+def _unexplained(result: Result, group: OutputGroup) -> float:
+    """Rms distance that the fit leaves in these outputs; 0 where nothing says it."""
+    left = result.differences_after
+    rows = np.array([left[q] for q in group.outputs if q in left]).reshape(-1, result.problem.count)
+    square = np.square(rows).sum(axis=0)
+    square = square[np.isfinite(square)]
+    return float(np.sqrt(square.mean())) if square.size else 0.0
 
 
 def _sds(known: Predictor, x: Array, constants: Array, also: list[int]) -> list[Array]:

@@ -101,8 +101,8 @@ class Correlation:
 class Repeats:
     """What repeated readings say of the sensors; series: (name, readings used) of each.
 
-    correlations: of every pair that scatters; separation: joints and instrument told apart by
-    the loops of a mechanism, None without one.
+    correlations: of every pair that scatters; separation: joints and instrument
+    distinguished by the loops of a mechanism, None without one.
     """
 
     series: tuple[tuple[str, int], ...]

@@ -33,7 +33,7 @@ _SETTLED = 1e-9
 _MOST_DAMPING = 1e12
 _ASTRAY, _STARTS = 100.0, 10
 """A mean square from which on other starts are tried, and how many."""
-_DETERMINED = 1e-9
+DETERMINED = 1e-9
 """Singular values so far below the largest are of directions that these poses do not show."""
 
 
@@ -175,7 +175,7 @@ def _damped(A: Array, e: Array, damping: float) -> Array:
     scale = np.where(scale > 0.0, scale, 1.0)
     rows = np.vstack([A / scale, np.sqrt(damping) * np.eye(A.shape[1])])
     right = np.concatenate([e, np.zeros(A.shape[1])])
-    step: Array = np.linalg.lstsq(rows, right, rcond=_DETERMINED)[0] / scale
+    step: Array = np.linalg.lstsq(rows, right, rcond=DETERMINED)[0] / scale
     return step
 
 

@@ -33,7 +33,7 @@ def validate(
     """How well this calibration predicts poses that it has not seen.
 
     noise, fit: as in `calibrate`, with its keyword arguments; full: the calibration of all poses,
-    if it is at hand; executor: who does the refits, this process one by one if it is None, which
+    if it is at hand; executor: who does the refits, by default the threads of this process, which
     changes no value; progress: called with how many refits are done.
 
     folds: in how many parts the poses are cut, each left out once (default 10); blocks: in how many

@@ -6,7 +6,8 @@ computed from their other readings. Stone (1974), cross-validatory choice and as
 statistical predictions. The refits begin at the solution of all poses, which saves iterations
 and gives nothing away: the optimum does not depend on where the search began. Where a part
 leaves a direction undetermined, it would; there the refit begins where the first fit did. Whether
-residuals of neighbouring poses depend is asked of all poses once, not of each part again.
+residuals of neighbouring poses depend is asked of all poses once, not of each part again, and a
+drift that all poses show is that of each part.
 """
 
 from __future__ import annotations
@@ -25,11 +26,14 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import Accuracy, accuracy, by_pose, deviations
 from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
+from loopcal.execution.local import own_threads
 from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
@@ -47,11 +51,13 @@ from loopcal.statistics.folds import (
 )
 from loopcal.statistics.predictive import LEVEL, Held, Predictive, held_problem, predictive, taken
 from loopcal.statistics.replacing import Freedom, replaced
+from loopcal.statistics.same_run import Run
 from loopcal.statistics.verification import day_problem
 
 Array = NDArray[np.float64]
-NEARLY = 1e-3
-"""Where sds of terms are learnt, refits converge to so many sds: far less than these are known."""
+NEARLY = 1e-2
+"""Where sds of terms are learnt, refits converge to so many sds: far less than these are known, and
+no prediction moves by more than a hundredth of its error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +142,7 @@ def validated(
 ) -> Validation:
     """The validation of a case whose calibration of all poses is at hand.
 
-    executor: who does the refits, this process one by one if it is None; progress: called with how
+    executor: who does the refits, by default the threads of this process; progress: called with how
     many refits are done. Raises as `loopcal.statistics.validate.validate`.
     """
     if scheme.other is not None:
@@ -144,12 +150,12 @@ def validated(
         known = case.noise if scheme.other_noise is None else Noise.of(scheme.other_noise)
         name = other.source.name or "other readings"
         held = held_problem(whole, other, known)
-        part = _predicted(whole, held, np.arange(len(other)), whole.covariance)
+        part = _predicted(whole, held, np.arange(len(other)))
         words = f"{len(other)} poses of {name}"
         return _pooled(whole, [part], Parts((), {"file": name}, words), other)
     plan = planned(case, scheme)
-    made = left_out(case, whole, plan.indices, executor, progress, anew=plan.anew)
-    return pooled(whole, made, plan, case.data)
+    made = left_out([(case, whole)], plan.indices, executor, progress, anew=plan.anew)
+    return pooled(whole, made[0], plan, case.data)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,33 +193,38 @@ def planned(case: Case, scheme: Scheme) -> Plan:
 
 
 def left_out(
-    case: Case,
-    whole: Result,
+    fitted: Sequence[tuple[Case, Result]],
     indices: Sequence[Index],
     executor: Executor | None = None,
     progress: Progress | None = None,
     *,
     anew: bool = False,
-) -> list[Outcome]:
-    """Each part predicted by a fit of all other poses, in their order.
+) -> list[list[Outcome]]:
+    """For each case each part predicted by a fit of all other poses, in their order.
 
-    anew: whether the readings of the part say where its instrument stands.
+    fitted: cases with their calibrations of all poses; executor: by default the threads of this
+    process; anew: whether the readings of the part say where its instrument stands.
     """
-    begun = replace(_Begun.at(case, whole), anew=anew)
-    return gathered(executor, _left_out, begun, indices, progress)
+    begun = [replace(_Begun.at(case, whole), anew=anew) for case, whole in fitted]
+    pieces = [(which, index) for which in range(len(begun)) for index in indices]
+    made = gathered(executor or own_threads(), _left_out, begun, pieces, progress)
+    return [made[i * len(indices) : (i + 1) * len(indices)] for i in range(len(begun))]
 
 
-def pooled(whole: Result, made: Sequence[Outcome], plan: Plan, data: Dataset) -> Validation:
-    """The parts of a plan together.
+def pooled(
+    whole: Result, made: Sequence[Outcome], plan: Plan, data: Dataset, *, stating: bool = True
+) -> Validation:
+    """The parts of a plan together; stating: with what the fits stated of them.
 
     Raises NoTrustworthyResult where no part at random could be predicted.
     """
     count = len(plan.random.indices)
-    found = _pooled(whole, made[:count], plan.random, data)
+    found = _pooled(whole, made[:count], plan.random, data, stating=stating)
     if plan.blocked is None:
         return found
     try:
-        return replace(found, blocked=_pooled(whole, made[count:], plan.blocked, data))
+        blocked = _pooled(whole, made[count:], plan.blocked, data, stating=stating)
+        return replace(found, blocked=blocked)
     except NoTrustworthyResult:
         return found
 
@@ -237,14 +248,31 @@ class Asked:
 class Predicted:
     """Poses that a fit has not seen, n of them, at these positions.
 
-    measured, differences (c, n) [SI]: what is compared, and computed minus measured ones; stated:
-    what the fit stated of them, None where it states nothing.
+    measured, differences (c, n) [SI]: what is compared, and computed minus measured ones; fit,
+    held: the fit and these poses, None where it states nothing of them; rest: positions of the
+    poses of the fit, None where these poses are of another run.
     """
 
     index: Index
     measured: Array
     differences: Array
-    stated: Predictive | None
+    fit: Result | None = None
+    held: Held | None = None
+    rest: Index | None = None
+
+    def stated(self, drifting: Drifting | None) -> Predictive | None:
+        """What the fit stated of them under the drift of all poses; None where it states nothing.
+
+        Computed on request: it costs as much as the fit, and what loses a choice never needs it.
+        """
+        if self.fit is None or self.held is None:
+            return None
+        try:
+            with one_blas_thread():
+                run = None if self.rest is None else Run(self.rest, self.index)
+                return predictive(self.fit, self.held, drifting, run)
+        except (InputError, NoTrustworthyResult):
+            return None
 
 
 @dataclass(frozen=True)
@@ -278,8 +306,11 @@ class Case:
         own = self.mechanism
         return copies(self.data, [*own.quantities, *own.known], own.outputs)
 
-    def calibrated(self, index: Index | None = None) -> Result:
-        """The calibration of these poses, by default of all; what copies are, all rows say."""
+    def calibrated(self, index: Index | None = None, progress: Iterated | None = None) -> Result:
+        """The calibration of these poses, by default of all; what copies are, all rows say.
+
+        progress: called at every iteration.
+        """
         data = self.data
         if index is not None:
             index = index[~np.isin(index, self.copied)]
@@ -287,7 +318,13 @@ class Case:
         noise = taken(self.noise, index)
         near = _of_poses(self.near, index)
         return calibrate(
-            self.mechanism, data, noise=noise, fit=self.fit, near=near, trusted=self.trusted
+            self.mechanism,
+            data,
+            noise=noise,
+            fit=self.fit,
+            progress=progress,
+            near=near,
+            trusted=self.trusted,
         )
 
 
@@ -303,12 +340,11 @@ def _of_poses(
 class _Begun:
     """What the fits of all parts share: the calibration, and where that of all poses ended.
 
-    drifts: whether all poses show serial dependence; anew: whether a part places its instrument.
+    anew: whether a part places its instrument.
     """
 
     case: Case
     near: Case
-    drifts: bool
     anew: bool = False
 
     @classmethod
@@ -325,7 +361,7 @@ class _Begun:
         unread = {q: v for q, v in whole.corrections.items() if np.isinf(sds[q]).all()}
         same = len(case.data) == whole.problem.count  # no copied rows went
         near = Case(whole.mechanism, case.data, noise, fit, near=unread if same else {})
-        return cls(case, near, whole.drifts)
+        return cls(case, near)
 
     def calibrated(self, index: Index) -> Result:
         """The calibration of these poses, begun where that of all poses ended."""
@@ -335,8 +371,10 @@ class _Begun:
         return found
 
 
-def _left_out(begun: _Begun, index: Index) -> Outcome:
+def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
     """The poses at these positions, predicted by a fit of the others."""
+    which, index = piece
+    begun = every[which]
     case = begun.case
     rest = np.setdiff1d(np.arange(len(case.data)), index)
     with one_blas_thread():
@@ -347,19 +385,23 @@ def _left_out(begun: _Begun, index: Index) -> Outcome:
             if begun.anew:
                 part = case.data.take(index)
                 return _placed_anew(found, part, taken(case.noise, index), index)
-            covariance = found.covariance if begun.drifts else found.covariance_if_independent
             near = _of_poses(begun.near.near, index)
             held = held_problem(found, case.data.take(index), taken(case.noise, index), near)
-            return _predicted(found, held, index, covariance)
+            return replace(
+                _predicted(found, held, index), rest=np.setdiff1d(rest, begun.near.copied)
+            )
         except (InputError, NoTrustworthyResult) as error:
             return Failed(index, error.message)
 
 
-def _predicted(fit: Result, held: Held, index: Index, covariance: Array) -> Predicted:
+def _stated(drifting: Drifting | None, part: Predicted) -> Predictive | None:
+    return part.stated(drifting)
+
+
+def _predicted(fit: Result, held: Held, index: Index) -> Predicted:
     rows = [fit.mechanism.tape.quantities.index(q) for q in fit.mechanism.compared]
     differences = output_differences(held.problem, held.problem.start, held.corrections)
-    stated = predictive(fit, held, covariance)
-    return Predicted(index, held.problem.readings[rows], differences, stated)
+    return Predicted(index, held.problem.readings[rows], differences, fit, held)
 
 
 def _placed_anew(fit: Result, data: Dataset, noise: Noise | None, index: Index) -> Predicted:
@@ -374,7 +416,7 @@ def _placed_anew(fit: Result, data: Dataset, noise: Noise | None, index: Index) 
     here = replaced(problem, Freedom.of(known.mechanism), variance=variance)
     rows = [known.mechanism.tape.quantities.index(q) for q in known.mechanism.compared]
     differences = output_differences(problem, here.parameters, here.corrections)
-    return Predicted(index, problem.readings[rows], differences, None)
+    return Predicted(index, problem.readings[rows], differences)
 
 
 def _pooled(
@@ -382,6 +424,8 @@ def _pooled(
     made: Sequence[Outcome],
     parts_left: Parts,
     data: Dataset,
+    *,
+    stating: bool = True,
 ) -> Validation:
     mechanism, words = whole.mechanism, parts_left.words
     failed = tuple(
@@ -401,13 +445,16 @@ def _pooled(
         words += f"; {len(parts)} of {len(made)} {kind} predicted"
     measured, differences = np.full((2, len(mechanism.compared), len(data)), np.nan)
     terms, inside = np.full((2, len(data)), np.nan)
-    for part in parts:
+    judged = stating
+    drifting = whole.drifting if stating else None
+    told = gathered(own_threads(), _stated, drifting, parts) if stating else [None] * len(parts)
+    for part, stated in zip(parts, told, strict=True):
         measured[:, part.index] = part.measured
         differences[:, part.index] = part.differences
-        if part.stated is not None:
-            terms[part.index] = part.stated.log_density
-            inside[part.index] = part.stated.inside()
-    judged = all(part.stated is not None for part in parts)
+        if stated is not None:
+            terms[part.index] = stated.log_density
+            inside[part.index] = stated.inside()
+        judged = judged and stated is not None
     apart = deviations(mechanism, measured, differences)
     off = by_pose(apart)
     predicted = np.unique(np.concatenate([part.index for part in parts]))

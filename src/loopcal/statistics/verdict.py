@@ -8,25 +8,30 @@ describes every code.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from loopcal import chi_squared
-from loopcal.document.accuracy import Distances
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Answer, Verdict
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import chance, with_unit
-from loopcal.statistics.tolerance import Quantile, judged
+from loopcal.statistics.answers import better, good_enough, valid
+from loopcal.statistics.judged_readings import (
+    coarse,
+    first_suspects,
+    rows_copied,
+    size_unsure,
+    undetected,
+)
+from loopcal.statistics.rule import Rule, Said
 
 RARE = 1e-3
 """p-value of a single test from which a result is not sound: several tests are made."""
 LOOSE = 0.25
 """Chi-squared per degree of freedom of sds twice as large as the readings show."""
-NEAR_ONLY = 5.0
-"""Predicted sd in the working region over that at the measured poses from which a result is valid
-near these poses only."""
+_CHANCE = 0.01
+"""Share of good data sets with a pose so far off; the search for outliers names more."""
 WORSE = 1.5
 """Rms on poses not used over rms on poses used that is called too large."""
 FAR = 10.0
@@ -39,33 +44,6 @@ DECISIVE = 10.0
 """Gain in -2 log restricted likelihood from which a model without the term is wrong."""
 _GEOMETRY = ("lengths", "angles")
 """Terms that give a plain model nothing but priors."""
-_CERTAIN = 2.0
-_BEATEN = 3.3
-"""Standard errors at p = 0.001: several rivals are tried, and the choice tried them before."""
-_RELATIVE = 0.41
-"""sd of an rms of N distances in space over rms / sqrt(N): sqrt(2/3) / 2."""
-
-
-@dataclass(frozen=True)
-class Said:
-    """What a rule found: in a sentence, and the figure behind it."""
-
-    words: str
-    number: float | None = None
-
-
-@dataclass(frozen=True)
-class Rule:
-    """One finding that speaks against a result.
-
-    passed: False where the result is not sound, None where the question stays open; finds: what
-    there is to say, None where the rule does not apply; next: what to do.
-    """
-
-    code: str
-    passed: bool | None
-    finds: Callable[[ResultDocument], Said | None]
-    next: str
 
 
 def _column_faults(document: ResultDocument) -> Said | None:
@@ -127,7 +105,7 @@ def _noise_too_small(document: ResultDocument) -> Said | None:
     factor = significant(chi.variance_factor, 2)
     return Said(
         f"The corrections are larger than the stated sds allow: chi-squared per degree of freedom "
-        f"is {factor} (p = {chance(chi.p_value)}).",
+        f"is {factor} (p = {chance(chi.p_value)}).{first_suspects(document)}",
         chi.variance_factor,
     )
 
@@ -265,7 +243,10 @@ def _model_error(document: ResultDocument) -> Said | None:
 
 
 def _overfitted(document: ResultDocument) -> Said | None:
+    """Where no regions are stated: those contain what few poses leave open, and are tested."""
     accuracy, validation = document.accuracy, document.validation
+    if validation is not None and validation.coverage is not None:
+        return None
     unseen = None if validation is None else validation.accuracy
     if accuracy is None or unseen is None or unseen.rms <= WORSE * accuracy.after.rms:
         return None
@@ -278,7 +259,10 @@ def _overfitted(document: ResultDocument) -> Said | None:
 
 
 def _outliers(document: ResultDocument) -> Said | None:
-    poses = list(dict.fromkeys(entry.pose for entry in document.outliers or ()))
+    tests = document.outlier_tests
+    limit = 1.0 if tests is None else _CHANCE / max(tests.poses, 1)
+    found = [entry for entry in document.outliers or () if entry.p_value <= limit]
+    poses = list(dict.fromkeys(entry.pose for entry in found))
     if not poses:
         return None
     named = ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")
@@ -298,14 +282,6 @@ def _unsettled(document: ResultDocument) -> Said | None:
     return None if document.sds_settled is not False else Said("The learnt sds did not converge.")
 
 
-def _undetected(document: ResultDocument) -> Said | None:
-    zero = [e for e in document.noise if e.source == "estimated" and not e.sd]
-    names = ", ".join(q for e in zero if e.role == "reading" for q in e.quantities)
-    if not names:
-        return None
-    return Said(f"The noise of {names} is not detectable: its learnt sd is 0.")
-
-
 def _optima(document: ResultDocument) -> Said | None:
     others = document.other_optima or ()
     return Said(f"{others[0].words[0].upper()}{others[0].words[1:]}.") if others else None
@@ -316,11 +292,6 @@ def _undetermined(document: ResultDocument) -> Said | None:
     if not loose:
         return None
     return Said(f"These poses do not determine {', '.join(loose)}.", float(len(loose)))
-
-
-def _rows_copied(document: ResultDocument) -> Said | None:
-    said = document.data.warnings()
-    return Said(said[0], float(len(document.data.copied))) if document.data.copied else None
 
 
 def _no_test(document: ResultDocument) -> Said | None:
@@ -391,9 +362,21 @@ SOUND: tuple[Rule, ...] = (
         "Check for missing effects (compliance, eccentric gears, drift).",
     ),
     Rule("outliers", None, _outliers, "Inspect these poses; correct or exclude them."),
-    Rule("rows-copied", None, _rows_copied, "Check how the file was made; delete the copies."),
+    Rule("rows-copied", None, rows_copied, "Check how the file was made; delete the copies."),
+    Rule(
+        "size-unsure",
+        None,
+        size_unsure,
+        "State one length that was measured (bar, distance of seats, link) with its sd.",
+    ),
+    Rule(
+        "readings-coarse",
+        None,
+        coarse,
+        "Record more digits. Poses that repeat a coarse value repeat its error.",
+    ),
     Rule("sds-not-converged", None, _unsettled, "State more of the sds."),
-    Rule("sd-not-detectable", None, _undetected, "State its sd, or repeat readings of one pose."),
+    Rule("sd-not-detectable", None, undetected, "State its sd, or repeat readings of one pose."),
     Rule("mounting-unstated", None, _mounting, "State where target or reflector is mounted."),
     Rule("other-optimum", None, _optima, "State priors from the drawing."),
     Rule(
@@ -416,120 +399,34 @@ def refuses(question: str, answer: Answer) -> bool:
 def verdict_of(document: ResultDocument, tolerance: float | None = None) -> Verdict:
     """The verdict on a result. tolerance: distance [SI] that 95 % of poses shall keep."""
     sound = _sound(document)
-    valid, better = _valid(document), _better(document)
-    good = _good_enough(document, tolerance)
-    return Verdict(sound, valid, better, good, _headline((sound, valid, better, good)))
+    where, than = valid(document), better(document)
+    good = good_enough(document, tolerance)
+    return Verdict(sound, where, than, good, _headline((sound, where, than, good)))
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that speaks against a result: its rule, and what it found."""
+
+    rule: Rule
+    said: Said
+
+
+def findings_against(document: ResultDocument) -> list[Finding]:
+    """All findings of `SOUND`, the gravest first."""
+    found = [Finding(rule, said) for rule in SOUND if (said := rule.finds(document))]
+    # sorting is stable
+    return sorted(found, key=lambda finding: finding.rule.passed is None)
 
 
 def _sound(document: ResultDocument) -> Answer:
-    found = [(rule, said) for rule in SOUND if (said := rule.finds(document))]
-    # the gravest first: sorting is stable
-    found.sort(key=lambda one: one[0].passed is None)
+    found = findings_against(document)
     if not found:
         words = "The fit converged; sensors, poses and machine model are consistent."
         return Answer(True, "sound", None, words, None)
-    rule, said = found[0]
-    words = " ".join(other.words for _, other in found)
+    rule, said = found[0].rule, found[0].said
+    words = " ".join(finding.said.words for finding in found)
     return Answer(rule.passed, rule.code, said.number, words, rule.next)
-
-
-def _valid(document: ResultDocument) -> Answer:
-    region = None if document.prediction is None else document.prediction.region
-    if region is None:
-        words = "Nothing says how far the machine works: its working region is unknown."
-        return Answer(None, "region-unknown", None, words, "State the region ([verdict] region).")
-    sources = {one.source for one in region.ranges}
-    where = "the working region"
-    if sources == {"readings"}:
-        where = "the box of the measured readings (no limits are known)"
-    elif "turn" in sources:
-        where = "the working region (joints without stated limits turn a quarter turn either way)"
-    here = with_unit(region.sd_at_poses, region.unit, 2)
-    if region.sd is None or region.ratio is None:
-        words = f"The data leave a direction open that moves the end point in {where}."
-        return Answer(False, "near-poses-only", None, words, "Measure poses all over the region.")
-    there, ratio = with_unit(region.sd, region.unit, 2), significant(region.ratio, 2)
-    both = f"the predicted sd is {there} in {where} and {here} at the measured poses"
-    if region.ratio > NEAR_ONLY:
-        words = f"{both[0].upper()}{both[1:]}, {ratio} times as large in the region."
-        remedy = "Measure poses all over the region, or state the region in which you work."
-        return Answer(False, "near-poses-only", region.ratio, words, remedy)
-    words = f"Valid: {both}."
-    return Answer(True, "valid-in-region", region.ratio, words, None)
-
-
-def _better(document: ResultDocument) -> Answer:
-    accuracy, validation = document.accuracy, document.validation
-    if accuracy is None:
-        words = "The accuracy is unknown: the mechanism has no measured outputs."
-        return Answer(None, "no-outputs", None, words, None)
-    unseen = None if validation is None else validation.accuracy
-    if unseen is None:
-        words = "No other poses were predicted. Expect a larger error there."
-        return Answer(None, "not-validated", None, words, "Validate on other poses (--folds 10).")
-    rivals = _rivals(document, unseen)
-    unit = accuracy.unit
-    mine = with_unit(unseen.rms, unit)
-    for name, difference, sd in sorted(rivals, key=lambda r: r[1]):
-        if difference < -_BEATEN * sd:
-            words = (
-                f"Worse than {name} on poses not used: {mine} rms instead of "
-                f"{with_unit(unseen.rms + difference, unit)}."
-            )
-            remedy = "Use the better one, or measure more poses."
-            return Answer(False, "worse", difference, words, remedy)
-    name, difference, sd = rivals[0]
-    both = f"{mine} rms on poses not used instead of {with_unit(unseen.rms + difference, unit)}"
-    figures = f"{both} (sd of the difference {with_unit(sd, unit, 2)})"
-    if difference > _CERTAIN * sd:
-        return Answer(True, "better", difference, f"Better than {name}: {figures}.", None)
-    words = f"About as good as {name}: {figures}."
-    return Answer(None, "no-better", difference, words, "Measure more poses to decide.")
-
-
-def _rivals(document: ResultDocument, unseen: Distances) -> list[tuple[str, float, float]]:
-    """Name, difference of rms and its sd, of what the result is compared with; nominal first."""
-    if document.chosen is not None:
-        paired = [
-            (c.name, c.difference, c.sd)
-            for c in document.chosen.over[1:]
-            if c.difference is not None and c.sd is not None
-        ]
-        if paired:
-            return sorted(paired, key=lambda r: not r[0].startswith("nominal"))
-    assert document.accuracy is not None
-    drawn = document.accuracy.nominal or document.accuracy.before
-    n = max(unseen.poses or document.data.used, 1)
-    sd = _RELATIVE * math.hypot(drawn.rms, unseen.rms) / math.sqrt(n)
-    return [("the nominal machine", drawn.rms - unseen.rms, sd)]
-
-
-def _good_enough(document: ResultDocument, tolerance: float | None) -> Answer:
-    accuracy, validation = document.accuracy, document.validation
-    unit = "m" if accuracy is None else accuracy.unit
-    unseen = None if validation is None else (validation.blocked or validation).accuracy
-    quantile = None
-    if tolerance is not None and accuracy is None:
-        words = "The accuracy is unknown: the mechanism has no measured outputs."
-        return Answer(None, "unknown-accuracy", None, words, None)
-    if tolerance is not None and unseen is None:
-        words = "No pose was left out to test the tolerance."
-        return Answer(
-            None, "unknown-accuracy", None, words, "Validate on other poses (--folds 10)."
-        )
-    if unseen is not None:
-        quantile = Quantile.of_summary(unseen.p95, unseen.poses or document.data.used)
-        quantile = quantile and quantile.widened(_beyond(document))
-    return judged(quantile, tolerance, unit, "in the working region")
-
-
-def _beyond(document: ResultDocument) -> float:
-    """95 % of the error that the parameters add in the working region to that at the poses."""
-    region = None if document.prediction is None else document.prediction.region
-    if region is None or region.sd is None:
-        return 0.0 if region is None else math.inf
-    more = max(region.sd**2 - region.sd_at_poses**2, 0.0)
-    return math.sqrt(more * chi_squared.quantile(0.05, 3) / 3.0)
 
 
 _HEADS = {
@@ -549,7 +446,8 @@ def _headline(answers: Sequence[Answer]) -> str:
     for _, answer in named:
         if answer.passed is None and answer.code != "no-tolerance":
             return f"Use it with care: {_first(answer.words)}"
-    return "Sound, valid in the working region, and better than the nominal machine."
+    than = _first(answers[2].words).split(":")[0]
+    return f"Sound, valid in the working region, and {than}."
 
 
 def _first(words: str) -> str:

@@ -130,7 +130,9 @@ def _verified(
     apart = deviations(mechanism, measured, differences)
     distances = by_pose(apart)
     others = by_pose(deviations(mechanism, measured, drawn_differences))
-    gain = None if distances is None or others is None else Gain.of(distances, others)
+    gain = None
+    if distances is not None and others is not None:
+        gain = Gain.in_rms(np.square(distances), np.square(others))
     squares = _by_pose(here, linear)
     return Verification(
         poses=problem.poses,

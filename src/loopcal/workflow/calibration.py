@@ -9,11 +9,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from loopcal.document.result_document import ResultDocument
+from loopcal.document.result_document import ResultDocument, WrittenResult
 from loopcal.document.verdict import QUESTIONS
 from loopcal.errors import InputError, NoTrustworthyResult, UsageError, nearest
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import METHODS
+from loopcal.estimation.plausible import refuse_other_units
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.solver import Progress
 from loopcal.execution.executor import Executor
@@ -24,7 +25,6 @@ from loopcal.files.project.stream import ParquetStream, project_stream
 from loopcal.files.project.validation_entries import validation_arguments
 from loopcal.files.result import result_file
 from loopcal.files.result.residual_parts import NAME as RESIDUALS
-from loopcal.files.result.result_file import WrittenResult
 from loopcal.files.result.truth_file import read_truth
 from loopcal.files.versions import versions as known_versions
 from loopcal.measurements.checks import DataWarning
@@ -148,6 +148,15 @@ class _Done:
 
 
 @dataclass(frozen=True, eq=False)
+class _Finished:
+    """A calibration with everything that is told of it, before it is written."""
+
+    result: Result
+    findings: Findings
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class _Run:
     """One run: a project, what is asked of it, where results go, who works and who is told."""
 
@@ -193,17 +202,23 @@ class _Run:
         return default_folder(self.project) if self.out is None else Path(self.out)
 
     def in_memory(self) -> Calibration:
+        """Calibrate from poses that are all in memory, and write the result."""
+        finished = self.finished()
+        return self._written(finished)
+
+    def finished(self) -> _Finished:
         """Calibrate from poses that are all in memory."""
         self._begin()
         loaded = load_dataset(self.project)
         self._warn(loaded.warnings)
         try:
+            refuse_other_units(self.project.mechanism, loaded.dataset, loaded.noise)
             done = self._compared(loaded) if self.request.compare else self._calibrated(loaded)
             if self.patterns:
                 done = self._profiled(done)
         except InputError as error:
             raise error.at(self.project.name) from None
-        return self._written(done, loaded.warnings)
+        return self._finished(done, loaded.warnings)
 
     def streamed(self, stream: ParquetStream) -> Calibration:
         """Calibrate from poses that come as a stream."""
@@ -227,7 +242,7 @@ class _Run:
             notice=self.listeners.notice,
         )
         try:
-            done = self._written(_Done(run.result), stream.warnings)
+            done = self._written(self._finished(_Done(run.result), stream.warnings))
             run.finish()
         except BaseException:
             run.undo()
@@ -259,7 +274,8 @@ class _Run:
         if self.validation is not None:
             poses = loaded.dataset.poses
             scheme = Scheme(**validation_arguments(self.project, self.validation, poses))
-        return _Done(choose(case, scheme, **self._shared("fits")).calibrated)
+        shared = self._shared("fits")
+        return _Done(choose(case, scheme, **shared, iterated=self.listeners.progress).calibrated)
 
     def _calibrated(self, loaded: LoadedData) -> _Done:
         if self.fit.method.choice:
@@ -311,8 +327,8 @@ class _Run:
         found = intervals(done.result, self.patterns, **self._shared("intervals"))
         return replace(done, add=(*done.add, partial(with_intervals, intervals=found)))
 
-    def _written(self, done: _Done, warnings: Sequence[DataWarning]) -> Calibration:
-        """The result as its files tell it."""
+    def _finished(self, done: _Done, warnings: Sequence[DataWarning]) -> _Finished:
+        """The result with everything that its files tell."""
         result = done.result
         if self.project.fit.apply_variance_factor:
             try:
@@ -328,19 +344,22 @@ class _Run:
         for addition in done.add:
             document = addition(document)
         judged = verdict_of(document, asked.tolerance)
-        document = replace(document, verdict=judged)
         words = tuple(str(warning) for warning in warnings)
-        written = write_result(
-            result,
-            self.folder,
+        document = replace(
+            document,
+            verdict=judged,
             title=self.project.title,
-            inputs=self.project.inputs,
-            warnings=words,
-            document=document,
-            report=self.request.report,
+            warnings=(*words, *document.warnings),
+            inputs=result_file.finite_only(self.project.inputs),
         )
-        result = replace(result, judge=lambda _: judged)
-        return Calibration(result, told, written, words, self._objection(written.document))
+        result = replace(result, judge=lambda _: judged).adding(lambda _: document)
+        return _Finished(result, told, words)
+
+    def _written(self, done: _Finished) -> Calibration:
+        """The result and its files."""
+        written = write_result(done.result, self.folder, report=self.request.report)
+        objection = self._objection(written.document)
+        return Calibration(done.result, done.findings, written, done.warnings, objection)
 
     def _objection(self, document: ResultDocument) -> str | None:
         """Why the result must not be used, where that is so."""
@@ -357,6 +376,21 @@ class _Run:
         return None
 
 
+def calibrated(project: Project) -> Result:
+    """The result of a project as `run_calibration` finds it; nothing is written.
+
+    Raises InputError for what cannot be used, and for a stream.
+    """
+    if project_stream(project) is not None:
+        raise InputError(
+            "the project streams its readings",
+            code="unsupported",
+            place=project.name,
+            remedy="use loopcal calibrate, which keeps its progress in a folder",
+        )
+    return _Run(project, Request(), None, None, Listeners()).finished().result
+
+
 def write_result(
     result: Result,
     folder: str | Path,
@@ -364,26 +398,26 @@ def write_result(
     title: str | None = None,
     inputs: Mapping[str, Any] | None = None,
     warnings: tuple[str, ...] = (),
-    document: ResultDocument | None = None,
     report: bool = False,
 ) -> WrittenResult:
     """Write result.json, residuals.csv and mechanism.toml (calibrated), all or none.
 
     The folder is made if need be. title, inputs (the project as it was read) and warnings go to
-    result.json; document: that of the result with what was added to it, by default its `findings`;
-    report: whether report.html comes with them. Raises InputError, naming the file, the reason and
-    a remedy, where they cannot be written.
+    result.json, beside what the result says itself; `findings` and a verdict are added where it has
+    none. report: whether report.html comes with them. Raises InputError, naming the file, the
+    reason and a remedy, where they cannot be written.
     """
-    told = document or findings(result).added_to(result.document)
+    told = result.document
     if told.verdict is None:
+        told = findings(result).added_to(told)
         told = replace(told, verdict=verdict_of(told))
     versions = known_versions()
     told = replace(
         told,
         loopcal=versions["loopcal"],
-        title=title,
+        title=told.title if title is None else title,
         warnings=(*warnings, *told.warnings),
-        inputs=result_file.finite_only(inputs or {}),
+        inputs=told.inputs if inputs is None else result_file.finite_only(inputs),
         versions=versions,
     )
     page = None

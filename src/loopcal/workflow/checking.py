@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from loopcal.errors import InputError
+from loopcal.estimation.plausible import refuse_other_units
 from loopcal.files.atomic import write_files
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.new_readings import read_new_readings
@@ -40,6 +41,7 @@ def run_check(project: str | Path, *, function: str | None = None) -> Checked:
     if read.fit.settings.method.exact and not loaded.noise.entries:
         noise = None
     try:
+        refuse_other_units(read.mechanism, loaded.dataset, noise)
         done = check(read.mechanism, loaded.dataset, noise=noise, start=read.fit.settings.start)
     except InputError as error:
         raise error.at(read.name) from None

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_files
+from loopcal.files.project.project_file import Project
 from loopcal.files.project.readings_file import readings_tables
 from loopcal.files.result.truth_file import truth_json
 from loopcal.files.tables.writer import check_ending
 from loopcal.measurements.noise import resolve_noise
 from loopcal.simulation.simulate import Simulation, simulate
-
-if TYPE_CHECKING:
-    pass
-
 from loopcal.workflow.projects import named_project
 
 
@@ -43,24 +39,9 @@ def run_simulation(
     out = Path(out)
     check_ending(out)
     read = named_project(project, function)
-    if read.simulation is None:
-        raise InputError(
-            "the project has no simulation",
-            code="missing-key",
-            place=read.name,
-            remedy="add [simulation.ranges], one line per driven quantity",
-        )
+    made = simulated(read, seed)
+    assert read.simulation is not None
     noise = read.simulation.noise.noise()
-    try:
-        made = simulate(
-            read.mechanism,
-            read.simulation.driven(seed),
-            noise=noise,
-            seed=seed,
-            truth=read.simulation.machine(read.mechanism.parameters, seed),
-        )
-    except InputError as error:
-        raise error.at(read.name) from None
     quantities = read.mechanism.tape.quantities
     known = resolve_noise(noise, made.dataset, quantities, read.mechanism.quantity_group)
     shape = (len(quantities), len(made.dataset))
@@ -74,3 +55,24 @@ def run_simulation(
         },
     )
     return Simulated(made, out, truth_file)
+
+
+def simulated(project: Project, seed: int) -> Simulation:
+    """Readings as the [simulation] of a project says. Raises InputError where there is none."""
+    if project.simulation is None:
+        raise InputError(
+            "the project has no simulation",
+            code="missing-key",
+            place=project.name,
+            remedy="add [simulation.ranges], one line per driven quantity",
+        )
+    try:
+        return simulate(
+            project.mechanism,
+            project.simulation.driven(seed),
+            noise=project.simulation.noise.noise(),
+            seed=seed,
+            truth=project.simulation.machine(project.mechanism.parameters, seed),
+        )
+    except InputError as error:
+        raise error.at(project.name) from None

@@ -23,7 +23,9 @@ def learnt(how: dict[str, str], poses: int = 15, prior: lc.Prior | None = None) 
     at = lc.random_poses(BOX, poses, seed=3)
     readings = lc.simulate(ARM, at, noise=lc.Noise(SDS), seed=4).dataset
     noise = lc.Noise(SDS, estimate=how)
-    return lc.calibrate(ARM, readings, noise=noise, prior=prior, start="nominal")
+    return lc.calibrate(
+        ARM, readings, noise=noise, prior=prior, start="nominal", method="implicit-loop"
+    )
 
 
 def test_slopes_are_differences_of_the_covariance() -> None:
@@ -125,7 +127,9 @@ def test_terms_leave_the_lengths_unsure() -> None:
     machine = machine.with_terms(lc.Term("lengths", ("l2", "l3"), 1e-3))
     at = lc.random_poses({"phi2": (0.0, 0.3), "phi3": (0.5, 0.8)}, 15, seed=3)
     readings = lc.simulate(ARM, at, noise=lc.Noise(SDS), seed=4).dataset
-    result = lc.calibrate(machine, readings, noise=lc.Noise(SDS), start="nominal")
+    result = lc.calibrate(
+        machine, readings, noise=lc.Noise(SDS), start="nominal", method="implicit-loop"
+    )
     freedom = result.degrees_of_freedom["l2"]
     assert freedom is not None
     assert freedom < 30.0
@@ -154,7 +158,7 @@ def test_a_worse_instrument_is_not_called_a_fault_of_the_model() -> None:
     really = lc.Noise({"?P": 5e-4, "phi?": 1e-4})
     readings = lc.simulate(ARM, at, noise=really, seed=4).dataset
     stated = lc.Noise({"?P": 1e-4, "phi?": 1e-4, "model": 1e-4}, estimate={"model": "group"})
-    result = lc.calibrate(ARM, readings, noise=stated, start="nominal")
+    result = lc.calibrate(ARM, readings, noise=stated, start="nominal", method="implicit-loop")
     said = [warning for warning in result.warnings if "limits the accuracy" in warning]
     assert len(said) == 1
     assert "instrument" in said[0]

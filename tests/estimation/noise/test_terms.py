@@ -203,11 +203,17 @@ def test_stated_sds_stay_and_the_scale_is_learnt_beside_them() -> None:
     machine, drawn = waves(2e-3)
     data = drawn(2)[0]
     noise = {"q": 0.0, "y": 1e-3}
-    result = lc.calibrate(machine, data, noise=noise, prior=PRIORS)
+    result = lc.calibrate(machine, data, noise=noise, prior=PRIORS, method="implicit-loop")
     assert [n.source for n in result.noise if n.quantities == ("y",)] == ["given"]
     assert result.terms[0].scale == pytest.approx(2e-3, rel=0.6)
     assert result.mechanism.parameters["c_3"].prior_sd == result.terms[0].scale
-    both = lc.calibrate(machine, data, noise=lc.Noise(noise, estimate={"y": "each"}), prior=PRIORS)
+    both = lc.calibrate(
+        machine,
+        data,
+        noise=lc.Noise(noise, estimate={"y": "each"}),
+        prior=PRIORS,
+        method="implicit-loop",
+    )
     free = structured(machine, data)
     assert both.terms[0].scale == pytest.approx(free.terms[0].scale, rel=1e-4)
     assert dict(both.value) == pytest.approx(dict(free.value), abs=1e-7)
@@ -217,7 +223,9 @@ def test_a_model_error_beside_stated_sds_is_learnt_with_the_terms() -> None:
     machine, drawn = waves(2e-3)
     data = drawn(2)[0]
     noise = {"q": 0.0, "y": 1e-5}
-    result = lc.calibrate(machine, data, noise=noise, prior=PRIORS, model_error="structured")
+    result = lc.calibrate(
+        machine, data, noise=noise, prior=PRIORS, model_error="structured", method="implicit-loop"
+    )
     sds = {n.quantities: n.sd for n in result.noise}
     free = structured(machine, data)
     learnt = next(n.sd for n in free.noise if n.quantities == ("y",))
@@ -228,7 +236,14 @@ def test_a_model_error_beside_stated_sds_is_learnt_with_the_terms() -> None:
 def test_a_robust_loss_learns_no_terms() -> None:
     machine, drawn = waves(2e-3)
     with refused("unsupported", "huber"):
-        lc.calibrate(machine, drawn(1)[0], noise={"q": 0.0, "y": 1e-3}, prior=PRIORS, loss="huber")
+        lc.calibrate(
+            machine,
+            drawn(1)[0],
+            noise={"q": 0.0, "y": 1e-3},
+            prior=PRIORS,
+            loss="huber",
+            method="implicit-loop",
+        )
 
 
 def test_a_system_whose_scales_span_sixteen_decades_has_a_root() -> None:

@@ -37,13 +37,15 @@ def readings(machine: lc.Mechanism, seed: int = 1) -> lc.Dataset:
 @pytest.mark.parametrize("twist", [0.0, 5e-4, math.pi])
 def test_free_parallel_axes_are_refused_with_their_remedy(twist: float) -> None:
     with refused("not-identifiable", "q2", "q3", "d_2", "d_3", "hayati"):
-        lc.calibrate(arm(twist=twist), readings(arm(twist=twist)), noise=NOISE)
+        lc.calibrate(
+            arm(twist=twist), readings(arm(twist=twist)), noise=NOISE, method="implicit-loop"
+        )
 
 
 def test_hayatis_form_converges() -> None:
     machine = arm({"q2": "hayati", "q3": "hayati"})
     machine = lc.fix_redundant(machine)
-    result = lc.calibrate(machine, readings(machine), noise=NOISE)
+    result = lc.calibrate(machine, readings(machine), noise=NOISE, method="implicit-loop")
     assert result.status.converged
     assert result.status.note == ""
 
@@ -55,16 +57,24 @@ def test_axes_that_are_not_parallel_or_held_by_a_prior_are_accepted() -> None:
         (arm(), {"d_2": 0.0, "d_3": 0.0}),
         (arm(), {"alpha_2": 0.0, "alpha_3": 0.0}),
     ]:
-        lc.calibrate(machine, readings(machine), noise=NOISE, prior=prior, max_iterations=0)
+        lc.calibrate(
+            machine,
+            readings(machine),
+            noise=NOISE,
+            prior=prior,
+            max_iterations=0,
+            method="implicit-loop",
+        )
 
 
 def test_modified_parameters_are_refused_likewise() -> None:
     machine = arm(dict.fromkeys((f"q{i}" for i in range(1, 7)), "mdh"), twist=0.0)
     with refused("not-identifiable", "hayati"):
-        lc.calibrate(machine, readings(machine), noise=NOISE)
+        lc.calibrate(machine, readings(machine), noise=NOISE, method="implicit-loop")
 
 
 PROJECT = """schema = 1
+fit = { method = "implicit-loop" }
 [mechanism]
 type = "serial"
 [[mechanism.joint]]

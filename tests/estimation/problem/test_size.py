@@ -28,7 +28,9 @@ def test_angles_alone_never_shrink_a_machine(method: str) -> None:
     assert known.value["a"] == pytest.approx(0.2, rel=0.01)
 
 
-def test_the_implicit_loop_leaves_the_size_where_it_was() -> None:
-    found = lc.calibrate(held(), four_bar().read(SDS, seed=1), noise=lc.Noise(SDS))
+@pytest.mark.parametrize("method", ["auto", "implicit-loop"])
+def test_the_implicit_loop_leaves_the_size_where_it_was(method: str) -> None:
+    data = four_bar().read(SDS, seed=1)
+    found = lc.calibrate(held(), data, noise=lc.Noise(SDS), method=method)
     assert sum(found.value[n] for n in LENGTHS) == pytest.approx(1.8, rel=1e-3)
     assert "'a', 'b', 'c' and 'd' cannot be distinguished" in " ".join(found.warnings)

@@ -34,7 +34,7 @@ def test_parameters_and_sds_are_certified_or_the_fit_has_not_converged(
     factor = math.sqrt(result.chi_squared.variance_factor)
     assert factor == pytest.approx(1.0, rel=rounding)
     # certified sds hold for independent errors, also where residuals depend on the order
-    sds = np.sqrt(np.diag(result.covariance_if_independent))
+    sds = np.sqrt(np.diag(result.as_if_independent().covariance))
     for parameter, value in problem.values.items():
         sd = float(sds[result.estimated.index(parameter)])
         assert result.value[parameter] == pytest.approx(value, rel=1e-6)

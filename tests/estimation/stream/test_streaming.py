@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
-from loopcal import Dataset, Noise, calibrate
+from loopcal import Dataset, Noise, calibrate, predict
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.checkpoint import Checkpoint
+from loopcal.estimation.stream import learning
 from loopcal.estimation.stream.calibrate import calibrate_stream
 from loopcal.estimation.stream.chunks import Chunk
 from loopcal.estimation.stream.last_pass import Parts
@@ -103,7 +104,10 @@ def test_covariances_of_each_reading_and_gaps_come_along() -> None:
     data = data.with_readings({"z": z})
     spread = np.linspace(1.0, 3.0, 400)[:, None, None]
     noise = Noise({"theta_*": 5e-5, ("x", "y", "z"): 1e-10 * np.eye(3) * spread})
-    alike(calibrate_stream(arm, Pieces(data, noise)), calibrate(arm, data, noise=noise))
+    alike(
+        calibrate_stream(arm, Pieces(data, noise)),
+        calibrate(arm, data, noise=noise, method="implicit-loop"),
+    )
 
 
 def test_an_angle_that_nobody_reads_is_found_in_every_chunk() -> None:
@@ -113,7 +117,10 @@ def test_an_angle_that_nobody_reads_is_found_in_every_chunk() -> None:
     data = simulate(arm, driven, noise=exact, seed=1, truth={"l2": 0.803}).dataset
     noise = Noise({"phi2": 1e-3, "phi3": np.inf, "*": 1e-5})
     arm = arm.with_parameters(arm.parameters.with_fixed(["phi30", "l3"]))
-    alike(calibrate_stream(arm, Pieces(data, noise)), calibrate(arm, data, noise=noise))
+    alike(
+        calibrate_stream(arm, Pieces(data, noise)),
+        calibrate(arm, data, noise=noise, method="implicit-loop"),
+    )
 
 
 def test_every_chunk_is_handed_out_with_its_corrections() -> None:
@@ -121,7 +128,7 @@ def test_every_chunk_is_handed_out_with_its_corrections() -> None:
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     seen: list[Result] = []
     calibrate_stream(arm, Pieces(data, noise), parts=Parts(whole_result, seen.append))
-    whole = calibrate(arm, data, noise=noise)
+    whole = calibrate(arm, data, noise=noise, method="implicit-loop")
     assert [pose for part in seen for pose in part.dataset.poses] == list(data.poses)
     streamed = np.concatenate([part.corrections["theta_2"] for part in seen])
     assert streamed == pytest.approx(whole.corrections["theta_2"], abs=1e-5 * 5e-5)
@@ -135,7 +142,7 @@ def test_a_chunk_may_hold_no_pose_to_be_shown(monkeypatch: pytest.MonkeyPatch) -
     noise = Noise({"phi?": 1e-4, "*": 2e-5})
     data = simulate(arm, driven, noise=noise, seed=1, truth={"l2": 0.803}).dataset
     found = calibrate_stream(arm, Pieces(data, noise, 51))
-    alike(found, calibrate(arm, data, noise=noise))
+    alike(found, calibrate(arm, data, noise=noise, method="implicit-loop"))
     assert found.dataset.poses == data.poses[::50]
 
 
@@ -159,7 +166,7 @@ def test_a_pose_that_fits_badly_is_shown_and_named(monkeypatch: pytest.MonkeyPat
     outliers = find_outliers(found)
     assert (outliers.found[0].pose, outliers.found[0].quantity) == ("424", "y")
     assert outliers.tested == 900
-    whole = find_outliers(calibrate(arm, wrong, noise=noise))
+    whole = find_outliers(calibrate(arm, wrong, noise=noise, method="implicit-loop"))
     assert [outlier.pose for outlier in whole.found] == ["424"]
 
 
@@ -187,7 +194,7 @@ def test_a_point_out_of_reach_is_refused_wherever_it_is_read(size: float) -> Non
     with refused("implausible-readings", "pose '424'") as of_stream:
         calibrate_stream(arm, Pieces(wrong, noise))
     with refused("implausible-readings", "pose '424'") as of_memory:
-        calibrate(arm, wrong, noise=noise)
+        calibrate(arm, wrong, noise=noise, method="implicit-loop")
     assert "x, y, z" in str(of_stream.value)
     assert "data.exclude" in str(of_memory.value)
 
@@ -199,7 +206,9 @@ def test_poses_that_cannot_be_closed_are_named() -> None:
     data = Dataset(data.readings, data.units, ids, data.sds, data.source)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     wrong = with_y(data, "p424", 30.0)
-    found = calibrate_stream(arm, Pieces(wrong, noise), fit=Fit(max_iterations=20))
+    found = calibrate_stream(
+        arm, Pieces(wrong, noise), fit=Fit(max_iterations=20, method="implicit-loop")
+    )
     assert found.status.reason == "cannot_close"
     assert "p424" in found.status.message
 
@@ -307,7 +316,9 @@ def test_too_few_equations_are_refused() -> None:
     arm, data = arm_and_data(8)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     with refused("too-few-poses", "24 loop", "8 poses"):
-        calibrate_stream(arm, Pieces(data, noise, 3), fit=Fit(start="nominal"))
+        calibrate_stream(
+            arm, Pieces(data, noise, 3), fit=Fit(start="nominal", method="implicit-loop")
+        )
 
 
 @pytest.mark.parametrize("method", ["implicit-loop", "least-squares"])
@@ -348,7 +359,7 @@ def test_a_robust_stream_gives_what_memory_gives_and_resumes_exactly(loss: str) 
     arm, data = arm_and_data(400)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     spoilt = data["y"] + np.where(np.arange(400) % 40 == 7, 2e-3, 0.0)
-    data, fit = data.with_readings({"y": spoilt}), Fit(loss=loss)
+    data, fit = data.with_readings({"y": spoilt}), Fit(loss=loss, method="implicit-loop")
     checkpoints: list[str] = []
     streamed = calibrate_stream(
         arm,
@@ -356,7 +367,7 @@ def test_a_robust_stream_gives_what_memory_gives_and_resumes_exactly(loss: str) 
         fit=fit,
         reached=lambda checkpoint: checkpoints.append(json.dumps(checkpoint.document())),
     )
-    whole = calibrate(arm, data, noise=noise, loss=loss)
+    whole = calibrate(arm, data, noise=noise, loss=loss, method="implicit-loop")
     alike(streamed, whole)
     assert len(checkpoints) == streamed.status.iterations
     for checkpoint in checkpoints[2::5]:
@@ -410,14 +421,56 @@ def test_terms_are_learnt_from_a_stream_as_from_memory() -> None:
     learning = Fit(method="least-squares", model_error="structured", start="nominal")
     for machine, fit in (
         (structured(known, harmonics=False), learning),
-        (known, Fit()),
+        (known, Fit(method="implicit-loop")),
     ):
         streamed = calibrate_stream(machine, Pieces(data, noise), fit=fit)
         close(streamed, calibrate(machine, data, noise=noise, fit=fit))
 
 
-def test_a_stream_learns_no_sds_of_several_sensors() -> None:
+def test_a_stream_with_learnt_terms_is_fitted_to_some_poses_and_judged_by_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    arm, data = arm_and_data(600)
+    prior = Prior({"*": np.inf, "x[145]": 1e-3}, estimate={"x[145]": "group"})
+    noise, known = Noise({"theta_*": 5e-5, "xyz": 1e-5}), prior.apply(arm)
+    monkeypatch.setattr(learning, "ENOUGH", 200)
+    streamed = calibrate_stream(known, Pieces(data, noise), fit=Fit(method="implicit-loop"))
+    assert any("used 200 of these poses, one of every 3" in note for note in streamed.notes)
+    part = calibrate(known, data.take(np.arange(0, 600, 3)), noise=noise, method="implicit-loop")
+    assert [t.scale for t in streamed.terms] == pytest.approx(
+        [t.scale for t in part.terms], rel=learning.NEARLY
+    )
+    for name in part.estimated:
+        assert streamed.value[name] == pytest.approx(
+            part.value[name], abs=learning.NEARLY * (part.sd[name] or 0.0)
+        )
+    assert streamed.accuracy_after is not None
+    assert streamed.accuracy_after.poses == 600
+    whole = predict(part, data)
+    away = np.array([whole.outputs[q] - data.readings[q] for q in ("x", "y", "z")])
+    rms = np.sqrt(np.square(away).sum(axis=0).mean())
+    assert streamed.accuracy_after.rms == pytest.approx(rms, rel=1e-3)
+
+
+def test_a_stream_learns_the_model_error_beside_stated_sds() -> None:
+    """What the fit of some poses in memory can learn, a stream can."""
     arm, data = arm_and_data(100)
+    fit = Fit(model_error="structured", prior={"*": np.inf}, method="implicit-loop")
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
-    with refused("unsupported", "least-squares"):
-        calibrate_stream(arm, Pieces(data, noise), fit=Fit(model_error="structured"))
+    streamed = calibrate_stream(arm, Pieces(data, noise), fit=fit)
+    whole = calibrate(arm, data, noise=noise, fit=fit)
+    close(streamed, whole)
+    assert "disturbance" in {entry.role for entry in streamed.noise}
+
+
+def test_a_file_at_fault_is_named_from_the_first_chunk_and_what_is_not_sought_is_said() -> None:
+    arm, data = arm_and_data()
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    swapped = {"theta_4": data["theta_6"], "theta_6": data["theta_4"]}
+    wrong = replace(data, readings={**data.readings, **swapped})
+    found = calibrate_stream(arm, Pieces(wrong, noise))
+    assert [fault.code for fault in found.faults] == ["exchanged"]
+    assert found.status.iterations <= 3
+    good = calibrate_stream(arm, Pieces(data, noise))
+    assert good.faults == ()
+    assert "does not search for copied rows" in " ".join(good.warnings)

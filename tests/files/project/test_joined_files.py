@@ -123,6 +123,7 @@ column = "temperature"
 
 SIMULATED = """
 schema = 1
+fit = { method = "implicit-loop" }
 [mechanism]
 type = "serial"
 [[mechanism.joint]]

@@ -41,7 +41,7 @@ def test_the_shortest_project():
     assert project.mechanism.tape == planar_two_link().tape
     assert project.title == "planar two-link arm"
     assert (project.data, project.simulation, project.path) == (None, None, None)
-    assert project.fit.settings == Fit(method="implicit-loop", start="auto")
+    assert project.fit.settings == Fit(method="auto", start="auto")
 
 
 def test_the_project_of_the_contract(tmp_path: Path):

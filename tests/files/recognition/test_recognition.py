@@ -7,11 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from loopcal.estimation.mounted import bodies_of
+from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.dh_table import chain_rows, read_dh
 from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.headers import heading
 from loopcal.files.recognition.layouts import instruments, usual_joints
+from loopcal.files.recognition.robots import dh_robot
+from loopcal.mechanisms.frame import ChainFrame
 from tests.refusals import refused
 
 
@@ -168,3 +173,47 @@ def test_each_angle_of_a_table_has_the_unit_that_it_shows(tmp_path: Path) -> Non
     path.write_text("a,d,alpha\n0,0.4,pi/0\n0.3,0,0\n", "utf-8")
     with refused("invalid-number", "pi/0"):
         read_dh(path)
+
+
+def test_fixed_rows_may_follow_each_other(tmp_path: Path) -> None:
+    """Before the first joint, between joints and behind the last: the machine is that product."""
+    text = """name,a [m],d [m],alpha [deg],theta [deg],kind
+base,0.1,0.2,30,10,fixed
+stand,0.05,0.4,-20,40,fixed
+q1,0.3,0.1,90,0,
+link,0.02,0,15,5,fixed
+plate,0,0.07,0,25,fixed
+q2,0.4,0,0,0,
+tool,0.1,0.05,0,0,fixed
+tip,0.02,0.03,90,90,fixed
+"""
+    for form, modified in (("dh", False), ("modified", True)):
+        path = written(tmp_path, text)
+        if modified:
+            path.write_text(text.replace("a [m]", "a_i-1 [m]"), "utf-8")
+        rows = [line.split(",") for line in text.splitlines()[1:]]
+        joints = {"q1": 0.7, "q2": -1.1}
+        T = np.eye(4)
+        for name, a, d, alpha, theta, _ in rows:
+            turn = motion("rz", np.radians(float(theta)) + joints.get(name, 0.0))
+            own = turn @ motion("tz", float(d))
+            across = motion("tx", float(a)) @ motion("rx", np.radians(float(alpha)))
+            # classical: Rz Tz Tx Rx; modified: Rx Tx Rz Tz, where Rx and Tx commute
+            T = T @ (across @ own if modified else own @ across)
+        made = dh_robot(path, ())
+        mechanism = mechanism_from_data(dict(made.table), "project.toml")
+        values = {p.name: p.nominal for p in mechanism.parameters}
+        its = {n: np.array([q]) for n, q in joints.items()}
+        bodies = bodies_of(ChainFrame(mechanism.chain, its, values), 1)
+        assert np.allclose(bodies.origins[0], T[:3, 3], atol=1e-9), form
+        assert np.allclose(bodies.rotations[0], T[:3, :3], atol=1e-9), form
+
+
+def motion(kind: str, value: float) -> np.ndarray:
+    T = np.eye(4)
+    axis = "xyz".index(kind[1])
+    if kind[0] == "t":
+        T[axis, 3] = value
+    else:
+        T[:3, :3] = Rotation.from_rotvec(value * np.eye(3)[axis]).as_matrix()
+    return T

@@ -10,7 +10,9 @@ import numpy as np
 import loopcal as lc
 from loopcal.files.result.result_file import write_result
 from loopcal.files.result.result_folder import read_result_folder
-from loopcal.report.tables import parameter_table, term_table
+from loopcal.report.parameters import parameter_groups
+from loopcal.report.source import source_of
+from loopcal.report.tables import term_table
 from loopcal.statistics.findings import findings
 from loopcal.statistics.predictor import predictor_of
 
@@ -55,7 +57,8 @@ def test_summary_and_report_show_each_term_and_not_its_columns() -> None:
     table = term_table(result.document)
     assert table is not None
     assert [row[0] for row in table.rows] == [term.name for term in result.terms]
-    assert {row[0] for row in parameter_table(result.document).rows}.isdisjoint(hidden)
+    groups = parameter_groups(source_of(result, result.document, "arm")).groups
+    assert {line.cells[0] for group in groups for line in group.lines}.isdisjoint(hidden)
     assert f"{len(hidden)} parameters of the model error" in text
 
 

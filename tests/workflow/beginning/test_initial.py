@@ -369,3 +369,225 @@ def test_real_files_are_understood(tmp_path: Path, shared_data: Callable[[str], 
     assert list(made.fits) == ["wire"]
     assert made.rms < 0.5e-3
     assert any("computed by the controller" in words for words in made.remarks)
+
+
+def test_an_existing_project_is_met_before_any_work(tmp_path: Path, arm: Any) -> None:
+    (tmp_path / "project.toml").write_text("mine", "utf-8")
+    with refused("unwritable-file", "project.toml"):
+        lc.init(tmp_path / "none.csv", dh=tmp_path / "none.csv", out=tmp_path)
+    assert (tmp_path / "project.toml").read_text("utf-8") == "mine"
+
+
+def test_slides_are_stated_in_units_of_length(tmp_path: Path) -> None:
+    path = tmp_path / "dh.csv"
+    path.write_text("name,a,d,alpha,theta,type\nX1,0,300,90,0,p\nA2,400,0,0,0,r\nA3,300,0,0,0,r\n")
+    rng = np.random.default_rng(3)
+    slide, *turns = rng.uniform([[0.0], [-1.2], [-2.0]], [[0.6], [1.2], [2.0]], (3, 60))
+    c, s = np.cumsum(turns, axis=0), 0.4
+    plane = [s * np.cos(c[0]) + 0.35 * np.cos(c[1]), s * np.sin(c[0]) + 0.35 * np.sin(c[1])]
+    points = np.array([plane[0] + 1.0, -0.04 * np.ones(60) + 0.2, plane[1] + slide + 0.3])
+    points += 2e-5 * rng.standard_normal(points.shape)
+    columns = {"X1": 1e3 * slide, "A2": np.degrees(turns[0]), "A3": np.degrees(turns[1])}
+    made = lc.init({**columns, **of(1e3 * points.T, "xyz")}, dh=path)
+    told = " ".join(made.remarks)
+    assert "the joints A2, A3 in deg; the slides X1 in mm" in told
+    assert np.allclose(made.dataset["X1"], slide)
+
+
+def test_a_shift_says_by_what_the_rows_were_joined(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    ids = [f"P{i}" for i in range(len(joints))]
+    a = {"pose": ids[:-1], **of(joints[1:], NAMES)}
+    b = {"pose": ids[:-1], **of(points[:-1], "xyz")}
+    with refused("mismatched-poses", "joined by pose id", "correct the pose ids"):
+        lc.init(a, b, dh=dh(tmp_path))
+    with refused("mismatched-poses", "in the same file"):
+        lc.init({**of(joints[1:], NAMES), **of(points[:-1], "xyz")}, dh=dh(tmp_path))
+
+
+def test_sds_of_a_dataset_are_kept(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    data = lc.Dataset.from_arrays(
+        {**of(joints, NAMES), **of(points, "xyz")},
+        sds=dict.fromkeys("xyz", 7e-5 + 0.0 * joints[:, 0]),
+    )
+    made = lc.init(data, dh=dh(tmp_path))
+    assert np.allclose(made.dataset.sds["y"], 7e-5)
+
+
+def test_poses_that_are_not_in_every_file_are_said(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    ids = np.arange(len(joints))
+    parts = [
+        {"pose": ids, **of(joints[:, :3], NAMES[:3])},
+        {"pose": ids, **of(joints[:, 3:], NAMES[3:])},
+    ]
+    seen = {"pose": ids[5:], **of(points[5:], "xyz")}
+    made = lc.init(*parts, seen, dh=dh(tmp_path))
+    assert len(made.dataset) == len(joints) - 5
+    assert any("5 poses are not in every file" in words for words in made.remarks)
+
+
+def test_a_sheet_may_have_an_apostrophe(tmp_path: Path, arm: Any) -> None:
+    import polars as pl
+
+    joints, points = arm
+    frame = pl.DataFrame({**of(np.degrees(joints), NAMES), **of(1e3 * points, "xyz")})
+    frame.write_excel(tmp_path / "a.xlsx", worksheet="Monday's run")
+    lc.init(tmp_path / "a.xlsx", dh=dh(tmp_path), out=tmp_path / "out")
+    assert len(lc.load_dataset(tmp_path / "out" / "project.toml").dataset) == len(joints)
+
+
+@pytest.mark.parametrize("header", [True, False])
+def test_matrices_column_by_column(tmp_path: Path, camera: Any, header: bool) -> None:
+    joints, seen = camera
+    names = [f"m{i}" for i in range(16)]
+    by_columns = of(seen.transpose(0, 2, 1).reshape(-1, 16), names)
+    path = table(tmp_path / "a.csv", {**of(joints, NAMES), **by_columns}, header=header)
+    made = lc.init(path, dh=dh(tmp_path))
+    assert np.allclose(made.dataset["y"], seen[:, 1, 3])
+    assert made.rms < 1e-3
+    turns = seen[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
+    columns = {
+        **of(turns, [f"r{i}" for i in range(1, 10)]),
+        **of(seen[:, :3, 3], ["t1", "t2", "t3"]),
+    }
+    made = lc.init({**of(joints, NAMES), **columns}, dh=dh(tmp_path))
+    assert made.rms < 1e-3
+
+
+def test_a_total_station_counts_clockwise_and_from_the_zenith(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    far = np.linalg.norm(points, axis=1)
+    columns = {
+        "range [m]": far,
+        "hz [gon]": -np.arctan2(points[:, 1], points[:, 0]) * 200.0 / np.pi,
+        "v [gon]": 100.0 - np.arcsin(points[:, 2] / far) * 200.0 / np.pi,
+    }
+    path = table(tmp_path / "a.csv", {**of(joints, NAMES), **columns})
+    made = lc.init(path, dh=dh(tmp_path), out=tmp_path / "out")
+    assert any("clockwise" in words and "zenith" in words for words in made.remarks)
+    assert np.allclose(made.dataset["tracker_elevation"], np.arcsin(points[:, 2] / far))
+    data = lc.load_dataset(tmp_path / "out" / "project.toml").dataset
+    assert np.allclose(data["tracker_azimuth"], np.arctan2(points[:, 1], points[:, 0]))
+
+
+def test_two_trackers_of_one_reflector_are_two_stations(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    T = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    noise = NOISE * np.random.default_rng(7).standard_normal(points.shape)
+    other = points @ T.T + np.array([0.3, 0.2, 0.1]) + noise
+    columns = {**of(points, ["x1", "y1", "z1"]), **of(other, ["x2", "y2", "z2"])}
+    made = lc.init({**of(joints, NAMES), **columns}, dh=dh(tmp_path))
+    names = made.mechanism.parameters.names
+    assert "station_2_x" in names
+    assert [n for n in names if n.startswith("tool")] == ["tool_x", "tool_y", "tool_z"]
+    result = lc.calibrate(made, method="least-squares")
+    assert result.accuracy_after is not None
+    assert result.accuracy_after.rms < 4.0 * NOISE
+
+
+def test_what_does_not_fit_is_explained(tmp_path: Path, arm: Any) -> None:
+    joints, points = (values[:48] for values in arm)
+    path, own = dh(tmp_path), of(joints, NAMES)
+    with refused("implausible-readings", "left-handed"):
+        lc.init({**own, **of(points[:, [1, 0, 2]], "xyz")}, dh=path)
+    with refused("wrong-unit", "x is in mm", "in m"):
+        lc.init({**own, **of(points * (1e3, 1.0, 1.0), "xyz")}, dh=path)
+    moved = points.copy()
+    moved[30:] += (0.4, -0.2, 0.0)
+    with refused("implausible-readings", "moved during the run", "x2"):
+        lc.init({**own, **of(moved, "xyz")}, dh=path)
+    with refused("implausible-readings", "counts of encoders"):
+        lc.init({**of(np.round(joints * 2**20 / 2 / np.pi), NAMES), **of(points, "xyz")}, dh=path)
+    still = 1e-5 * np.random.default_rng(1).standard_normal((20, 9))
+    columns = np.hstack([joints[:1], points[:1]]) + still
+    with refused("too-few-poses", "one pose", "loopcal noise"):
+        lc.init(of(columns, [*NAMES, "x", "y", "z"]), dh=path)
+
+
+def test_zeros_of_a_lost_reflector_are_refused(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    lost = points.copy()
+    lost[[5, 17]] = 0.0
+    with refused("lost-reflector"):
+        lc.init({**of(joints, NAMES), **of(lost, "xyz")}, dh=dh(tmp_path))
+
+
+def test_files_with_the_same_columns_are_taken_together(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    columns = {**of(joints, NAMES), **of(points, "xyz")}
+    half = len(joints) // 2
+    parts = [{n: v[:half] for n, v in columns.items()}, {n: v[half:] for n, v in columns.items()}]
+    made = lc.init(*parts, dh=dh(tmp_path))
+    assert len(made.dataset) == len(joints)
+    assert np.allclose(made.dataset["x"], points[:, 0])
+    assert any("taken together" in words for words in made.remarks)
+
+
+def test_a_column_of_two_files_must_agree(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    ids = np.arange(len(joints))
+    own, seen = {"pose": ids, **of(joints, NAMES)}, {"pose": ids, **of(points, "xyz")}
+    made = lc.init(own, {**seen, "J2": joints[:, 1]}, dh=dh(tmp_path))
+    assert made.rms < 1e-3
+    with refused("duplicate-column", "J2", "table 1", "table 2"):
+        lc.init(own, {**seen, "J2": joints[:, 2]}, dh=dh(tmp_path))
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_row_per_reflector_becomes_a_row_per_pose(
+    tmp_path: Path, camera: Any, alone: bool
+) -> None:
+    joints, seen = camera
+    here = seen[:, :3, 3]
+    other = here + seen[:, :3, :3] @ np.array([0.1, -0.05, 0.02])
+    ids = [f"P{i}" for i in range(len(joints)) for _ in range(2)]
+    rows = np.stack([here, other], axis=1).reshape(-1, 3)[:-1]
+    long = {"pose": ids[:-1], "target": ["A", "B"] * (len(joints) - 1) + ["A"], **of(rows, "xyz")}
+    own = of(joints, NAMES)
+    if alone:
+        files = [table(tmp_path / "a.csv", {**long, **of(joints.repeat(2, axis=0)[:-1], NAMES)})]
+    else:
+        files = [
+            table(tmp_path / "a.csv", long),
+            table(tmp_path / "b.csv", {"pose": ids[::2], **own}),
+        ]
+    made = lc.init(*files, dh=dh(tmp_path), out=tmp_path / "out")
+    assert len(made.dataset) == len(joints)
+    assert np.allclose(made.dataset["y_1"], here[:, 1], atol=1e-8)
+    assert np.isnan(made.dataset["y_2"]).sum() == 1
+    assert_gives_the_noise_back_twice(tmp_path / "out")
+
+
+def assert_gives_the_noise_back_twice(folder: Path) -> None:
+    found = lc.calibrate(folder / "project.toml", method="least-squares")
+    assert found.converged
+    assert found.accuracy_after is not None
+    assert found.accuracy_after.rms < 3.0 * NOISE
+
+
+def test_the_sheet_with_the_readings_is_taken(tmp_path: Path, arm: Any) -> None:
+    import xlsxwriter
+
+    joints, points = arm
+    path = tmp_path / "a.xlsx"
+    with xlsxwriter.Workbook(str(path)) as book:
+        book.add_worksheet("Notes").write(0, 0, "measured on Monday")
+        sheet = book.add_worksheet("Data")
+        sheet.write_row(0, 0, [*NAMES, "x", "y", "z"])
+        for i, row in enumerate(np.hstack([joints, points]), 1):
+            sheet.write_row(i, 0, row)
+    made = lc.init(path, dh=dh(tmp_path), out=tmp_path / "out")
+    assert 'sheet = "Data"' in made.text
+    with xlsxwriter.Workbook(str(path)) as book:
+        book.add_worksheet("Notes").write(0, 0, "measured on Monday")
+    with refused("no-data", "Notes"):
+        lc.init(path, dh=dh(tmp_path))
+
+
+def test_a_joint_that_counts_from_another_zero_is_named(tmp_path: Path, arm: Any) -> None:
+    joints, points = (values[:48] for values in arm)
+    turned = joints + np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0, 0.0])
+    with refused("implausible-readings", "J2", "-90 deg"):
+        lc.init({**of(turned, NAMES), **of(points, "xyz")}, dh=dh(tmp_path))

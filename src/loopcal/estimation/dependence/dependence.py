@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from loopcal.document.dependence import Dependence, InstrumentDependence
 from loopcal.estimation.dependence.neighbours import Pairs, in_order, likeness, near
 from loopcal.estimation.dependence.seen import instruments, seen
-from loopcal.estimation.dependence.serial import Whole, serial_model
+from loopcal.estimation.dependence.serial import Drift, Whole, learnt_drift
 from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.solution import Solution
@@ -26,11 +26,20 @@ _APART = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Depending:
-    """What was found; covariance: (n, n) [SI] of the estimate under a learnt drift, None without
-    serial dependence."""
+    """What was found; drifting: the drift that was learnt, None without serial dependence;
+    covariance: (n, n) [SI] of the estimate under it."""
 
     found: Dependence
-    covariance: Array | None
+    drifting: Drifting | None = None
+    covariance: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Drifting:
+    """A drift of the errors of these readings."""
+
+    drift: Drift
+    readings: tuple[str, ...]
 
 
 def dependence(
@@ -61,11 +70,30 @@ def dependence(
     found = Dependence(tuple(rows), LEVEL)
     drifting = [f for f, row in zip(families, rows, strict=True) if row in found.serial]
     if not drifting:
-        return Depending(found, None)
+        return Depending(found)
     readings = tuple(dict.fromkeys(q for f in drifting for q in f.readings))
-    model = serial_model(whole, seen(problem, equations, root, readings).take(order))
-    found = Dependence(tuple(rows), LEVEL, model.share, model.length)
-    return Depending(found, root @ model.covariance @ root.T)
+    its = seen(problem, equations, root, readings).take(order)
+    drift = learnt_drift(whole, its)
+    found = Dependence(tuple(rows), LEVEL, drift.share, drift.length)
+    return Depending(found, Drifting(drift, readings), root @ drift.covariance(whole, its) @ root.T)
+
+
+def covariance_under(
+    drifting: Drifting,
+    problem: Problem,
+    solution: Solution,
+    *,
+    exact: bool = False,
+    at_readings: bool = False,
+) -> Array:
+    """(n, n) [SI] of an estimate under a drift that is known."""
+    equations = pose_equations(
+        problem, solution.parameters, solution.corrections, exact=exact, at_readings=at_readings
+    )
+    root = solution.spectrum.root
+    whole = _whole(problem, solution, equations, root, exact=exact)
+    its = seen(problem, equations, root, drifting.readings).take(pose_order(problem))
+    return np.asarray(root @ drifting.drift.covariance(whole, its) @ root.T)
 
 
 def pose_order(problem: Problem) -> NDArray[np.intp]:

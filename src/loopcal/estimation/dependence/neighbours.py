@@ -52,8 +52,9 @@ def likeness(seen: Seen, pairs: Pairs, square: float, freedom: int) -> Likeness 
     near = np.zeros_like(A)
     np.add.at(near, i, 0.5 * A[j])
     np.add.at(near, j, 0.5 * A[i])
-    once = np.einsum("nqi,nqj->ij", A, near)
-    twice = float(np.einsum("nqi,nqr,nri->", near, M, near, optimize=True))
+    N, q, k = A.shape
+    once = A.reshape(N * q, k).T @ near.reshape(N * q, k)
+    twice = float(np.einsum("nqi,nqi->", near, M @ near))
     trace = -float(np.trace(once))
     squared = 0.5 * float(np.einsum("pqr,prq->", M[i], M[j])) - 2.0 * twice
     squared += float(np.square(once).sum())

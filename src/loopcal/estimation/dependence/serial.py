@@ -23,6 +23,8 @@ from loopcal.estimation.dependence.seen import Seen
 
 Array = NDArray[np.float64]
 _RATIOS = 10.0 ** np.arange(-1.5, 3.1, 0.5)
+_NOTHING = 1e-6
+"""A drift of so small a share of the variance adds nothing."""
 
 
 @dataclass(frozen=True)
@@ -42,35 +44,47 @@ class Whole:
     equations: int
 
 
-@dataclass(frozen=True)
-class SerialModel:
-    """What the grid says: covariance (k, k) of z; share: of the drift in the variance of a reading;
-    length: number of poses over which the drift forgets (to 1/e)."""
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """Errors of single readings in units of their sds: white noise and a drift, averaged over the
+    grid.
 
-    covariance: Array
+    white: variance of an equation; lengths, sizes: (l,) cov(u_i, u_j) = sum of sizes rho^|i - j|,
+    rho = exp(-1 / length); share: of the drift in the variance of a reading; length: number of
+    poses over which it forgets (to 1/e).
+    """
+
+    white: float
+    lengths: Array
+    sizes: Array
     share: float
     length: float
 
+    def covariance(self, whole: Whole, seen: Seen) -> Array:
+        """(k, k) of z under this drift, (D^T V D + P) where D^T D + P = I."""
+        total = self.white + float(self.sizes.sum())
+        found = self.white * whole.DD + whole.P
+        for length, size in zip(self.lengths.tolist(), self.sizes.tolist(), strict=True):
+            if size > _NOTHING * total:
+                found = found + size * _correlated(math.exp(-1.0 / length), seen.A)
+        return found
 
-def serial_model(whole: Whole, seen: Seen) -> SerialModel:
-    """The model averaged over the grid; poses of `seen` in the order in which they were read."""
+
+def learnt_drift(whole: Whole, seen: Seen) -> Drift:
+    """The drift averaged over the grid; poses of `seen` in the order in which they were read."""
     N = len(seen.y)
     lengths = np.geomspace(0.7, max(2.0 * N, 4.0), 10)
     columns = np.concatenate([seen.A, seen.y[:, :, None]], axis=2)
-    criteria, parts, points = [], [], []
-    for length in lengths:
-        rho = math.exp(-1.0 / length)
-        along = _correlated(rho, seen.A)
-        for ratio in _RATIOS:
-            criterion, s2 = _criterion(whole, seen.M, columns, rho, float(ratio))
-            criteria.append(criterion)
-            points.append((ratio / (1.0 + ratio), length))
-            parts.append(s2 * (whole.DD + ratio * along) + whole.P)
-    weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
+    found = [
+        [_criterion(whole, seen.M, columns, math.exp(-1.0 / length), ratio) for ratio in _RATIOS]
+        for length in lengths.tolist()
+    ]
+    criteria, s2 = np.moveaxis(np.array(found), 2, 0)  # (lengths, ratios) each
+    weights = np.exp(-0.5 * (criteria - criteria.min()))
     weights /= weights.sum()
-    share, length = weights @ np.array([(s, math.log(L)) for s, L in points])
-    covariance = np.einsum("g,gij->ij", weights, np.array(parts))
-    return SerialModel(covariance, float(share), math.exp(float(length)))
+    share = float((weights @ (_RATIOS / (1.0 + _RATIOS))).sum())
+    length = math.exp(float(weights.sum(axis=1) @ np.log(lengths)))
+    return Drift(float((weights * s2).sum()), lengths, (weights * s2) @ _RATIOS, share, length)
 
 
 def _correlated(rho: float, A: Array) -> Array:
@@ -80,7 +94,7 @@ def _correlated(rho: float, A: Array) -> Array:
     N, q, k = A.shape
     diagonal, beside = _precision(rho, N)
     filtered = solveh_banded(np.array([np.r_[0.0, beside], diagonal]), A.reshape(N, q * k))
-    return np.asarray(np.einsum("nqi,nqj->ij", A, filtered.reshape(N, q, k)))
+    return np.asarray(A.reshape(N * q, k).T @ filtered.reshape(N * q, k))
 
 
 def _precision(rho: float, N: int) -> tuple[Array, Array]:

@@ -12,14 +12,15 @@ if TYPE_CHECKING:
     from loopcal.estimation.methods.method import Method
 
 METHODS = {
+    "auto": "auto",
     "implicit-loop": "implicit_loop",
     "least-squares": "least_squares",
     "reweighted": "reweighted",
     "implicit-loop-undamped": "undamped",
-    "auto": "auto",
 }
-"""Name -> module in this folder, which defines METHOD. The first is the default."""
-DEFAULT = next(iter(METHODS))
+"""Name -> module in this folder, which defines METHOD."""
+DEFAULT, PLAIN = "auto", "implicit-loop"
+"""The default of a calibration, and that of one fit, where nothing is to be chosen."""
 
 
 @cache

@@ -54,10 +54,12 @@ _FAR = 100.0
 """A variance so many times the stated one, or less than it by as much, is checked again."""
 _ROUGHLY, _SLOWLY = 0.1, 100.0
 """Variance ratios that change less than this are roughly right; early ones fall no faster."""
-NEAR, NEARBY, ROUGH = 1e-3, 1e-2, 1e-2
+NEAR, NEARBY, ROUGH = 1e-3, 2e-2, 1e-2
 """With terms, logarithms of variances still change by so much in the last round, far less than
 their uncertainty, the second where the search begins at those of nearly the same readings; the
 first fit ends so many sds near the optimum, the third."""
+_SHARE = 0.1
+"""A rough fit ends so many sds near its optimum for each unit by which the logarithms change."""
 _FAILURES = 1
 """So many fits in succession may end without converging."""
 _HOPELESS = 1e5
@@ -279,7 +281,8 @@ class _Search:
             if not 1.0 / _FAR < ratio < _FAR:
                 other = end.found.ratios.copy()
                 other[i] = 1.0
-                yield other
+                if not np.array_equal(other, np.ones(len(other))):  # where the search began
+                    yield other
 
     def run(self, ratios: Array, *, near: bool = False) -> _Round:
         """Fit and variances in turn, from these ratios, until neither moves.
@@ -289,7 +292,7 @@ class _Search:
         """
         start, before, vanish, iterations, failed = self.stated.start, math.inf, near, 0, 0
         scales, corrections = scales_of(self.stated), self.stated.found
-        rough = ROUGH if len(scales) else None
+        rough, last = ROUGH if len(scales) and not near else None, math.inf
         for number in range(_MOST):
             present = scaled(begun_with(self.stated, scales), self.positions, ratios)
             begun = replace(present, start=start, found=corrections)
@@ -301,21 +304,27 @@ class _Search:
             lowest = np.zeros(len(ratios)) if vanish else ratios / _SLOWLY
             found = self._variances(present, solution, ratios, lowest)
             change = _change(ratios, found.ratios)
+            falling = np.zeros(len(ratios), dtype=bool) if vanish else found.ratios <= lowest
+            others = _change(ratios[~falling], found.ratios[~falling])
             if found.terms is not None:
-                change = max(change, _change(np.square(scales), np.square(found.terms.scales)))
+                by_terms = _change(np.square(scales), np.square(found.terms.scales))
+                change, others = max(change, by_terms), max(others, by_terms)
             ended = change <= _SETTLED or abs(before - found.criterion) <= _BETTER
             if found.terms is not None:
                 ended = change <= (NEARBY if near else NEAR)
-            if ended and vanish and not failed and rough is None:
+            if ended and vanish and not failed and (near or rough is None):
                 return _Round(present, solution, found, found.converged, iterations)
             if failed > _FAILURES or _hopeless(solution):
                 break
             # No component may vanish before the others are roughly right.
-            vanish = vanish or ended or change <= _ROUGHLY or number >= _MOST // 2
+            vanish = vanish or ended or others <= _ROUGHLY or number >= _MOST // 2
             ratios, before = found.ratios, found.criterion
             if found.terms is not None:
-                rough = None if ended else min(rough or ROUGH, 0.1 * change)
-            scales = scales if found.terms is None else found.terms.scales
+                if not near:
+                    rough = None if ended else min(rough or ROUGH, _SHARE * change)
+                elif change > 0.5 * last:  # the end of the fit itself keeps them from settling
+                    rough = _SHARE * min(rough or ROUGH, change)
+                scales, last = found.terms.scales, change
         return _Round(present, solution, found, False, iterations)
 
     def _variances(

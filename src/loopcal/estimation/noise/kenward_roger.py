@@ -13,7 +13,9 @@ are the slopes that Student's t needs (`loopcal.small_samples`).
 
 The rows of a term's parameters in the prior are loadings of the term's variance. W is the inverse
 of the information, ratios at zero included: there by chance, they are as unsure as others. No ratio
-is more unsure than the whole noise would be, were it all this component's.
+is more unsure than the whole noise would be, were it all this component's. The parameters of a term
+share their sd only roughly: what poses of one region say of it holds for another to a factor
+exp(+- `ELSEWHERE`), however many these poses are.
 
 All is done in directions z, dp = root z, in which H is the identity: with Z_j = root^T M_j root and
 the products of the rows of two components, Q_jk = root^T J^T V^-1 V_j V^-1 V_k V^-1 J root,
@@ -25,6 +27,7 @@ which no pose adds to. Where one factor is common to all noise, the sums of the 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -45,6 +48,8 @@ Array = NDArray[np.float64]
 _WIDEST = 3.0
 """Sd of a ratio, at most, in units of the one that would explain all noise."""
 _RIDGE = 1e-6
+ELSEWHERE = 0.5
+"""Sd of the natural logarithm by which the sd of a term differs from one region to another."""
 _CERTAIN = 0.03
 """A change of the variances by less than this share leaves thousands of degrees of freedom."""
 
@@ -53,15 +58,18 @@ _CERTAIN = 0.03
 class LearntParameters:
     """What learning the variances means for the parameters, in the directions of `root`.
 
-    root: (n, k), H^-1 = root root^T; errors: (c, a) change of each sensor's variance ratio along
-    each independent error; along: (a, k, k) changes of the covariance of z along these; added:
-    (k, k) of the same covariance.
+    root: (n, k), H^-1 = root root^T; errors: (c + t, a) changes of each sensor's variance ratio and
+    of each term's log variance along each independent error; sensors: (c, k, k) = Z_j of sensors;
+    loadings: those of the terms, Z_j = loading^T loading; added: (k, k) what the covariance of z
+    gains; ratios: (c,) of the sensors.
     """
 
     root: Array
     errors: Array
-    along: Array
+    sensors: Array
+    loadings: tuple[Array, ...]
     added: Array
+    ratios: Array
 
     @cached_property
     def plain(self) -> Array:
@@ -76,7 +84,27 @@ class LearntParameters:
     @cached_property
     def covariance(self) -> LearntCovariance:
         """The covariance of the parameters, and how sure it is itself."""
-        return LearntCovariance(self.matrix, self.plain, self.root @ self.along @ self.root.T)
+        first = np.concatenate([self.sensors, *((u.T @ u)[None] for u in self.loadings)])
+        along = np.tensordot(self.errors.T, first, 1)
+        return LearntCovariance(self.matrix, self.plain, self.root @ along @ self.root.T)
+
+    @property
+    def relative(self) -> Array:
+        """(c, a) changes of the sensors' variances along each independent error, as shares."""
+        c = len(self.ratios)
+        return np.asarray(self.errors[:c] / np.where(self.ratios > 0.0, self.ratios, 1.0)[:, None])
+
+    def through(self, S: Array) -> LearntCovariance:
+        """Of S times the parameters, S (N, m, n); cheaper than by `covariance`."""
+        R = S @ self.root
+        turned = np.swapaxes(R, -1, -2)
+        plain = R @ turned
+        parts = [R @ own @ turned for own in self.sensors]
+        for loading in self.loadings:
+            T = R @ loading.T
+            parts.append(T @ np.swapaxes(T, -1, -2))
+        slopes = np.tensordot(self.errors.T, np.array(parts).reshape(-1, *plain.shape), 1)
+        return LearntCovariance(plain + 2.0 * R @ self.added @ turned, plain, slopes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +153,8 @@ def learnt_parameters(estimate: NoiseEstimate) -> LearntParameters:
     added = np.tensordot(W[:c, :c], sensors.second, 2)
     added += np.tensordot(np.diag(W)[c:], first[c:], 1)
     flat = along.reshape(-1, len(added))
-    return LearntParameters(sensors.root, errors[:c], along, added - flat.T @ flat)
+    added -= flat.T @ flat
+    return LearntParameters(sensors.root, errors, sensors.first, tuple(U), added, sensors.ratios)
 
 
 def _by_sums(estimate: NoiseEstimate, prior: Array) -> _Sensors:
@@ -170,6 +199,9 @@ def _errors(sensors: _Sensors, first: Array, terms: Sequence[_Term]) -> Array:
     for j, term in enumerate(terms, c):
         own = 0.5 * (len(term.index) - 2.0 * np.trace(first[j]))
         information[j, j] += own + term.precision
+        alike = 1.0 / math.hypot(1.0, 2.0 * ELSEWHERE * math.sqrt(max(information[j, j], 0.0)))
+        information[j] *= alike
+        information[:, j] *= alike
     size = np.sqrt(np.maximum(np.diag(information), 0.0))
     shown = size > 0.0
     scale = np.where(shown, size, 1.0)

@@ -9,15 +9,16 @@ their stated sds. s_j is its variance ratio (1 at the stated sds), V_0 the covar
 whose sds are given. The misclosure then has the covariance V = V_0 + sum_j s_j G_j G_j^T. Searle,
 Casella and McCulloch, Variance Components (1992), chapter 6.
 
-All columns are joined, [J e G], and whitened together. One QR decomposition of [J e] per evaluation
-reduces the poses to a triangle; prior terms are further rows of it. Sums over poses go by loadings:
-a component with one column costs one column, not a matrix V_j for every pose.
+All columns are joined, [J e G], and whitened together. The products of [J e] reduce the poses to a
+triangle, or its QR decomposition where their rounding would show; prior terms are further rows of
+it. Sums over poses go by loadings: a component with one column costs one column, not a matrix V_j
+for every pose.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.kernel import eliminate, loadings
+from loopcal.estimation.solve.reduction import WELL_CONDITIONED
 from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]
@@ -124,15 +126,20 @@ def linear_model(
 
 @dataclass(frozen=True)
 class Joined:
-    """The whitened columns of all blocks at some ratios, and [J e] with the prior as a triangle.
+    """The whitened columns of all blocks at some ratios.
 
-    rows: (b, r, n + 1) each, W = L^-1 G: (b, r, K) each; R: (n + 1, n + 1); volume: sum log|V|.
+    rows: (b, r, n + 1) each, W = L^-1 G: (b, r, K) each; volume: sum log|V|.
     """
 
     rows: list[Array]
     W: list[Array]
-    R: Array
     volume: float
+
+    @cached_property
+    def total(self) -> Array:
+        """[J e]^T [J e] over all poses, (n + 1, n + 1)."""
+        flat = [rows.reshape(-1, rows.shape[2]) for rows in self.rows]
+        return np.asarray(sum(rows.T @ rows for rows in flat))
 
 
 def fit(model: LinearModel, ratios: Array) -> MixedFit | None:
@@ -148,12 +155,9 @@ def mixed_fit(model: LinearModel, joined: Joined) -> MixedFit:
     Thompson 1971). With P the projector V^-1 - V^-1 J H^-1 J^T V^-1 and r = e - J dp,
     score_j = (|G_j^T V^-1 r|^2 - tr G_j^T P G_j) / 2, information_jk = |G_j^T P G_k|^2 / 2.
     """
-    n, R = len(model.precision), joined.R
-    solved = _solved(R[:, :n])
-    along = solved.axes.T @ R[:, n]
-    residual = float(np.linalg.norm(R[:, n] - solved.axes @ along))
-    score, information = _slopes(model, joined, solved.root, solved.root @ along)
-    return MixedFit(joined.volume + solved.log_volume + residual**2, score, information)
+    solved = _solved(model, joined)
+    score, information = _slopes(model, joined, solved.root, solved.root @ solved.along)
+    return MixedFit(joined.volume + solved.log_volume + solved.residual, score, information)
 
 
 @dataclass(frozen=True)
@@ -178,7 +182,7 @@ def whitened_model(model: LinearModel, ratios: Array) -> WhitenedModel | None:
         return None
     n = len(model.precision)
     return WhitenedModel(
-        _solved(joined.R[:, :n]).root,
+        _solved(model, joined).root,
         tuple(rows[:, :, :n] for rows in joined.rows),
         tuple(joined.W),
         tuple(block.owner for block in model.blocks),
@@ -187,38 +191,69 @@ def whitened_model(model: LinearModel, ratios: Array) -> WhitenedModel | None:
 
 @dataclass(frozen=True)
 class _Solved:
-    """R^T R = H solved over the directions that are determined: H^-1 = root root^T, R root = axes.
+    """The least |R z - right|, R^T R = H, over the directions that are determined.
 
-    log_volume: log of the determinant of H, up to a constant.
+    root: H^-1 = root root^T; along: the solution in its directions; residual: what is left of the
+    squares; log_volume: log of the determinant of H, up to a constant.
     """
 
-    axes: Array
     root: Array
+    along: Array
+    residual: float
     log_volume: float
 
 
-def _solved(R: Array) -> _Solved:
-    # R, not R^T R = H: squaring the condition would leave the criterion some seven digits
-    scale = 1.0 / np.maximum(np.linalg.norm(R, axis=0), 1e-150)
-    U, values, Vt = np.linalg.svd(R * scale, full_matrices=False)
+def _solved(model: LinearModel, joined: Joined) -> _Solved:
+    """The whitened columns with the prior, solved for the parameters."""
+    found = _by_products(model, joined)
+    return _by_rows(model, joined) if found is None else found
+
+
+def _by_products(model: LinearModel, joined: Joined) -> _Solved | None:
+    """By the triangle of the products; None where their rounding would show."""
+    from scipy.linalg.lapack import dtrtri
+
+    prior = _prior_rows(model)
+    total = joined.total + prior.T @ prior
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-300))
+    try:
+        R = np.linalg.cholesky(total * scale * scale[:, None]).T
+    except np.linalg.LinAlgError:
+        return None
+    n = len(R) - 1
+    inverse = dtrtri(R[:n, :n])[0]
+    if not np.linalg.norm(R[:n, :n]) * np.linalg.norm(inverse) <= WELL_CONDITIONED:
+        return None
+    own, size = scale[:n], 1.0 / scale[n]
+    log_volume = 2.0 * float(np.log(np.diag(R)[:n]).sum() - np.log(own).sum())
+    residual = float(R[n, n] * size) ** 2
+    return _Solved(own[:, None] * inverse, R[:n, n] * size, residual, log_volume)
+
+
+def _by_rows(model: LinearModel, joined: Joined) -> _Solved:
+    # products would square the condition and leave the criterion some seven digits
+    R, n = _prior_rows(model), len(model.precision)
+    for rows in joined.rows:
+        R = np.asarray(np.linalg.qr(np.concatenate([R, rows.reshape(-1, n + 1)]), mode="r"))
+    scale = 1.0 / np.maximum(np.linalg.norm(R[:, :n], axis=0), 1e-150)
+    U, values, Vt = np.linalg.svd(R[:, :n] * scale, full_matrices=False)
     kept = values > KEPT * values[0]
     root = scale[:, None] * Vt[kept].T / values[kept]
     log_volume = 2.0 * float(np.log(values[kept]).sum() - np.log(scale).sum())
-    return _Solved(U[:, kept], root, log_volume)
+    along = U[:, kept].T @ R[:, n]
+    left = R[:, n] - U[:, kept] @ along
+    return _Solved(root, along, float(left @ left), log_volume)
 
 
-def with_prior(model: LinearModel, joined: Joined) -> Joined:
-    """Columns that were whitened without a prior, with that of the model."""
+def _prior_rows(model: LinearModel) -> Array:
+    """The prior as further rows of [J e]."""
     prior = np.sqrt(model.precision)
-    rows = np.column_stack([np.diag(prior), prior * model.offset])
-    return replace(joined, R=np.asarray(np.linalg.qr(np.concatenate([rows, joined.R]), mode="r")))
+    return np.column_stack([np.diag(prior), prior * model.offset])
 
 
 def whitened(model: LinearModel, ratios: Array) -> Joined | None:
     """The columns of all poses whitened; None where some V is singular."""
     n = len(model.precision)
-    prior = np.sqrt(model.precision)
-    R = np.column_stack([np.diag(prior), prior * model.offset])
     rows, W, log_V = [], [], 0.0
     for block in model.blocks:
         V = block.fixed + (block.G * ratios[block.owner]) @ block.G.transpose(0, 2, 1)
@@ -227,11 +262,10 @@ def whitened(model: LinearModel, ratios: Array) -> Joined | None:
         except np.linalg.LinAlgError:
             return None
         log_V += 2.0 * float(np.log(np.einsum("brr->br", L)).sum())
-        whitened = np.linalg.solve(L, block.columns)
+        whitened = np.linalg.inv(L) @ block.columns
         rows.append(np.ascontiguousarray(whitened[:, :, : n + 1]))
         W.append(whitened[:, :, n + 1 :])
-        R = np.asarray(np.linalg.qr(np.concatenate([R, rows[-1].reshape(-1, n + 1)]), mode="r"))
-    return Joined(rows, W, R, log_V)
+    return Joined(rows, W, log_V)
 
 
 def _slopes(model: LinearModel, joined: Joined, root: Array, dp: Array) -> tuple[Array, Array]:

@@ -19,7 +19,6 @@ from loopcal.estimation.noise.linear_model import (
     LinearModel,
     mixed_fit,
     whitened,
-    with_prior,
 )
 from loopcal.estimation.noise.term_scales import (
     Sums,
@@ -152,21 +151,21 @@ def in_turn(
     if not problem.mechanism.learnt_terms:
         found = estimate_ratios(linear, ratios, lowest=lowest)
         return Variances(found.ratios, found.criterion, found.converged, None, found)
-    flat = whitened(replace(linear, precision=np.zeros(len(linear.precision))), ratios)
-    if flat is None:
+    joined = whitened(linear, ratios)
+    if joined is None:
         raise NoTrustworthyResult(
             "the sds cannot be estimated: the loops have no usable noise model where the fit ended",
             remedy="calibrate with stated sds first and check that the fit converges",
         )
     own, terms = owners(problem), problem.mechanism.learnt_terms
-    sums = Sums(flat.R, True, sum(block.e.size for block in linear.blocks))
+    sums = Sums(joined.total, False, sum(block.e.size for block in linear.blocks))
     system = term_system(sums, problem.prior_sd, linear.offset, own, terms)
     start = begun(scales_of(problem), common=common)
     at = learn_scales(system, start)
     learnt = TermVariances(system, at, start.free)
     prior_sd = np.where(own >= 0, at.scales[own], problem.prior_sd)
     linear = replace(linear, precision=1.0 / np.square(prior_sd))
-    present = mixed_fit(linear, with_prior(linear, flat))
+    present = mixed_fit(linear, joined)
     step = scoring_step(present, ratios, lowest, np.ones(len(ratios), dtype=bool))
     stepped = np.clip(ratios + step, lowest, _FARTHEST * ratios + (ratios == 0.0))
     criterion = present.criterion + learnt.own_criterion

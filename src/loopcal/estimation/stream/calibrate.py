@@ -1,6 +1,7 @@
 """The result of a calibration from a stream: its parameters from all poses, its arrays from some.
 
-Parameters, covariance, chi-squared and accuracy are those of every pose. The arrays of a result,
+Parameters, covariance, chi-squared and accuracy are those of every pose; where sds of terms are
+learnt, accuracy alone (`loopcal.estimation.stream.learning`). The arrays of a result,
 one value per pose, are those of poses thinned evenly and of those that fit worst; the arrays of
 each chunk are handed out on the way.
 """
@@ -15,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.calibrate import LEARNT, refuse_learning
+from loopcal.estimation.calibrate import FAULTY
+from loopcal.estimation.faults.search import UNREPAIRED, column_faults
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.model_error import modelled
 from loopcal.estimation.noise.learning import with_model
-from loopcal.estimation.noise.variances import with_scales
 from loopcal.estimation.problem.alignment import begins_aligned, placed
 from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
 from loopcal.estimation.problem.problem import Problem
@@ -34,7 +35,7 @@ from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.solve.sweep import NEAR
 from loopcal.estimation.stream.chunks import Chunk, Disturbed, Stream
 from loopcal.estimation.stream.last_pass import LastPass, Parts
-from loopcal.estimation.stream.learning import Weighed, learn, refuse_several
+from loopcal.estimation.stream.learning import Learnt, Weighed, learn
 from loopcal.estimation.stream.merit import StreamMerit, Task, do
 from loopcal.execution.executor import Executor, InProcess
 from loopcal.measurements.noise import Noise
@@ -70,17 +71,12 @@ def calibrate_stream(
     fit = fit.changed(method=fit.among(first.data, first.noise)[0])
     refuse_unstreamable(fit)
     _refuse_estimates(fit, first.noise)
-    mechanism = modelled(fit, fit.with_prior(mechanism), stream.poses)
-    exact, told = fit.solver.exact, first.noise
-    learns = bool(mechanism.learnt_terms) and not exact
-    if learns:
-        import scipy.linalg  # noqa: F401  before the limit on threads of linear algebra
-
-        refuse_learning(fit, mechanism, told)
-        stream = weighed = Weighed(stream, mechanism, fit)
-        told = weighed.told(first)
-        refuse_several(fit, told)
-        first = weighed.chunk(0)
+    made = modelled(fit, fit.with_prior(mechanism), stream.poses)
+    exact = fit.solver.exact
+    if made.learnt_terms and not exact:
+        with one_blas_thread():
+            return _learnt(fit, learn(mechanism, stream, fit, progress), stream, executor, parts)
+    mechanism = made
     if not exact:
         stream = Disturbed(stream, mechanism)
         mechanism, data = with_model(mechanism, first.data, first.noise)
@@ -93,9 +89,13 @@ def calibrate_stream(
         problem = task.problem(first)
         refuse_parallel_axes(mechanism)
         task = _settled(task, problem)
-        if learns:
-            return _learnt(fit, task, problem, told, executor, progress, parts)
-
+        faults = tuple(
+            fault
+            for fault in column_faults(problem, suspected=False)
+            if fault.code not in UNREPAIRED
+        )
+        if faults:  # no fit is of use: a short one, so that there is a result to say so
+            fit = fit.changed(max_iterations=min(fit.max_iterations, FAULTY))
         with (executor or InProcess()).crew(do, task) as crew:
 
             def solved(start: Array, loss: Loss | None, stage: Stage) -> End[bool]:
@@ -122,44 +122,21 @@ def calibrate_stream(
             else:
                 begin = Stage(resume.stage, resume.earlier) if resume else FIRST_STAGE
                 solution = in_stages(solved, problem.start, loss, cost, begin)
-            return LastPass(task, fit, solution).result(crew, parts)
+            last = LastPass(task, fit, solution, solution.sums.sizes)
+            return replace(last.result(crew, parts), faults=faults)
 
 
 def _learnt(
-    fit: Fit,
-    task: Task,
-    first: Problem,
-    told: Noise,
-    executor: Executor | None,
-    progress: Progress | None,
-    parts: Parts[Any] | None,
+    fit: Fit, learnt: Learnt, stream: Stream, executor: Executor | None, parts: Parts[Any] | None
 ) -> Result:
-    """The result with the sds of terms learnt. An interrupted run begins anew."""
-    make = executor or InProcess()
-
-    def at(factor: float) -> Task:
-        disturbed = task.stream
-        assert isinstance(disturbed, Disturbed)
-        assert isinstance(disturbed.stream, Weighed)
-        stream = replace(disturbed.stream, factor=factor)
-        return replace(task, stream=replace(disturbed, stream=stream))
-
-    def solved(problem: Problem, factor: float, tolerance: float | None) -> End[bool]:
-        its = at(factor)
-        with make.crew(do, its) as crew:
-            return solve_with(
-                StreamMerit(its, crew, problem),
-                max_iterations=fit.max_iterations,
-                tolerance=tolerance or fit.tolerance or LEARNT,
-                progress=progress,
-            )
-
-    learnt = learn(fit, first, solved)
-    last = replace(at(learnt.factor), mechanism=with_scales(learnt.problem).mechanism)
-    with make.crew(do, last) as crew:
-        result = LastPass(last, fit, learnt.end).result(crew, parts)
-    estimate = learnt.estimate(first, told, result.solution)
-    return replace(result, stated=first, estimate=estimate)
+    """The result of a fit to some poses. An interrupted run begins anew."""
+    machine = learnt.mechanism
+    stream = Disturbed(Weighed(stream, machine, fit, learnt.factors), machine)
+    task = _task(machine, stream, exact=False)
+    task = _settled(task, task.problem(stream.chunk(0)))
+    with (executor or InProcess()).crew(do, task) as crew:
+        last = LastPass(task, fit, learnt.end, learnt.sizes)
+        return learnt.told(last.result(crew, parts))
 
 
 def _task(mechanism: Mechanism, stream: Stream, *, exact: bool) -> Task:

@@ -28,6 +28,12 @@ Array = NDArray[np.float64]
 Part = TypeVar("Part")
 WORST = 100
 """Of the poses that fit badly at most so many are shown."""
+NOT_SOUGHT = (
+    "In a stream loopcal does not search for copied rows, changes along the run, or residuals that "
+    "depend on each other; the sds allow for none of them. Search thinned poses in memory "
+    "(data.every, stream = false)."
+)
+"""What every result of a stream says."""
 SHOWN, _ALIKE = 10_000, 0.5
 """About so many poses are kept for figures and tests; a model error is told of where these misfit
 at least this share of what all do."""
@@ -47,16 +53,19 @@ class Parts(Generic[Part]):
 
 @dataclass(frozen=True, eq=False)
 class LastPass:
-    """The last pass: what became of every pose, at the parameters found."""
+    """The last pass: what became of every pose, at the parameters found.
+
+    solution: of all poses, or of some; sizes: poses of each chunk.
+    """
 
     task: Task
     fit: Fit
     solution: End[bool]
+    sizes: tuple[int, ...]
 
     def result(self, crew: Crew, parts: Parts[Any] | None) -> Result:
-        poses, sizes = self.solution.poses, self.solution.sums.sizes
-        stride, made = max(1, poses // SHOWN), parts.made if parts else None
-        begins = [0, *np.cumsum(sizes).tolist()]
+        poses, made = sum(self.sizes), parts.made if parts else None
+        stride, begins = max(1, poses // SHOWN), [0, *np.cumsum(self.sizes).tolist()]
         pieces = [
             _EndPiece(number, begins[number], poses, stride, self.solution, self.fit, made)
             for number in range(self.task.stream.count)
@@ -78,7 +87,7 @@ class LastPass:
                     parts.done(ended.part)
         sample = _joined(kept)
         # else a few poses make chi-squared what it is
-        alike = bool(sample.square.mean() > _ALIKE * self.solution.cost / poses)
+        alike = bool(sample.square.mean() > _ALIKE * self.solution.cost / self.solution.poses)
         found = self._shown(sample)
         words = "figures and residuals.csv show"
         told = f"Calibrated from a stream of {poses} poses; {words} {len(found.dataset)} of them"
@@ -90,8 +99,8 @@ class LastPass:
         before, after = (distance.accuracy() for distance in accuracies)
         return replace(
             found,
-            all_poses=AllPoses(before, after, discrepancy, robust),
-            notes=(f"{told}.",) if stride > 1 else (),
+            all_poses=AllPoses(poses, before, after, discrepancy, robust),
+            notes=(f"{told}.", NOT_SOUGHT) if stride > 1 else (NOT_SOUGHT,),
         )
 
     def _shown(self, shown: _Shown) -> Result:

@@ -1,114 +1,107 @@
-"""The sds of terms learnt from a stream: the sums over its chunks say everything, round by round.
+"""A stream whose fit learns sds of terms: from poses thinned evenly, in memory, and shown on all.
 
-Sds by pose would need all poses at once, so of the sensors one common factor can be learnt, as
-least squares does with model error.
+A pass over all poses with the columns of a model error costs a hundred times as much as one without
+them, and learning takes dozens. Some thousand poses say what a machine model lacks; more of them
+would lower the part of single readings' noise alone, which is small beside it. The last pass judges
+all poses, most of which took no part in the fit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from loopcal.errors import InputError
+from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.model_error import noise_told, weighed
-from loopcal.estimation.noise.estimation import NEAR, ROUGH, NoiseEstimate, scaled
-from loopcal.estimation.noise.learning import components
-from loopcal.estimation.noise.variances import (
-    Variances,
-    begun_with,
-    by_common_factor,
-    scales_of,
-    with_scales,
-)
-from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.solve.solution import End, Solution
-from loopcal.estimation.stream.chunks import Chunk, Derived
-from loopcal.measurements.noise import Noise
+from loopcal.estimation.result import Result
+from loopcal.estimation.solve.merit import without_state
+from loopcal.estimation.solve.solution import End
+from loopcal.estimation.solve.solver import Progress
+from loopcal.estimation.stream.chunks import Chunk, Derived, Stream, joined
+from loopcal.mechanisms.mechanism import Mechanism
 
-_MOST = 30
-"""Rounds."""
+ENOUGH = 5_000
+"""Poses that take part in the fit, at most."""
+NEARLY = 1e-2
+"""A fit of some of the poses converges to so many sds: others would have moved it by more."""
 
 
 @dataclass(frozen=True, eq=False)
 class Weighed(Derived):
-    """A stream with the noise that a fit uses; factor: of the sds that it learns."""
+    """A stream with the noise that a fit has learnt; factors: on its sds, by group."""
 
     fit: Fit
-    factor: float = 1.0
+    factors: Mapping[str, float]
 
     def chunk(self, number: int) -> Chunk:
         chunk = self.stream.chunk(number)
-        noise = self.told(chunk)
-        data = weighed(self.fit, chunk.data)
-        return Chunk(data, noise.learnt_at(self.factor) if self.fit.method.exact else noise)
-
-    def told(self, chunk: Chunk) -> Noise:
-        """The noise of a chunk, with what is to be learnt of it."""
         noise = noise_told(self.fit, self.mechanism, chunk.data, chunk.noise)
         assert noise is not None
-        return noise
+        return Chunk(weighed(self.fit, chunk.data), noise.learnt_at(self.factors))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Learnt:
-    """What was learnt: problem: of the first chunk at the learnt sds; factor: of the noise."""
+    """What was learnt from some poses.
 
-    problem: Problem
-    factor: float
-    end: End[bool]
-    variances: Variances
-    settled: bool
+    part: their calibration; every: one pose of so many took part; sizes: poses of each chunk.
+    """
 
-    def estimate(self, stated: Problem, noise: Noise, solution: Solution) -> NoiseEstimate:
-        """As a result has it; stated: its problem at the sds where the search began."""
-        found = components(stated, noise)
-        present = scaled(stated, [c.quantities for c in found], np.full(len(found), self.factor**2))
-        present = with_scales(replace(present, prior_sd=self.problem.prior_sd))
-        return NoiseEstimate(present, solution, found, stated, self.variances, self.settled)
+    part: Result
+    every: int
+    sizes: tuple[int, ...]
 
+    @property
+    def mechanism(self) -> Mechanism:
+        """With the learnt sds of its terms."""
+        return self.part.mechanism
 
-def refuse_several(fit: Fit, noise: Noise) -> None:
-    """Raise InputError where the sensors have several sds to learn."""
-    if len(noise.estimate) > (1 if fit.method.exact else 0):
-        raise InputError(
-            "several sds of sensors cannot be learnt from a stream: that needs all poses in memory",
-            code="unsupported",
-            remedy='use method = "least-squares" with an instrument that reads in one unit, or '
-            "thin the poses (data.every) and set stream = false",
+    @property
+    def factors(self) -> Mapping[str, float]:
+        """On the sds of sensors, by group."""
+        return {} if self.part.estimate is None else self.part.estimate.factors
+
+    @property
+    def end(self) -> End[bool]:
+        """Where the fit of the part ended, as the end of a stream."""
+        end = self.part.solution.with_state(True)
+        return replace(end, sums=without_state(end.sums))
+
+    def told(self, result: Result) -> Result:
+        """The result of all poses, with what was learnt and from how many."""
+        part, notes = self.part, result.notes
+        if self.every > 1:
+            notes += (
+                f"The fit used {part.solution.poses} of these poses, one of every {self.every}. "
+                "The accuracy is that of all poses.",
+            )
+        return replace(
+            result, stated=part.stated, estimate=part.estimate, faults=part.faults, notes=notes
         )
 
 
 def learn(
-    fit: Fit, problem: Problem, solved: Callable[[Problem, float, float | None], End[bool]]
+    mechanism: Mechanism, stream: Stream, fit: Fit, progress: Progress | None = None
 ) -> Learnt:
-    """Fits and sds in turn.
+    """The calibration of at most `ENOUGH` poses of a stream, thinned evenly.
 
-    problem: of the first chunk; solved: a fit of all chunks from a problem's start with its prior,
-    the noise multiplied by a factor, to a tolerance [sds], None is the fit's own.
+    Raises InputError as `calibrate` does.
     """
-    scales, factor, rough, iterations = scales_of(problem), 1.0, ROUGH, 0
-    tolerance: float | None = rough
-    settled = False
-    for _ in range(_MOST):
-        problem = begun_with(problem, scales)
-        end = solved(problem, factor, tolerance)
-        iterations += end.status.iterations
-        ratio = factor**2 if fit.method.exact else None
-        variances = by_common_factor(problem, end, ratio)
-        assert variances.terms is not None
-        changes = [np.log(variances.terms.scales / scales)]
-        if ratio is not None:
-            changes.append(np.log(variances.ratios / ratio))
-        change = 2.0 * float(np.abs(np.concatenate(changes)).max(initial=0.0))
-        settled = tolerance is None and change <= NEAR
-        if settled or (tolerance is None and not end.status.converged):
-            break
-        problem = replace(problem, start=end.parameters)
-        scales = variances.terms.scales
-        factor = factor if ratio is None else float(np.sqrt(variances.ratios[0]))
-        tolerance = None if change <= NEAR else min(rough, 0.1 * change)
-    status = replace(end.status, iterations=iterations)
-    return Learnt(problem, factor, replace(end, status=status), variances, settled)
+    every = -(-stream.poses // ENOUGH)
+    parts, sizes = list[Chunk](), list[int]()
+    for number in range(stream.count):
+        chunk = stream.chunk(number)
+        its = np.arange(-sum(sizes) % every, len(chunk.data), every)
+        sizes.append(len(chunk.data))
+        if its.size:
+            parts.append(chunk.take(its))
+    part = joined(parts)
+    if every > 1:
+        fit = fit.changed(tolerance=fit.tolerance or NEARLY)
+        part = replace(part, noise=part.noise.begun_at({}))  # as near as those of nearly the same
+    options: dict[str, Any] = {"noise": part.noise, "fit": fit, "progress": progress}
+    return Learnt(calibrate(mechanism, part.data, **options), every, tuple(sizes))

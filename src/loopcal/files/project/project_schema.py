@@ -188,7 +188,7 @@ class EncoderEntry(Model):
     """Figures of an encoder; what is stated adds in quadrature."""
 
     bits: Annotated[int, Field(ge=1, le=64)] | None = Field(
-        default=None, description="It tells 2^bits positions per turn."
+        default=None, description="It distinguishes 2^bits positions per turn."
     )
     counts: Positive | None = Field(default=None, description="Or so many positions per turn.")
     accuracy: str | None = Field(default=None, examples=["5 arcsec"])
@@ -350,6 +350,16 @@ class VerdictEntry(Model):
     )
 
 
+class RecordEntry(Model):
+    """Who measured what, when and with what: copied to result.json and to the report."""
+
+    date: str | None = Field(default=None, description="Day of the measurement.")
+    operator: str | None = Field(default=None, description="Who measured.")
+    instrument: str | None = Field(default=None, description="What measured, with its number.")
+    serial: str | None = Field(default=None, description="Serial number of the machine.")
+    note: str | None = Field(default=None, description="Anything else that a reader should know.")
+
+
 class ProjectModel(Model):
     """One calibration: a mechanism, its readings, and what is known of both."""
 
@@ -369,6 +379,7 @@ class ProjectModel(Model):
     parameters: ParameterEntries = Field(default={})
     fit: FitEntry = FitEntry()
     verdict: VerdictEntry = VerdictEntry()
+    record: RecordEntry = RecordEntry()
     compare: CompareEntry | None = None
     simulation: SimulationEntry | None = None
 

@@ -10,6 +10,7 @@ from loopcal.errors import InputError, nearest
 from loopcal.files.machines.parameter_entries import in_si
 from loopcal.files.toml.place import Place
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.outputs import distance_unit
 
 if TYPE_CHECKING:
     from loopcal.files.project.project_schema import VerdictEntry
@@ -35,7 +36,7 @@ def verdict_spec(
     """
     tolerance = None
     if entry.tolerance is not None:
-        unit = next((mechanism.quantities[q] for q in mechanism.outputs), "m")
+        unit = distance_unit(mechanism)
         at = place.at("tolerance", "unit")
         tolerance = in_si(entry.tolerance.value, entry.tolerance.unit, unit, at)
         if not tolerance > 0.0:

@@ -1,9 +1,10 @@
-"""Columns of one or several tables side by side: a row per pose, joined by ids or by row order."""
+"""A table as it was given: its columns of numbers with their headings, and the ids of its rows."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed
-from loopcal.files.recognition.headers import Heading, heading
+from loopcal.files.recognition.headers import Heading, heading, stem
 from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.poses import pose_id
-from loopcal.measurements.tables import column, column_names
+from loopcal.measurements.tables import as_numbers, column, column_names
 
 Array = NDArray[np.float64]
 _IDS = frozenset(
@@ -29,6 +30,7 @@ _IDS = frozenset(
 TIMES = frozenset(("time", "timestamp", "t", "zeit", "date", "datetime", "seconds"))
 
 
+_MOST_TARGETS = 8
 STILL = 1e-3
 """An axis whose readings span so much less than another's stands still."""
 
@@ -58,8 +60,8 @@ class Field:
 
     @property
     def label(self) -> str:
-        """How the reader knows it."""
-        return repr(self.heading.text) if self.heading else f"column {self.position + 1}"
+        """How the reader knows it: its header, or its number."""
+        return self.heading.text if self.heading else f"column {self.position + 1}"
 
     @property
     def span(self) -> float:
@@ -88,7 +90,7 @@ class Source:
 
     path: of its file, None for a table in memory; sheet: of a workbook; ids: one per row, None
     where no column holds them; pose: that column's name or number; fields: its columns of numbers;
-    names: its header.
+    names: its header; label: how messages call it without a path.
     """
 
     path: Path | None
@@ -97,29 +99,16 @@ class Source:
     ids: tuple[str, ...] | None
     pose: str | int | None
     names: tuple[str, ...] = ()
+    label: str = ""
 
     @property
     def name(self) -> str:
         """How messages call it."""
-        return self.path.name if self.path else f"table {self.fields[0].table + 1}"
+        number = self.fields[0].table + 1 if self.fields else 1
+        return self.path.name if self.path else self.label or f"table {number}"
 
     def __len__(self) -> int:
         return len(self.fields[0].values)
-
-
-@dataclass(frozen=True, eq=False)
-class Fields:
-    """All columns of all tables, a row per pose.
-
-    by_order: whether rows of several tables were joined by their order; remarks: what was
-    understood, for the reader.
-    """
-
-    sources: tuple[Source, ...]
-    poses: tuple[str, ...]
-    fields: tuple[Field, ...]
-    by_order: bool = False
-    remarks: tuple[str, ...] = field(default=())
 
 
 def source_of(given: Any, number: int) -> Source:
@@ -130,62 +119,32 @@ def source_of(given: Any, number: int) -> Source:
     if isinstance(given, str | Path):
         return _of_file(Path(given), number)
     if isinstance(given, Dataset):
-        named = [(Heading(q, q.lower(), given.units.get(q)), v) for q, v in given.readings.items()]
-        fields = [Field(number, i, h, v) for i, (h, v) in enumerate(named)]
-        return Source(None, None, tuple(fields), given.poses, "pose")
-    fields, ids, pose = [], None, None
+        fields = [
+            Field(number, i, Heading(q, stem(q), given.units.get(q)), values)
+            for i, (q, values) in enumerate(given.readings.items())
+        ]
+        for quantity, sds in given.sds.items():
+            its = Heading(f"{quantity} sd", f"{stem(quantity)}_sd", given.units.get(quantity))
+            fields.append(Field(number, len(fields), its, sds))
+        return _checked(Source(None, None, tuple(fields), given.poses, "pose"))
+    fields, ids, pose, labels = [], None, None, None
     for i, name in enumerate(column_names(given)):
-        values = np.asarray(column(given, name))
+        values = column(given, name)
         its = heading(name)
-        if ids is None and its.stem in _IDS and len(set(values.tolist())) == len(values):
-            ids, pose = tuple(map(pose_id, values.tolist())), name
-        elif values.dtype.kind in "fiu":
-            fields.append(Field(number, i, its, values.astype(np.float64)))
-    return _checked(Source(None, None, tuple(fields), ids, pose))
-
-
-def joined(sources: Sequence[Source]) -> Fields:
-    """The tables side by side: by pose ids where all have them, else by row order.
-
-    Raises InputError where neither is possible.
-    """
-    first = sources[0]
-    if len(sources) == 1:
-        poses = first.ids or tuple(str(i) for i in range(1, len(first) + 1))
-        return Fields(tuple(sources), poses, first.fields)
-    if all(s.ids is not None for s in sources):
-        common = [i for i in first.ids or () if all(i in set(s.ids or ()) for s in sources[1:])]
-        if common:
-            return _by_ids(sources, common)
-    lengths = {s.name: len(s) for s in sources}
-    if len({len(s) for s in sources}) > 1:
-        counts = ", ".join(f"{name} has {length} rows" for name, length in lengths.items())
-        raise InputError(
-            f"the files cannot be joined: {counts}, and they share no column of pose ids",
-            code="mismatched-poses",
-            remedy='give each file a column "pose" with the same ids',
-        )
-    poses = tuple(str(i) for i in range(1, len(first) + 1))
-    fields = tuple(f for s in sources for f in s.fields)
-    told = f"{' and '.join(lengths)} share no pose ids: their rows are joined by order"
-    return Fields(tuple(sources), poses, fields, True, (told,))
-
-
-def _by_ids(sources: Sequence[Source], common: Sequence[str]) -> Fields:
-    fields = []
-    for source in sources:
-        where = {pose: i for i, pose in enumerate(source.ids or ())}
-        rows = np.array([where[pose] for pose in common], dtype=np.intp)
-        fields += [Field(f.table, f.position, f.heading, f.values[rows]) for f in source.fields]
-    told = [f"the files are joined by pose ids: {len(common)} poses are in all of them"]
-    for source in sources:
-        if len(source) > len(common):
-            told.append(f"{source.name}: {len(source) - len(common)} poses are in no other file")
-    return Fields(tuple(sources), tuple(common), tuple(fields), False, tuple(told))
+        if its.stem in _IDS:
+            found = tuple(map(pose_id, np.asarray(values).tolist()))
+            if ids is None or len(set(ids)) < len(set(found)) == len(found):
+                ids, pose = found, name
+                continue
+        try:
+            fields.append(Field(number, i, its, as_numbers(values, name)))
+        except InputError:  # text, dates: no readings
+            labels = labels or tuple(map(str, np.asarray(values).tolist()))
+    return _with_ids(Source(None, None, tuple(fields), ids, pose), labels)
 
 
 def _of_file(path: Path, number: int) -> Source:
-    table = read_table(path)
+    table = _table_of(path)
     numeric = table.numeric()
     names = [table.names[i] if i < len(table.names) else "" for i in range(_width(table))]
     headings = [heading(name) if name else None for name in names]
@@ -194,16 +153,81 @@ def _of_file(path: Path, number: int) -> Source:
     for i, its in units.items():
         headings[i] = replace(headings[i] or Heading("", ""), unit=its or None)
     pose = _pose_column(table, headings, numeric)
+    texts = [i for i in table.columns if i not in numeric and i != pose]
     fields = tuple(
         Field(number, i, headings[i] if i < len(headings) else None, table.numbers(i, every))
         for i in numeric
         if i != pose
     )
-    ids = None if pose is None else tuple(table.ids(pose)[i] for i in every)
-    sheet = table.part.split("'")[1] if table.part and table.part.startswith("sheet") else None
+    cells = {i: table.ids(i) for i in (pose, *texts[:1]) if i is not None}
+    told = {i: tuple(its[k] for k in every) for i, its in cells.items()}
+    ids = None if pose is None else told[pose]
+    labels = told[texts[0]] if texts else None
+    sheet = table.sheet
     named = None if pose is None else column_key(names, pose)
     # a row of units is no row of readings: what is below it is written into a file of its own
-    return _checked(Source(None if units else path, sheet, fields, ids, named, tuple(names)))
+    header = tuple(names)
+    source = Source(None if units else path, sheet, fields, ids, named, header, path.name)
+    return _with_ids(source, labels)
+
+
+def _table_of(path: Path) -> Table:
+    """The table of a file; of a workbook that of the first sheet with columns of numbers."""
+    if path.suffix.lower() not in (".xlsx", ".xlsm"):
+        return read_table(path)
+    first: InputError | None = None
+    for sheet in count(1):
+        try:
+            table = read_table(path, sheet)
+        except InputError as error:
+            if error.code == "unknown-name":  # there is no sheet of this number
+                raise first or _no_numbers(path.name) from None
+            first = first or error
+            continue
+        if len(table.numeric()) > 1 and len(table.rows) > 1:
+            return table
+    raise AssertionError
+
+
+def _with_ids(source: Source, labels: tuple[str, ...] | None) -> Source:
+    """With ids that occur once: a row per target becomes a row per pose, by the labels of targets;
+    other repeated ids are no ids."""
+    checked = _checked(source)
+    ids = checked.ids
+    if ids is None or len(set(ids)) == len(ids):
+        return checked
+    wide = None if labels is None else _widened(checked.fields, ids, labels)
+    if wide is None:
+        return replace(checked, ids=None, pose=None)
+    return Source(None, None, wide, tuple(dict.fromkeys(ids)), "pose", label=checked.name)
+
+
+def _widened(
+    fields: Sequence[Field], ids: Sequence[str], labels: Sequence[str]
+) -> tuple[Field, ...] | None:
+    """Columns with a row per id; what differs between labels has a column for each of them.
+
+    None where an id has a label twice, or the labels are not few.
+    """
+    kinds, poses = list(dict.fromkeys(labels)), list(dict.fromkeys(ids))
+    if not 1 < len(kinds) <= _MOST_TARGETS or len(set(zip(ids, labels, strict=True))) < len(ids):
+        return None
+    rows = np.array([poses.index(i) for i in ids]), np.array([kinds.index(k) for k in labels])
+    found: list[Field] = []
+    for field in fields:
+        cells = np.full((len(poses), len(kinds)), np.nan)
+        cells[rows] = field.values
+        low = np.nan_to_num(cells, nan=np.inf).min(axis=1)
+        high = np.nan_to_num(cells, nan=-np.inf).max(axis=1)
+        read = high >= low
+        if ((high - low)[read] <= STILL * field.span).all():
+            found.append(replace(field, values=np.where(read, low, np.nan)))
+            continue
+        its = field.heading or Heading("", f"column_{field.position + 1}")
+        for k, kind in enumerate(kinds):
+            named = Heading(f"{its.text} of {kind}".strip(), f"{its.stem}_{k + 1}", its.unit)
+            found.append(Field(field.table, field.position, named, cells[:, k]))
+    return tuple(found)
 
 
 def _row_of_units(table: Table, numeric: Sequence[int]) -> dict[int, str]:
@@ -233,11 +257,11 @@ def _pose_column(
     table: Table, headings: Sequence[Heading | None], numeric: Sequence[int]
 ) -> int | None:
     """The column of ids: by its name, or a count that begins a table without a header."""
-    for i in table.columns:
-        its = headings[i] if i < len(headings) else None
-        if its is not None and its.stem in _IDS:
+    named = [i for i in table.columns if _stem(headings, i) in _IDS]
+    for once in (True, False):
+        for i in named:
             ids = table.ids(i)
-            if len(set(ids)) == len(ids) > 1:
+            if len(ids) > 1 and (len(set(ids)) == len(ids) or (not once and i not in numeric)):
                 return i
     if not table.names and numeric and numeric[0] == 0:
         first = table.numbers(0, np.arange(len(table.rows)))
@@ -247,15 +271,24 @@ def _pose_column(
     return None
 
 
+def _stem(headings: Sequence[Heading | None], i: int) -> str:
+    its = headings[i] if i < len(headings) else None
+    return its.stem if its else ""
+
+
 def _checked(source: Source) -> Source:
     if not source.fields:
-        raise InputError(
-            "there is no column of numbers",
-            code="missing-column",
-            place=source.name,
-            remedy="give a table with a row per pose and a column per reading",
-        )
+        raise _no_numbers(source.name)
     return source
+
+
+def _no_numbers(name: str) -> InputError:
+    return InputError(
+        "there is no column of numbers",
+        code="missing-column",
+        place=name,
+        remedy="give a table with a row per pose and a column per reading",
+    )
 
 
 def moving(fields: Sequence[Field]) -> tuple[Field, ...]:
@@ -264,6 +297,11 @@ def moving(fields: Sequence[Field]) -> tuple[Field, ...]:
     return tuple(f for f in fields if f.span > STILL * most)
 
 
+def names_of(fields: Sequence[Field]) -> str:
+    """Columns as the reader knows them."""
+    return ", ".join(f.label for f in fields)
+
+
 def unnamed(fields: Sequence[Field]) -> str:
     """Columns listed for a message."""
-    return listed([f.heading.text if f.heading else str(f.position + 1) for f in fields], 40)
+    return listed([f.label for f in fields], 40)

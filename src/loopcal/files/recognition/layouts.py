@@ -31,7 +31,9 @@ _LENGTH_WORDS = frozenset(
 )
 _RANGES = ("range", "distance", "dist", "slope_distance", "r", "d")
 _AZIMUTHS = ("azimuth", "az", "hz", "horizontal", "horizontal_angle")
-_ELEVATIONS = ("elevation", "el", "vertical", "vertical_angle")
+_ELEVATIONS = (
+    *("elevation", "el", "vertical", "vertical_angle", "v", "zenith", "zenith_angle", "zenit"),
+)
 _TURN_WORDS = frozenset(
     ("r", "rv", "rot", "rotvec", "rvec", "w", "omega", "rotation", "e", "euler")
 )
@@ -225,14 +227,29 @@ def _read_in_order(fields: Sequence[Field]) -> Iterator[Seen]:
             for turned, position in ((f[3:], f[:3]), (f[:4], f[4:])):
                 if _unit_norm(turned):
                     yield Seen("pose", position, turned, "quaternion")
-        case 12 | 16:
-            rows = [f[4 * i : 4 * i + 4] for i in range(3)]
-            matrix = tuple(cell for row in rows for cell in row[:3])
-            if _orthonormal(matrix):
-                yield Seen("pose", tuple(row[3] for row in rows), matrix, "matrix")
-            matrix = f[:9]
-            if len(f) == 12 and _orthonormal(matrix):
-                yield Seen("pose", f[9:], matrix, "matrix")
+        case 12:
+            yield from _of_rows([f[4 * i : 4 * i + 4] for i in range(3)])
+            for matrix, position in ((f[:9], f[9:]), (f[3:], f[:3])):
+                if _orthonormal(matrix):
+                    yield Seen("pose", position, matrix, "matrix")
+        case 16:
+            rows = [f[4 * i : 4 * i + 4] for i in range(4)]
+            for whole in (rows, [tuple(column) for column in zip(*rows, strict=True)]):
+                if _is_last_row(whole[3]):
+                    yield from _of_rows(whole[:3])
+
+
+def _of_rows(rows: Sequence[tuple[Field, ...]]) -> Iterator[Seen]:
+    """Three rows of a matrix with the position in their fourth column."""
+    matrix = tuple(cell for row in rows for cell in row[:3])
+    if _orthonormal(matrix):
+        yield Seen("pose", tuple(row[3] for row in rows), matrix, "matrix")
+
+
+def _is_last_row(row: Sequence[Field]) -> bool:
+    """0, 0, 0, 1 in every pose."""
+    values = np.array([f.values for f in row])
+    return bool(np.nanmax(np.abs(values - np.eye(4)[3][:, None]), initial=0.0) < 1e-9)
 
 
 def instruments(fields: Sequence[Field]) -> tuple[Seen, ...]:

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import degrees, pi
+from math import atan2, cos, degrees, hypot, pi, radians, sin
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.files.machines.urdf import Branch, branches
 from loopcal.files.recognition.dh_table import Row, chain_rows, joint_names, read_dh
 from loopcal.files.recognition.fields import Field, moving
 from loopcal.files.recognition.layouts import named_joints, usual_joints
+from loopcal.mechanisms.motoman import NOMINAL, motoman_joints
 
+Array = NDArray[np.float64]
+_LEVEL = 1e-9
+"""Below this the turn about y is a right angle, and those about z and x are one."""
 _TIPS = ("tool0", "tcp", "tool", "flange", "ee_link", "ee", "hand", "link_ee", "end_effector")
+_MOTOMAN, _POINT = "motoman-ma1400", ("x6B", "y6B", "z6B")
 _PARALLEL = 1e-3
 """Axes that meet at a smaller angle [rad] are parallel for Denavit and Hartenberg."""
 
@@ -22,12 +30,17 @@ _PARALLEL = 1e-3
 @dataclass(frozen=True)
 class Robot:
     """table: the [mechanism] of a project without instruments; joints: how many are read; names:
-    of them, empty where the columns name them; remarks: what was chosen, and why."""
+    of them, empty where the columns name them; remarks: what was chosen, and why; point: the
+    parameters of the one point that its type measures by itself; apart: the same machine for other
+    instruments, where it has such a point; lengths: nominal values [m] beside the table."""
 
     table: Mapping[str, Any]
     joints: int
     names: tuple[str, ...] = ()
     remarks: tuple[str, ...] = field(default=())
+    point: tuple[str, ...] = ()
+    apart: Robot | None = None
+    lengths: Mapping[str, float] = field(default_factory=dict)
 
 
 def urdf_robot(
@@ -120,12 +133,12 @@ def dh_robot(path: Path, fields: Sequence[Field]) -> Robot:
     names = joint_names(rows, [c for c in columns if c])
     joints: list[dict[str, Any]] = []
     ahead: dict[str, float] = {}
-    _append(ahead, {k: v for k, v in before.items() if v}, path.name)
+    _append(ahead, before)
     for row in rows:
         if row.kind == "fixed":
             motions = {"rz": row.offset, "tz": row.d, "tx": row.a, "rx": row.alpha}
             where = joints[-1].setdefault("after", {}) if joints else ahead
-            _append(where, {k: v for k, v in motions.items() if v}, path.name)
+            _append(where, motions)
             continue
         joints.append(_joint(names[len(joints)], row, last=len(joints) == count - 1, ahead=ahead))
         ahead = {}
@@ -138,15 +151,41 @@ def dh_robot(path: Path, fields: Sequence[Field]) -> Robot:
     return Robot({**made, "joint": joints}, count, stated, tuple(remarks))
 
 
-def _append(where: dict[str, float], motions: Mapping[str, float], name: str) -> None:
-    if set(where) & set(motions):
-        raise InputError(
-            "two fixed rows follow each other",
-            code="unsupported",
-            place=name,
-            remedy="combine them into one row, or describe the robot by a URDF",
-        )
-    where |= {k: _written(k, v) for k, v in motions.items()}
+def _append(where: dict[str, float], motions: Mapping[str, float]) -> None:
+    """Let fixed motions [m, rad] follow others [mm, deg]; of one kind twice they become a frame."""
+    written = {k: _written(k, v) for k, v in motions.items() if v}
+    if set(where) & set(written):
+        whole = _fixed(where) @ _fixed(written)
+        where.clear()
+        written = {k: _written(k, v) for k, v in _six(whole).items()}
+    where |= {k: v for k, v in written.items() if v}
+
+
+def _fixed(motions: Mapping[str, float]) -> Array:
+    """(4, 4) of fixed motions [mm, deg], one after the other; lengths in m."""
+    T = np.eye(4)
+    for motion, value in motions.items():
+        axis, step = "xyz".index(motion[1]), np.eye(4)
+        if motion[0] == "t":
+            step[axis, 3] = 1e-3 * value
+        else:
+            i, j = (axis + 1) % 3, (axis + 2) % 3
+            angle = radians(value)
+            step[[i, j], [i, j]] = cos(angle)
+            step[j, i], step[i, j] = sin(angle), -sin(angle)
+        T = T @ step
+    return T
+
+
+def _six(T: Array) -> dict[str, float]:
+    """The motions tx, ty, tz, rz, ry, rx [m, rad] that make a frame, in this order."""
+    R, level = T[:3, :3], hypot(T[0, 0], T[1, 0])
+    turns = {
+        "rz": atan2(R[1, 0], R[0, 0]) if level > _LEVEL else atan2(-R[0, 1], R[1, 1]),
+        "ry": atan2(-R[2, 0], level),
+        "rx": atan2(R[2, 1], R[2, 2]) if level > _LEVEL else 0.0,
+    }
+    return {**{f"t{a}": float(v) for a, v in zip("xyz", T[:3, 3], strict=True)}, **turns}
 
 
 def _joint(name: str, row: Row, *, last: bool, ahead: Mapping[str, float]) -> dict[str, Any]:
@@ -163,7 +202,7 @@ def _joint(name: str, row: Row, *, last: bool, ahead: Mapping[str, float]) -> di
         joint["direction"] = -1
     own = dict(ahead)
     if form == "hayati" and row.d:
-        _append(own, {"tz": row.d}, name)  # Tz and Rz of one axis may be exchanged
+        _append(own, {"tz": row.d})  # Tz and Rz of one axis may be exchanged
     if own:
         joint["before"] = own
     keys = {"a": row.a, "alpha": row.alpha, "offset": row.offset}
@@ -204,4 +243,13 @@ def typed_robot(kind: str) -> Robot:
             remedy=f"begin with loopcal new NAME --mechanism {kind}, and name your columns in it",
         )
     driven = tuple(dict.fromkeys(step.joint for step in mechanism.chain if step.joint))
-    return Robot({"type": kind}, len(driven), driven)
+    apart = _motoman_apart() if kind == _MOTOMAN else None
+    return Robot({"type": kind}, len(driven), driven, point=_POINT if apart else (), apart=apart)
+
+
+def _motoman_apart() -> Robot:
+    """The joints of the arm as a machine of the type "serial", which any instrument may see."""
+    joints = [{"name": j.name, "form": j.form, "direction": j.direction} for j in motoman_joints()]
+    table = {"type": "serial", "name": "Motoman MA1400", "fix_redundant": True, "joint": joints}
+    lengths = {name: value for name, value in NOMINAL.items() if name not in _POINT}
+    return Robot(table, len(joints), tuple(j.name for j in motoman_joints()), lengths=lengths)

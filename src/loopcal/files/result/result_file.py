@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.document.plain import plain
-from loopcal.document.result_document import SCHEMA, ResultDocument
+from loopcal.document.result_document import SCHEMA, ResultDocument, WrittenResult
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.result import Result
 from loopcal.files.atomic import write_files
@@ -26,15 +25,6 @@ if TYPE_CHECKING:
 READ = (1, SCHEMA)
 """Schemas that can be read."""
 _REMEDY = "name a result.json that loopcal wrote, or calibrate again"
-
-
-@dataclass(frozen=True, eq=False)
-class WrittenResult:
-    """The files of a result: their folder, their names, and the content of result.json."""
-
-    folder: Path
-    files: tuple[str, ...]
-    document: ResultDocument
 
 
 def result_json(document: ResultDocument) -> str:

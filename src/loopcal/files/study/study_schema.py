@@ -43,7 +43,8 @@ class ScenarioEntry(Model):
     name: Name
     simulation: SharedSimulation = SharedSimulation()
     noise: NoiseEntries = Field(
-        default={}, description="What the estimator is told, and true unless simulation.noise says."
+        default={},
+        description="What the estimator assumes, and true unless simulation.noise states another.",
     )
     prior: Priors = Field(default={})
     published: PublishedEntry | None = None
@@ -55,7 +56,7 @@ class MethodEntry(SettingsEntry):
     name: Name | None = Field(default=None, description="Without one, that of the method.")
     method: MethodName
     start: StartName = "nominal"
-    noise: NoiseEntries = Field(default={}, description="What this method is told instead.")
+    noise: NoiseEntries = Field(default={}, description="What this method assumes instead.")
     prior: Priors = Field(default={})
 
 

@@ -189,9 +189,10 @@ def read_poses(path: str | Path, pose: str | int, **how: Any) -> Dataset:
     return Dataset({}, {}, tuple(ids), source=source)
 
 
-def read_table(path: str | Path) -> Table:
-    """All columns of a file as they stand, read as `read_dataset` reads it."""
-    return _table(path, _How(), None)
+def read_table(path: str | Path, sheet: int | None = None) -> Table:
+    """All columns of a file as they stand, read as `read_dataset` reads it; sheet: of XLSX,
+    from 1."""
+    return _table(path, _How(sheet=sheet), None)
 
 
 def column_labels(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ast import literal_eval
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -53,6 +54,12 @@ class Table:
     def name(self) -> str:
         """How messages call the table."""
         return file_name(self.file, self.part)
+
+    @property
+    def sheet(self) -> str | None:
+        """The sheet of a workbook that was read; None of other files."""
+        kind, _, name = (self.part or "").partition(" ")
+        return str(literal_eval(name)) if kind == "sheet" else None
 
     def position(self, column: str | int) -> int:
         """Where a column stands, from 0; InputError naming the nearest if there is none.

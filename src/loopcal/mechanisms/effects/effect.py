@@ -62,7 +62,7 @@ def with_effects(mechanism: Mechanism, effects: Sequence[Effect]) -> Mechanism:
     """The mechanism with effects beyond those it has.
 
     Their parameters stand behind the others, with their priors; fixed at zero they leave the
-    mechanism as it was. `Mechanism.effects` tells which parameters are whose.
+    mechanism as it was. `Mechanism.effects` lists the parameters of each.
 
     Raises InputError for two effects of one name or with one parameter, and for what an effect
     cannot act on.

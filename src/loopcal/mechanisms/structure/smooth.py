@@ -25,7 +25,10 @@ import numpy as np
 
 from loopcal.mechanisms.frame import Values
 
-FEATURES = 30
+FEATURES, FEW = 30, 12
+"""Vectors k that stand for a smooth function, and so many for fewer than `MANY_POSES` poses."""
+MANY_POSES, POSES_EACH = 300, 5
+"""No more vectors than one for so many poses, the second."""
 _ROUNDED = 1e-14
 NEAR, FAR = 1.0, 3.0
 """Length scales [rad] of the first three turning joints, and of the others."""
@@ -50,14 +53,17 @@ class Smooth:
     harmonics: tuple[Harmonic, ...]
 
     @classmethod
-    def of(cls, joints: Sequence[tuple[str, str]], ranges: dict[str, float]) -> Smooth:
-        """Features of joints, given by name and SI unit; ranges [m] of slides, where known."""
+    def of(
+        cls, joints: Sequence[tuple[str, str]], ranges: dict[str, float], count: int = FEATURES
+    ) -> Smooth:
+        """Features of joints, given by name and SI unit, from so many vectors k; ranges [m] of
+        slides, where known."""
         turning = [name for name, unit in joints if unit == "rad"]
         scales = [NEAR if name not in turning[3:] else FAR for name, _ in joints]
         factors = [
             1.0 if unit == "rad" else math.pi / ranges.get(name, RANGE) for name, unit in joints
         ]
-        return cls(tuple(name for name, _ in joints), tuple(factors), harmonics(scales))
+        return cls(tuple(name for name, _ in joints), tuple(factors), harmonics(scales, count))
 
     def features(self, x: Values) -> list[Any]:
         """a_k cos(k . q) and a_k sin(k . q) for each k in turn."""
@@ -71,6 +77,17 @@ class Smooth:
                     phase = phase + (order * factor) * x[joint]
             found += [harmonic.amplitude * np.cos(phase), harmonic.amplitude * np.sin(phase)]
         return found
+
+
+def vectors_for(poses: int) -> int:
+    """How many vectors k are worth their cost for so many poses.
+
+    Few already predict what was not measured better, and say how sure that is.
+
+    >>> [vectors_for(n) for n in (4, 30, 100, 300)]
+    [0, 6, 12, 30]
+    """
+    return min(FEATURES if poses >= MANY_POSES else FEW, poses // POSES_EACH)
 
 
 def harmonics(scales: Sequence[float], count: int = FEATURES) -> tuple[Harmonic, ...]:

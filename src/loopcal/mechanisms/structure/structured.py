@@ -23,23 +23,23 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, matching
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.structure.sag import Column, Sag
-from loopcal.mechanisms.structure.smooth import Smooth
+from loopcal.mechanisms.structure.smooth import FEATURES, Smooth
 from loopcal.mechanisms.terms import Term
 
-MANY_POSES = 300
-"""From this many poses on a smooth discrepancy can be told from noise."""
 MOUNTED = {"m": 5e-3, "rad": 50e-3}
 """Prior sds of what is mounted on the body: 5 mm, and that over the 0.1 m of a typical bracket."""
 TILTED = math.radians(5.0)
 """Prior sd of each tilt of gravity against the machine's base."""
 EFFECT = "structure"
 """Name of all that is added, among the effects of a mechanism."""
+DISCREPANCY = "discrepancy"
+"""Name of the term of smooth shifts of the body."""
 OWN_TERMS = (
     "lengths",
     "angles",
     "sag",
     "sag_across",
-    "discrepancy",
+    DISCREPANCY,
     "discrepancy_turns",
     "harmonics",
     "scales",
@@ -60,13 +60,17 @@ def structured(
     sag: Sagging = True,
     harmonics: Annotated[bool, Key("Whether gears and encoders may be out of round.")] = True,
     discrepancy: Annotated[
-        bool, Key("Whether what remains may be a smooth function of the joints.")
+        bool | int,
+        Key(
+            "Whether what remains may be a smooth function of the joints; or of how many waves it "
+            "is made, 30 for `true`."
+        ),
     ] = False,
 ) -> Mechanism:
     """The mechanism with the model error of a real machine, as parameters with learnt sds.
 
     Priors by kind, where none is stated (see `Mechanism.kinds`): placement flat; mounting known
-    to 5 mm and 50 mrad, flat where all its values are 0 and so nobody stated it; lengths and
+    to 5 mm and 50 mrad, flat where all its values are 0 and so unstated; lengths and
     angles share a learnt sd each (medians 1 mm and 1 mrad). Further parameters, nominally 0:
 
     - sag, of serial arms: JOINT_sag_AXIS_LOAD [rad/m] about the joints' axes (median 0.5 mrad per
@@ -75,9 +79,9 @@ def structured(
     - harmonics: JOINT_cos1 ... JOINT_sin2 [rad] of turning joints (median 0.1 mrad), and
       JOINT_scale of slides (median 1e-4);
     - discrepancy: smooth functions of the joints that shift the body (median 0.3 mm), and turn it
-      too (median 0.3 mrad) where that is seen. Worth it from some 300 poses on.
+      too (median 0.3 mrad) where that is seen. A number says of how many waves they are made.
 
-    Loops of one's own are returned as they are, and so is a mechanism that is structured already.
+    Loops of a Python function are returned as they are, and so is a structured mechanism.
     Raises InputError for parameters of sag that the arm cannot have.
     """
     if "structure" in (mechanism.description or {}) or not _known(mechanism):
@@ -88,7 +92,7 @@ def structured(
     columns = _columns(mechanism, arm, sag)
     if mechanism.body is not None:
         sag = tuple(c.parameter for c in columns)
-        made = _displaced(made, arm, columns, _smooth(mechanism) if discrepancy else None)
+        made = _displaced(made, arm, columns, _smooth(mechanism, discrepancy))
     if harmonics:
         made = _with_drives(made)
     given = {"sag": sag, "harmonics": harmonics, "discrepancy": discrepancy}
@@ -190,12 +194,15 @@ def _columns(
     return tuple(candidates[n] for key in wanted for n in matching(key, candidates, "sag"))
 
 
-def _smooth(mechanism: Mechanism) -> Smooth | None:
+def _smooth(mechanism: Mechanism, wanted: bool | int) -> Smooth | None:
     """Features of the joints that are driven and read."""
+    if not wanted:
+        return None
+    count = FEATURES if wanted is True else wanted
     driven = driven_joints(mechanism)
     ranges = {name: limit.high - limit.low for name, limit in joint_limits(mechanism).items()}
     joints = [(name, mechanism.quantities[name]) for name in driven]
-    return Smooth.of(joints, ranges) if joints else None
+    return Smooth.of(joints, ranges, count) if joints else None
 
 
 def driven_joints(mechanism: Mechanism) -> list[str]:
@@ -240,7 +247,7 @@ def _displaced(
     added += [Parameter(n, 0.0, "rad") for row in turns for n in row]
     terms += [
         *_term(
-            "discrepancy",
+            DISCREPANCY,
             [n for row in shifts for n in row],
             0.3e-3,
             "what remains shifts the body by {scale}, smoothly in the joints",

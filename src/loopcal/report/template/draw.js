@@ -19,8 +19,8 @@ function coloured(layout, isDark) {
 
 async function still(node, figure) {
   // on paper ink is black, the page is narrow, and scenes in space are pictures
-  const width = 720, height = figure.layout.height;
-  const content = { data: figure.data, layout: { ...coloured(figure.layout, false), width } };
+  const width = Math.max(720, parseInt(node.style.minWidth) || 0), height = figure.layout.height;
+  const content = { data: figure.data, layout: { ...coloured(figure.layout, false), width, updatemenus: [] } };
   const format = figure.layout.scene ? "png" : "svg";
   const picture = document.getElementById(node.id + "-still");
   picture.src = await Plotly.toImage(content, { format, width, height });
@@ -42,7 +42,19 @@ async function copy(button) {
   button.textContent = "copied";
 }
 
+function unfold(details) {
+  // a figure drawn while hidden does not know its width
+  for (const node of details.querySelectorAll(".plot")) if (node.layout) Plotly.Plots.resize(node);
+}
+
+// on paper nothing can be opened
+window.addEventListener("beforeprint", () => {
+  for (const details of document.querySelectorAll("details")) details.open = true;
+});
+
 document.addEventListener("DOMContentLoaded", async () => {
+  for (const details of document.querySelectorAll("details"))
+    details.addEventListener("toggle", () => unfold(details));
   for (const button of document.querySelectorAll("button.copy"))
     button.addEventListener("click", () => copy(button));
   for (const node of document.querySelectorAll(".plot")) await draw(node);

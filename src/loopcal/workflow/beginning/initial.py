@@ -17,28 +17,34 @@ from loopcal.estimation.mounted import Mounted
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.paths import relative
-from loopcal.files.project.new_project import write_new_files
+from loopcal.files.project.new_project import refuse_existing, write_new_files
 from loopcal.files.project.project_file import Project, read_project
-from loopcal.files.recognition.fields import Fields, joined, source_of
+from loopcal.files.recognition.fields import source_of
+from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.layouts import layouts
 from loopcal.files.recognition.project_text import project_text
 from loopcal.files.recognition.robots import Robot, dh_robot, typed_robot, urdf_robot
 from loopcal.files.tables.writer import table_bytes
+from loopcal.measurements.checks import check_dataset
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.outputs import measured_points
 from loopcal.presentation.shown import in_unit, unit_shown, with_unit
 from loopcal.presentation.text_table import columns as in_columns
 from loopcal.statistics.check import check
 from loopcal.units import unit
+from loopcal.workflow.beginning.searching import PLAUSIBLE, Machine
 from loopcal.workflow.beginning.stating import READINGS, Reading, Statement, stated
-from loopcal.workflow.beginning.understanding import PLAUSIBLE, Ask, Machine, understood
+from loopcal.workflow.beginning.understanding import Ask, understood
 
 Array = NDArray[np.float64]
 PROJECT = "project.toml"
 DRAWN = {"length": 5e-3, "angle": 5e-3}
 """A drawing states lengths [m] and angles [rad] better than this."""
+USUAL = 20e-3
+"""A nominal machine is nearer to its readings than this [m]."""
 _ROWS, _WORST = 5, 5
 
 
@@ -162,6 +168,9 @@ def initial_project(
     if not readings:
         raise UsageError("no readings are named", remedy="name one or several files of readings")
     folder = Path() if out is None else Path(out)
+    if out is not None:
+        from_files = all(isinstance(given, str | Path) for given in readings)
+        refuse_existing(folder, (PROJECT,) if from_files else (PROJECT, READINGS))
     fields = joined([source_of(given, i) for i, given in enumerate(readings)])
     made = _robot(robot, fields, folder)
     machine = _machine(made, fields, folder)
@@ -169,6 +178,7 @@ def initial_project(
     statement = stated(made, machine, fields, found, folder)
     project = _read(statement, folder)
     dataset = _dataset(fields, statement)
+    odd = (*_odd(project, dataset), *_far_off(statement.fits))
     if found.share > PLAUSIBLE:
         _refuse_faults(project.mechanism, dataset)
     weak = _weakest(project, dataset)
@@ -176,7 +186,7 @@ def initial_project(
         statement = statement.shrunk(weak)
         project = _read(statement, folder)
     tables = {READINGS: _table(fields, statement)} if statement.converted else {}
-    remarks = tuple(row for rows in statement.parts.remarks.values() for row in rows)
+    remarks = tuple(row for rows in statement.parts.remarks.values() for row in rows) + odd
     text = project_text(statement.parts)
     done = InitialProject(
         project.mechanism, dataset, project.noise.noise(), text, tables, statement.fits, remarks
@@ -240,6 +250,24 @@ def _dataset(fields: Fields, statement: Statement) -> Dataset:
         units={name: r.si for name, r in statement.readings.items()},
         poses=fields.poses,
         sds={name: sds(r) for name, r in statement.readings.items() if r.sds is not None},
+    )
+
+
+def _odd(project: Project, dataset: Dataset) -> tuple[str, ...]:
+    """What is odd about the readings. Raises InputError for zeros of a lost reflector."""
+    mechanism = project.mechanism
+    own = {**mechanism.quantities, **mechanism.known}
+    told = check_dataset(dataset, own, points=measured_points(mechanism))
+    return tuple(str(warning) for warning in told)
+
+
+def _far_off(fits: Mapping[str, Mounted]) -> tuple[str, ...]:
+    """That a nominal machine is further off than robots are."""
+    return tuple(
+        f"{name}: the nominal machine misses the readings by {with_unit(fit.rms, 'm')}, and a few "
+        "mm are usual. Check the robot's description, the units and the rows."
+        for name, fit in fits.items()
+        if fit.rms > USUAL
     )
 
 

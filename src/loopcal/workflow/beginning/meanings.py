@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.estimation.mounted import Bodies, Mounted, see_lengths, see_points, see_poses
-from loopcal.files.recognition.fields import Field
+from loopcal.files.recognition.fields import Field, names_of
 from loopcal.files.recognition.layouts import Seen
 from loopcal.units import to_si, unit
 
@@ -28,6 +28,12 @@ _FORMS: tuple[tuple[str, str, tuple[int, int, int]], ...] = (
     ("turns about x, y and z, Rx Ry Rz", "rx ry rz", (0, 1, 2)),
 )
 """In words; the form of an instrument; which of the columns x, y, z are its numbers."""
+_POLAR_FORMS = (
+    ("", ""),
+    ("zenith", ", the last counted from the zenith"),
+    ("clockwise", ", the first counted clockwise"),
+    ("zenith clockwise", ", the first counted clockwise, the last from the zenith"),
+)
 _FORMS_BY_NAME: dict[tuple[str, ...], tuple[tuple[str, str, tuple[int, int, int]], ...]] = {
     ("a", "b", "c"): (("turns A, B, C, Rz Ry Rx", "rz ry rx", (0, 1, 2)),),
     ("w", "p", "r"): (("turns W, P, R, Rz Ry Rx", "rz ry rx", (2, 1, 0)),),
@@ -87,9 +93,9 @@ def meanings(seen: Seen, *, as_stated: bool = True) -> Iterator[Meaning]:
     for length in _units(_lengths_of(seen), LENGTHS, as_stated):
         factor = unit(length).factor
         for angle, form, order, R, words in _orientations(seen, as_stated):
-            told = (f"{_listed(_lengths_of(seen))} in {length}", *words)
+            told = (f"{names_of(_lengths_of(seen))} in {length}", *words)
             if seen.kind == "spherical":
-                position = _cartesian([f.values for f in seen.position], factor, unit(angle).factor)
+                position = _cartesian(_polar(seen, length, angle, form))
             elif seen.kind == "length":
                 position = factor * seen.position[0].values
             else:
@@ -123,19 +129,24 @@ def _orientations(
 
     if seen.kind == "spherical":
         for angle in _units(seen.position[1:], ANGLES, as_stated):
-            yield angle, "", (), None, (f"{_listed(seen.position[1:])} in {angle}",)
+            its = f"{names_of(seen.position[1:])} in {angle}"
+            for form, words in _POLAR_FORMS:
+                yield angle, form, (), None, (f"{its}{words}",)
         return
     if not seen.turned:
         yield "rad", "", (), None, ()
         return
     values = np.array([f.values for f in seen.turned]).T
     if seen.form == "matrix":
-        yield "rad", "matrix", tuple(range(9)), values.reshape(-1, 3, 3), ()
+        by_rows = values.reshape(-1, 3, 3)
+        by_columns = np.swapaxes(by_rows, 1, 2)
+        for R, words in ((by_rows, "row by row"), (by_columns, "column by column")):
+            yield "rad", "matrix", tuple(range(9)), R, (f"the matrix {words}",)
     elif seen.form == "quaternion":
         for order, words in (((0, 1, 2, 3), "w, x, y, z"), ((3, 0, 1, 2), "x, y, z, w")):
             w_last = values[:, [order[1], order[2], order[3], order[0]]]
             R = Rotation.from_quat(np.nan_to_num(w_last, nan=0.5)).as_matrix()
-            told = (f"the quaternion {_listed(seen.turned)} in the order {words}",)
+            told = (f"the quaternion {names_of(seen.turned)} in the order {words}",)
             yield "rad", "quaternion", order, R, told
     else:
         names = tuple(f.stem for f in seen.turned)
@@ -148,12 +159,27 @@ def _orientations(
                 else:
                     letters = "".join(t[1] for t in form.split()).upper()
                     R = Rotation.from_euler(letters, turned).as_matrix()
-                told = (f"{_listed(seen.turned)} in {angle}, {words}",)
+                told = (f"{names_of(seen.turned)} in {angle}, {words}",)
                 yield angle, form, (i, j, k), R, told
 
 
-def _cartesian(values: Sequence[Array], factor: float, angle: float) -> Array:
-    r, azimuth, elevation = factor * values[0], angle * values[1], angle * values[2]
+def polar(meaning: Meaning) -> Array:
+    """Range [m], azimuth and elevation [rad] (3, N) of a spherical instrument."""
+    return _polar(meaning.seen, meaning.length, meaning.angle, meaning.form)
+
+
+def _polar(seen: Seen, length: str, angle: str, form: str) -> Array:
+    r, azimuth, height = (f.values for f in seen.position)
+    azimuth, height = unit(angle).factor * azimuth, unit(angle).factor * height
+    if "clockwise" in form:
+        azimuth = -azimuth
+    if "zenith" in form:
+        height = 0.5 * np.pi - height
+    return np.array([unit(length).factor * r, azimuth, height])
+
+
+def _cartesian(values: Array) -> Array:
+    r, azimuth, elevation = values
     flat = r * np.cos(elevation)
     points: Array = np.array(
         [flat * np.cos(azimuth), flat * np.sin(azimuth), r * np.sin(elevation)]
@@ -173,7 +199,3 @@ def joint_units(
             continue
         for length in _units(sliding, LENGTHS, as_stated) if sliding else ("m",):
             yield {"rad": angle, "m": length}
-
-
-def _listed(fields: Sequence[Field]) -> str:
-    return ", ".join(f.heading.text if f.heading else f"column {f.position + 1}" for f in fields)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,16 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.mounted import Mounted, see_points
+from loopcal.errors import InputError
+from loopcal.estimation.mounted import Bodies, Mounted, see_points
 from loopcal.files.paths import relative
-from loopcal.files.recognition.fields import Field, Fields, column_key
+from loopcal.files.recognition.fields import Field, column_key, names_of
+from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.project_text import ProjectParts
 from loopcal.files.recognition.robots import Robot
 from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd
 from loopcal.presentation.rounding import significant
 from loopcal.units import from_si, unit
-from loopcal.workflow.beginning.meanings import Meaning
-from loopcal.workflow.beginning.understanding import Machine, Understood
+from loopcal.workflow.beginning.meanings import Meaning, polar
+from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
 
 Array = NDArray[np.float64]
 READINGS = "readings.csv"
@@ -29,6 +31,9 @@ ENCODER = 50e-6
 SLIDE, WIRE, CAMERA, TURN = 10e-6, 0.2e-3, 1e-3, 2e-3
 """Guesses of sds: a linear scale, a draw-wire encoder, a camera's position [m], its turns [rad]."""
 _TRACKER = "leica-at500"
+_POINTS = ("point", "spherical")
+_SAME = 5e-3
+"""Points of a body that lie so near [m] each other, found from the nominal machine, are one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,26 +92,27 @@ def stated(
     noise: dict[str, Any] = {}
     guesses: list[str] = []
     _joint_noise(readings, noise, guesses)
-    points = [m for m in found.seen if m.turns is None and m.seen.kind in ("point", "spherical")]
     several = len(found.seen) > 1
-    together = _targets(found, points)
-    for number, meaning in enumerate(found.seen, 1):
+    places = _places(found)
+    for number, (meaning, place) in enumerate(zip(found.seen, places, strict=True), 1):
         end = f"_{number}" if several else ""
-        its = _Instrument(meaning, end, "tool" + (end if len(points) > 1 else ""))
-        mounted = together.get(id(meaning)) or meaning.fit
-        assert mounted is not None
-        target = mounted.targets[points.index(meaning) if id(meaning) in together else 0]
+        its = _Instrument(meaning, end, place.target, place.station)
         looking.append(its.entry())
-        fits[its.name] = meaning.fit or mounted
-        parameters |= its.parameters(mounted, target)
+        fits[its.name] = meaning.fit or place.mounted
+        parameters |= its.parameters(place.mounted, place.at)
         own = its.readings()
         readings |= own
         its.noise(own, noise, guesses)
-    table = dict(robot.table)
-    if table["type"] == "motoman-ma1400":
-        parameters = {f"{axis}6B": parameters[f"tool_{axis}"] for axis in "xyz"}
+    own_point = bool(robot.point) and [m.seen.kind for m in found.seen] == ["point"]
+    if own_point:
+        table = dict(robot.table)
+        its_own = zip(robot.point, "xyz", strict=True)
+        parameters = {name: parameters[f"tool_{axis}"] for name, axis in its_own}
     else:
-        table["instrument"] = looking
+        apart = robot.apart or robot
+        table = {**apart.table, "instrument": looking}
+        given = {n: {"value": 1e3 * v, "unit": "mm"} for n, v in apart.lengths.items()}
+        parameters = {**given, **parameters}
     converted = any(r.field is None for r in readings.values()) or any(
         source.path is None for source in fields.sources
     )
@@ -126,12 +132,61 @@ def stated(
     return Statement(parts, readings, converted, fits)
 
 
-def _targets(found: Understood, points: list[Meaning]) -> dict[int, Mounted]:
-    """Several targets seen from one station, placed together; by the meaning of each."""
-    if len(points) < 2:
-        return {}
-    one = see_points(found.bodies, np.array([m.position for m in points]))
-    return {id(m): one for m in points}
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Where an instrument stands and what it sees: names, how it was found, its target [m]."""
+
+    station: str
+    target: str
+    mounted: Mounted
+    at: Array
+
+
+def _places(found: Understood) -> list[_Place]:
+    """One for each instrument: points that fit from one place share a station; the same point of
+    the body, seen from another, is the same target."""
+    stations: list[list[Meaning]] = []
+    joint: list[Mounted] = []
+    for meaning in found.seen:
+        assert meaning.fit is not None
+        for i, members in enumerate(stations):
+            both = _together(found.bodies, [*members, meaning])
+            if both is not None:
+                members.append(meaning)
+                joint[i] = both
+                break
+        else:
+            stations.append([meaning])
+            joint.append(meaning.fit)
+    places: dict[int, _Place] = {}
+    for i, (members, mounted) in enumerate(zip(stations, joint, strict=True)):
+        station = "base" if i == 0 else f"station_{i + 1}"
+        for k, meaning in enumerate(members):
+            at = mounted.targets[k]
+            known = [p for p in places.values() if p.station != station and _same(meaning, p, at)]
+            target = known[0].target if known else f"tool_{1 + len(places)}"
+            places[id(meaning)] = _Place(station, target, mounted, known[0].at if known else at)
+    if len({p.target for p in places.values()}) == 1:
+        return [replace(places[id(m)], target="tool") for m in found.seen]
+    return [places[id(m)] for m in found.seen]
+
+
+def _together(bodies: Bodies, some: Sequence[Meaning]) -> Mounted | None:
+    """Points placed together, None where they do not fit from one station."""
+    if any(m.seen.kind not in _POINTS for m in some):
+        return None
+    try:
+        both = see_points(bodies, np.array([m.position for m in some]))
+    except InputError:  # they share no poses
+        return None
+    alone = float(np.sqrt(sum(m.fit.rms**2 for m in some if m.fit)))
+    return both if both.rms <= CLEARLY * alone + _SAME else None
+
+
+def _same(meaning: Meaning, other: _Place, at: Array) -> bool:
+    """Whether two points of the body are one: a reflector that two instruments see."""
+    seen = meaning.seen.kind in _POINTS and other.mounted.turn is None
+    return seen and bool(np.abs(at - other.at).max() < _SAME)
 
 
 def _inferred(found: Understood) -> tuple[str, ...]:
@@ -139,10 +194,10 @@ def _inferred(found: Understood) -> tuple[str, ...]:
     joints = found.layout.joints
     told = []
     if not all(f.unit for f in joints):
-        told.append(found.words[0])
+        told.append(found.joint_words)
     for meaning in found.seen:
         columns = (*meaning.seen.position, *meaning.seen.turned)
-        if not all(f.unit for f in columns):
+        if meaning.form or not all(f.unit for f in columns):
             told += meaning.words
     share = significant(100.0 * found.share, 2)
     reason = f"with it the nominal machine misses the readings by {share} % of their spread"
@@ -150,8 +205,8 @@ def _inferred(found: Understood) -> tuple[str, ...]:
 
 
 def _left_out(found: Understood) -> tuple[str, ...]:
-    names = [f.heading.text if f.heading else str(f.position + 1) for f in found.layout.ignored]
-    return (f"Columns that take no part: {', '.join(names)}.",) if names else ()
+    ignored = found.layout.ignored
+    return (f"Columns that take no part: {names_of(ignored)}.",) if ignored else ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +216,7 @@ class _Instrument:
     meaning: Meaning
     end: str
     target: str
+    station: str
 
     @property
     def kind(self) -> str:
@@ -196,9 +252,9 @@ class _Instrument:
         types = {"point": "point", "pose": "pose", "length": "draw-wire", "spherical": "spherical"}
         made: dict[str, Any] = {"type": types[self.kind], "name": self.name, "target": self.target}
         if self.kind in ("point", "pose"):
-            made |= {"station": "base", "readings": list(self.names())}
+            made |= {"station": self.station, "readings": list(self.names())}
         if self.kind == "spherical":
-            made["station"] = "base"
+            made["station"] = self.station
         if self.kind == "pose":
             made["orientation"] = "rotation-vector" if self.as_vector else "quaternion"
             made["columns"] = list(self.numbers())
@@ -234,11 +290,12 @@ class _Instrument:
             field = m.seen.position[i]
             si = "rad" if self.kind == "spherical" and i else "m"
             given = field.unit or (m.angle if si == "rad" else m.length)
-            values = position[:, i] if self.kind != "spherical" else field.values
             if self.kind == "spherical":
-                values = unit(given).factor * field.values
+                values, as_written = polar(m)[i], not m.form
+            else:
+                values, as_written = position[:, i], not m.inverted
             sds = m.seen.sds[i] if m.seen.sds and not m.inverted else None
-            made[name] = Reading(values, si, None if m.inverted else field, given, sds)
+            made[name] = Reading(values, si, field if as_written else None, given, sds)
         if self.kind != "pose" or m.turns is None:
             return made
         if self.as_vector:

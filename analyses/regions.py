@@ -1,0 +1,124 @@
+"""Do stated regions hold away from the measured poses? Arms that sag, measured in a corner.
+
+The truth is `analyses.gauntlet_truth`, which is not loopcal's code: a six-axis arm whose joints
+and links give way under gravity, of which the user states nothing but the drawing. Poses fill a
+corner of each joint's range. Printed are, for fresh poses inside the corner and all over the
+workspace, the share of true points in the stated 95 % regions, the rms error beside the stated sd,
+and how often the verdict refuses the working region.
+
+    python -m analyses.regions [--draws 40] [--poses 60] [--share 0.35] [--write FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+import loopcal as lc
+from analyses.gauntlet_kinds import KINDS
+from analyses.gauntlet_worlds import Fresh, World
+from analyses.written import write_block
+
+PAGE = Path("docs/explanation/model-error.md")
+
+
+@dataclass(frozen=True)
+class Held:
+    """Share of fresh poses in their stated regions; rms error and stated sd [m]."""
+
+    share: float
+    error: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class Draw:
+    """What became of one machine; near: the verdict refuses the working region."""
+
+    inside: Held
+    outside: Held
+    near: bool
+    sound: bool | None
+
+
+def held(result: lc.Result, fresh: Fresh) -> Held:
+    """How the stated regions hold at fresh poses."""
+    predicted = lc.predict(result, fresh.readings)
+    off = np.column_stack([predicted.outputs[q] for q in fresh.outputs]) - fresh.true
+    C = predicted.covariance
+    squares = np.einsum("ni,ni->n", off, np.linalg.solve(C, off[:, :, None])[:, :, 0])
+    return Held(
+        float((squares <= predicted.region()).mean()),
+        math.sqrt(float(np.square(off).sum(axis=1).mean())),
+        math.sqrt(float(np.einsum("nii->n", C).mean())),
+    )
+
+
+def drawn(world: World, seed: int, method: str = "auto") -> Draw:
+    """One machine, measured, calibrated and judged; "auto", or the method with a model error."""
+    trial = world.made(np.random.default_rng([seed, 15]))
+    fit = lc.Fit(method=method, model_error="none" if method == "auto" else "structured")
+    result = lc.calibrate(trial.mechanism, trial.readings, noise=trial.noise, fit=fit)
+    assert trial.outside is not None
+    answers = lc.verdict(result)
+    return Draw(
+        held(result, trial.inside),
+        held(result, trial.outside),
+        answers.valid.passed is False,
+        answers.sound.passed,
+    )
+
+
+def corners(poses: int, share: float, *, stated: bool) -> World:
+    """Arms that sag, measured in a corner."""
+    sagging = KINDS["sag"].world
+    assert isinstance(sagging, World)
+    return replace(sagging, poses=poses, share=share, stated=1.0 if stated else None)
+
+
+def line(name: str, draws: Sequence[Draw]) -> str:
+    """One line of the table."""
+    parts = []
+    for where in ("inside", "outside"):
+        its = [getattr(draw, where) for draw in draws]
+        share = 100.0 * np.mean([one.share for one in its])
+        error, sd = (
+            1e3 * math.sqrt(float(np.square([getattr(one, of) for one in its]).mean()))
+            for of in ("error", "sd")
+        )
+        parts.append(f"{share:7.1f} {error:7.3f} {sd:7.3f}")
+    near = 100.0 * np.mean([draw.near for draw in draws])
+    return f"{name:34} {len(draws):5d} {parts[0]} {parts[1]} {near:8.0f}"
+
+
+def main() -> None:
+    """Print the table, and write it into a page."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--draws", type=int, default=40)
+    options.add_argument("--poses", type=int, nargs="*", default=[60, 150])
+    options.add_argument("--share", type=float, default=0.35)
+    options.add_argument("--write", type=Path, help=f"the page to write into, {PAGE}")
+    asked = options.parse_args()
+    lines = [
+        f"{'':34} {'':5} {'inside':>23} {'outside':>23} {'refused':>8}",
+        f"{'':34} {'draws':>5}" + 2 * f" {'held %':>7} {'mm':>7} {'sd mm':>7}" + f" {'%':>8}",
+    ]
+    for poses in asked.poses:
+        for stated in (True, False):
+            world = corners(poses, asked.share, stated=stated)
+            name = f"{poses} poses, sds {'stated' if stated else 'not stated'}"
+            draws = [drawn(world, seed) for seed in range(asked.draws)]
+            lines.append(line(name, draws))
+            print(lines[-1], flush=True)
+    print("\n".join(lines[:2]))
+    if asked.write:
+        write_block(asked.write, "regions", "\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""Names that users of SciPy, lmfit and statsmodels try first, and what they mean here.
+
+A name that would mean something else here is refused with the names to use instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from loopcal.document.offers import offered
+from loopcal.small_samples import t_quantile
+
+ALIASES: Mapping[str, Callable[[Any], Any]] = {
+    # scipy.optimize
+    "success": lambda r: r.converged,
+    "message": lambda r: r.document.status.message,
+    "nit": lambda r: r.document.status.iterations,
+    "x": lambda r: np.array([r.value[name] for name in r.estimated]),
+    # lmfit
+    "best_values": lambda r: dict(r.value),
+    "values": lambda r: dict(r.value),
+    "init_values": lambda r: {name: r.params[name].nominal for name in r.estimated},
+    "var_names": lambda r: list(r.estimated),
+    "nvarys": lambda r: len(r.estimated),
+    "covar": lambda r: r.covariance,
+    "chisqr": lambda r: r.chi_squared and r.chi_squared.value,
+    "redchi": lambda r: r.chi_squared and r.chi_squared.variance_factor,
+    "best_fit": lambda r: offered("fitted")(r),
+    "fit_report": lambda r: r.summary,
+    # statsmodels
+    "cov": lambda r: r.covariance,
+    "cov_params": lambda r: lambda: r.covariance,
+    "bse": lambda r: r.sd,
+    "stderr": lambda r: r.sd,
+    "fittedvalues": lambda r: offered("fitted")(r),
+    "nobs": lambda r: r.document.data.used,
+    "conf_int": lambda r: lambda alpha=0.05: confidence(r, alpha),
+    # DataFrames and files
+    "to_pandas": lambda r: r.params.to_pandas,
+    "to_polars": lambda r: r.params.to_polars,
+}
+"""Name -> what it is of a result."""
+
+_RESIDUALS = (
+    "result.plot.residuals(); in memory also result.differences_after (outputs computed minus "
+    "measured), result.corrections (of the readings) and result.residuals_after (values of the "
+    "loop equations)"
+)
+_TESTED = "result.params with sd and validity, or lc.intervals(result)"
+_COMPARE = "result.document.accuracy, lc.validate or lc.compare_methods, which use poses not fitted"
+INSTEAD: Mapping[str, str] = {
+    **dict.fromkeys(("resid", "residuals", "residual", "fun", "wresid"), _RESIDUALS),
+    **dict.fromkeys(("tvalues", "pvalues", "tstat"), _TESTED),
+    **dict.fromkeys(("rsquared", "rsquared_adj", "aic", "bic", "llf", "loglik"), _COMPARE),
+    **dict.fromkeys(("nfev", "njev"), "result.nit, the number of parameter steps"),
+    **dict.fromkeys(("cost", "mse_resid", "ssr"), "result.chi_squared or result.document.accuracy"),
+    **dict.fromkeys(("df_resid", "nfree", "dof"), "result.chi_squared.degrees_of_freedom"),
+    "jac": "result.covariance",
+    "hess_inv": "result.covariance",
+    "optimize_result": "result.document.status",
+    "plot_fit": "result.plot.residuals()",
+    "table": "result.params",
+    "coef_": "result.params",
+    "rmse": "result.document.accuracy.after.rms",
+}
+"""Name -> what to use instead, because the name means something else in those libraries."""
+
+
+def aliased(result: Any, name: str) -> Any:
+    """What a name of another library means for a result.
+
+    Raises AttributeError, with the name to use, where it means nothing or something else.
+    """
+    if name in ALIASES:
+        return ALIASES[name](result)
+    kind = type(result).__name__
+    if name in INSTEAD:
+        raise AttributeError(f"a {kind} has no {name!r}: use {INSTEAD[name]}")
+    raise AttributeError(f"a {kind} has no attribute {name!r}", name=name, obj=result)
+
+
+def confidence(result: Any, alpha: float = 0.05) -> dict[str, list[float]]:
+    """Name -> both ends of the interval [SI] that misses the true value with probability alpha.
+
+    By the covariance and Student's t; `lc.intervals` gives those by profile likelihood.
+    """
+    entries = (result.params[name] for name in result.estimated)
+    found = {}
+    for entry in entries:
+        freedom = np.inf if entry.degrees_of_freedom is None else entry.degrees_of_freedom
+        half = np.inf if entry.sd is None else entry.sd * t_quantile(1.0 - alpha, freedom)
+        found[entry.name] = [entry.value - half, entry.value + half]
+    return found

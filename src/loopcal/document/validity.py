@@ -1,0 +1,22 @@
+"""What the value of a parameter rests on."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from loopcal.document.fit import ParameterEntry
+
+Validity = Literal["determined", "prior", "undetermined", "fixed"]
+MOSTLY_PRIOR = 0.5
+"""Sd over prior sd above which a parameter rests on what was known before."""
+
+
+def validity(entry: ParameterEntry) -> Validity:
+    """What the value of a parameter rests on: the data, mostly the prior, nothing, or a choice."""
+    if entry.fixed:
+        return "fixed"
+    if entry.sd is None or not entry.identifiable:
+        return "undetermined"
+    if entry.prior_sd and entry.sd > MOSTLY_PRIOR * entry.prior_sd:
+        return "prior"
+    return "determined"

@@ -1,0 +1,64 @@
+"""How well the other readings control each reading, and chi-squared beside it.
+
+With the whitened equations E = D dp + v of a pose, x_j the effect of reading j on them (its column
+of X) and W = I - D C D^T, C the covariance of the parameters,
+
+    r_j = (Sigma X^T W X)_jj,   q_j = c_j (Sigma^-1 c)_j = c_j x_j^T E,   E q_j = r_j,
+
+c the corrections of the readings (Foerstner 1979, Ein Verfahren zur Schaetzung von Varianz- und
+Kovarianzkomponenten). The redundancy numbers r_j add up to the degrees of freedom: a reading with
+r_j near 0 is what the fit makes of it, one near 1 is known from the others. So a sensor is judged
+by its sum of q_j over its sum of r_j, which is 1 where its sd is right, whatever its weight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.problem.pose_equations import PoseEquations
+from loopcal.estimation.problem.problem import Problem
+
+Array = NDArray[np.float64]
+UNCONTROLLED = 1e-6
+"""A reading that the others control to less than this share cannot be tested."""
+
+
+@dataclass(frozen=True)
+class Redundancy:
+    """Of each reading (k, N), NaN where it was not measured.
+
+    numbers: r_j; squares: q_j; power: x_j^T W x_j [1/SI^2], what the others leave to test of it.
+    """
+
+    numbers: Array
+    squares: Array
+    power: Array
+
+
+def redundancy(
+    problem: Problem, equations: tuple[PoseEquations, ...], covariance: Array
+) -> Redundancy:
+    """Of all readings that took part in a fit; covariance: (n, n) of its parameters."""
+    shape = problem.readings.shape
+    numbers, squares, power = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    sd = np.broadcast_to(problem.uncertainty.sd, shape)
+    variance = np.where(np.isfinite(sd), np.square(sd), 0.0)
+    for block in equations:
+        here = block.poses
+        WX = block.X - block.D @ (covariance @ (block.D.transpose(0, 2, 1) @ block.X))
+        inner = block.X.transpose(0, 2, 1) @ WX
+        seen = np.einsum("brk,br->bk", block.X, block.E)
+        power[:, here] = np.einsum("bkk->kb", inner)
+        own, corrections = variance.T[here, :, None] * inner, variance.T[here] * seen
+        for joint in problem.uncertainty.of(here).blocks:
+            rows = list(joint.indices)
+            matrix = joint.factor @ np.swapaxes(joint.factor, -1, -2)
+            own[:, rows] = matrix @ inner[:, rows]
+            corrections[:, rows] = (matrix @ seen[:, rows, None])[..., 0]
+        numbers[:, here] = np.einsum("bkk->kb", own)
+        squares[:, here] = (corrections * seen).T
+    lost = np.isinf(sd)
+    return Redundancy(*(np.where(lost, np.nan, part) for part in (numbers, squares, power)))

@@ -1,0 +1,67 @@
+"""What changed: parameters against their nominal values, with 95 % intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from loopcal.figures.figure import AFTER, Array, Figure, axis, layout, names, numbers, shown_text
+
+WIDE = 1.96
+"""Sds on each side of a normal 95 % interval."""
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """Parameters of one unit: their changes and sds (n,) in that unit, NaN where unknown."""
+
+    unit: str
+    names: Sequence[str]
+    changes: Array
+    sds: Array
+
+
+def changes(groups: Sequence[Change]) -> Figure | None:
+    """A panel for each unit, a line for each parameter; None without any."""
+    groups = [g for g in groups if len(g.names)]
+    if not groups:
+        return None
+    data: list[dict[str, Any]] = []
+    more: dict[str, Any] = {}
+    width = 1.0 / len(groups)
+    for i, group in enumerate(groups):
+        end = "" if i == 0 else str(i + 1)
+        domain = [i * width + (0.06 if i else 0.0), (i + 1) * width - 0.04]
+        title = f"change [{shown_text(group.unit)}]"
+        more[f"xaxis{end}"] = axis(title, domain=domain, zeroline=True, anchor=f"y{end}")
+        more[f"yaxis{end}"] = axis(
+            "", type="category", autorange="reversed", tickmode="linear", anchor=f"x{end}"
+        )
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": shown_text(group.unit),
+                "x": numbers(group.changes),
+                "y": names(group.names),
+                "error_x": {"type": "data", "array": numbers(WIDE * group.sds), "thickness": 1.5},
+                "marker": {"color": AFTER, "size": 6},
+                "xaxis": f"x{end}",
+                "yaxis": f"y{end}",
+            }
+        )
+    most = max(len(g.names) for g in groups)
+    sure = sum(int((np.abs(g.changes) > WIDE * g.sds).sum()) for g in groups)
+    count = sum(len(g.names) for g in groups)
+    return Figure(
+        "parameters",
+        "Changes of the parameters from their nominal values",
+        "Bars are 95 % intervals. A bar that reaches zero: the data do not show a change. A bar "
+        "much longer than the others: a weakly determined parameter.",
+        f"Changes of {count} parameters with 95 % intervals; {sure} intervals exclude zero.",
+        tuple(data),
+        layout(120 + 20 * most, showlegend=False, **more),
+    )

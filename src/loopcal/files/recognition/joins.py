@@ -1,0 +1,116 @@
+"""Several tables as one: side by side, by pose ids or by row order; or one below the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from loopcal.errors import InputError
+from loopcal.files.recognition.fields import Field, Source
+
+ROUNDED = 1e-6
+"""Readings that two tables share differ by no more than this share of their span."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fields:
+    """All columns of all tables, a row per pose.
+
+    by_order: whether rows of several tables were joined by their order; remarks: what was
+    understood, for the reader.
+    """
+
+    sources: tuple[Source, ...]
+    poses: tuple[str, ...]
+    fields: tuple[Field, ...]
+    by_order: bool = False
+    remarks: tuple[str, ...] = field(default=())
+
+
+def joined(sources: Sequence[Source]) -> Fields:
+    """The tables side by side: by pose ids where all have them, else by row order. Tables with the
+    same columns stand one below the other.
+
+    Raises InputError where none of this is possible, and where tables contradict each other.
+    """
+    first = sources[0]
+    if len(sources) == 1:
+        poses = first.ids or tuple(str(i) for i in range(1, len(first) + 1))
+        return Fields(tuple(sources), poses, first.fields)
+    if (stacked := _stacked(sources)) is not None:
+        return stacked
+    if all(s.ids is not None for s in sources):
+        others = [set(s.ids or ()) for s in sources[1:]]
+        common = [i for i in first.ids or () if all(i in ids for ids in others)]
+        if common:
+            return _by_ids(sources, common)
+    lengths = {s.name: len(s) for s in sources}
+    if len({len(s) for s in sources}) > 1:
+        counts = ", ".join(f"{name} has {length} rows" for name, length in lengths.items())
+        raise InputError(
+            f"the files cannot be joined: {counts}, and they share no column of pose ids",
+            code="mismatched-poses",
+            remedy='give each file a column "pose" with the same ids',
+        )
+    poses = tuple(str(i) for i in range(1, len(first) + 1))
+    fields = _without_doubles(sources, [f for s in sources for f in s.fields])
+    told = f"{' and '.join(lengths)} share no pose ids: their rows are joined by order"
+    return Fields(tuple(sources), poses, fields, True, (told,))
+
+
+def _by_ids(sources: Sequence[Source], common: Sequence[str]) -> Fields:
+    fields = []
+    for source in sources:
+        where = {pose: i for i, pose in enumerate(source.ids or ())}
+        rows = np.array([where[pose] for pose in common], dtype=np.intp)
+        fields += [Field(f.table, f.position, f.heading, f.values[rows]) for f in source.fields]
+    told = [f"the files are joined by pose ids: {len(common)} poses are in all of them"]
+    for source in sources:
+        if len(source) > len(common):
+            told.append(f"{source.name}: {len(source) - len(common)} poses are not in every file")
+    kept = _without_doubles(sources, fields)
+    return Fields(tuple(sources), tuple(common), kept, False, tuple(told))
+
+
+def _stacked(sources: Sequence[Source]) -> Fields | None:
+    """The poses of all tables, where they have the same columns; None where they have not."""
+    first = sources[0]
+    columns = [{(f.stem, f.unit) for f in s.fields} for s in sources]
+    named = len(columns[0]) == len(first.fields) and all(f.stem for f in first.fields)
+    if not named or any(its != columns[0] for its in columns):
+        return None
+    by_stem = [{f.stem: f.values for f in s.fields} for s in sources]
+    fields = tuple(
+        replace(f, values=np.concatenate([its[f.stem] for its in by_stem])) for f in first.fields
+    )
+    ids = [i for s in sources for i in (s.ids or tuple(f"{s.name} {k + 1}" for k in range(len(s))))]
+    if len(set(ids)) < len(ids):
+        ids = [f"{s.name} {i}" for s in sources for i in s.ids or ()]
+    names = " and ".join(s.name for s in sources)
+    told = f"{names} have the same columns: their {len(ids)} poses are taken together"
+    one = Source(None, None, fields, tuple(ids), "pose")
+    return Fields((one,), tuple(ids), fields, False, (told,))
+
+
+def _without_doubles(sources: Sequence[Source], fields: Sequence[Field]) -> tuple[Field, ...]:
+    """Without the columns that an earlier table has with the same values.
+
+    Raises InputError where two tables have other values under one name.
+    """
+    kept: list[Field] = []
+    for field_ in fields:
+        same = [k for k in kept if k.stem and k.stem == field_.stem and k.table != field_.table]
+        if not same:
+            kept.append(field_)
+            continue
+        apart = np.abs(same[0].values - field_.values)
+        if np.nanmax(apart, initial=0.0) > ROUNDED * max(field_.span, 1e-12):
+            names = [sources[f.table].name for f in (same[0], field_)]
+            raise InputError(
+                f"{field_.label!r} stands in {names[0]} and in {names[1]} with other values",
+                code="duplicate-column",
+                remedy="rename the column in one of the files, or remove it",
+            )
+    return tuple(kept)

@@ -1,0 +1,65 @@
+"""What the verdict finds in the readings: their sds, digits and copies, and the size they show."""
+
+from __future__ import annotations
+
+from loopcal.document.result_document import ResultDocument
+from loopcal.presentation.rounding import significant
+from loopcal.statistics.rule import Said
+
+SIZE = 3e-3
+"""Relative sd of a size that only priors determine from which on its bias counts."""
+
+
+def first_suspects(document: ResultDocument) -> str:
+    """The sensors whose corrections are largest beside their redundancy, where some stand out."""
+    tested = [e for e in document.noise if e.variance_factor]
+    largest = max((e.variance_factor or 0.0 for e in tested), default=0.0)
+    named = [e for e in tested if (e.variance_factor or 0.0) > 0.5 * largest]
+    if len(named) == len(tested):
+        return ""
+    names = ", ".join(q for e in named for q in e.quantities)
+    return (
+        f" Beside their redundancy the corrections of {names} are the largest (factor "
+        f"{significant(largest, 2)})."
+    )
+
+
+def size_unsure(document: ResultDocument) -> Said | None:
+    """Where only priors say how large the machine is, and say it roughly."""
+    weak = document.identifiability.weak_directions or ()
+    lengths = [p for p in document.parameters if p.unit == "m" and p.sd and p.value]
+    if not lengths or all(direction.size is None for direction in weak):
+        return None
+    long = max(abs(p.value) for p in lengths) / 3.0  # short ones may be known otherwise
+    sure = min((p.sd or 0.0) / abs(p.value) for p in lengths if abs(p.value) >= long)
+    if sure < SIZE:
+        return None
+    return Said(
+        f"Priors alone say how large the machine is, to {significant(100.0 * sure, 2)} %: these "
+        "readings hardly determine it, and noise makes such a fit too small.",
+        sure,
+    )
+
+
+def coarse(document: ResultDocument) -> Said | None:
+    """Readings recorded in steps that are not small against their sds."""
+    coarse = document.data.coarse
+    if not coarse:
+        return None
+    listed = "; ".join(map(str, coarse))
+    return Said(f"Readings are recorded coarsely: {listed}.", max(one.sd for one in coarse))
+
+
+def undetected(document: ResultDocument) -> Said | None:
+    """Sensors whose learnt sd is 0."""
+    zero = [e for e in document.noise if e.source == "estimated" and not e.sd]
+    names = ", ".join(q for e in zero if e.role == "reading" for q in e.quantities)
+    if not names:
+        return None
+    return Said(f"The noise of {names} is not detectable: its learnt sd is 0.")
+
+
+def rows_copied(document: ResultDocument) -> Said | None:
+    """Rows that copy others."""
+    said = document.data.warnings()
+    return Said(said[0], float(len(document.data.copied))) if document.data.copied else None

@@ -1,0 +1,79 @@
+"""The covariance of the parameters that the scatter of the poses themselves shows.
+
+Every pose pulls the parameters by g_i = C D_i^T E_i, and poses drawn alike pull independently,
+whatever their errors come from: noise, or a machine model that lacks something. So
+
+    C_s = sum_i g~_i g~_i^T + C P C,   g~_i = C D_i^T (I - H_i)^(-1/2) E_i,   H_i = D_i C D_i^T,
+
+is valid where noise and model are wrong (White 1980), P the prior's precision; the root makes up
+for what the fit took from the residuals (Bell and McCaffrey 2002: CR2). It says nothing of poses
+elsewhere, and few poses know it badly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.fit import CovarianceEntry
+from loopcal.estimation.problem.pose_equations import pose_equations
+from loopcal.estimation.result import Result
+
+Array = NDArray[np.float64]
+_LEAST = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """matrix (n, n) [SI] from so many independent poses (freedom)."""
+
+    matrix: Array
+    freedom: float
+
+    def added_to(self, entry: CovarianceEntry) -> CovarianceEntry:
+        """The covariance of a document with this, to six digits."""
+        rows = tuple(tuple(float(f"{v:.6g}") for v in row) for row in self.matrix.tolist())
+        return replace(entry, scatter=rows, scatter_freedom=self.freedom)
+
+    @classmethod
+    def of(cls, entry: CovarianceEntry) -> Scatter | None:
+        """From a document."""
+        if entry.scatter is None or entry.scatter_freedom is None:
+            return None
+        n = len(entry.names)
+        return cls(np.array(entry.scatter).reshape(n, n), entry.scatter_freedom)
+
+    def through(self, S: Array) -> Scatter:
+        """Of S times the parameters."""
+        return Scatter(S @ self.matrix @ S.T, self.freedom)
+
+
+def scatter(result: Result) -> Scatter | None:
+    """Of a calibration; None of a stream, under a robust loss, without an optimum, and where learnt
+    terms carry the error of the model."""
+    if result.all_poses is not None or result.fit.robust_loss is not None:
+        return None
+    if result.terms or not result.status.converged:
+        return None
+    problem, solution, method = result.problem, result.solution, result.fit.solver
+    covariance, rank = result.spectrum.covariance(), result.spectrum.rank
+    precision = np.zeros(len(covariance)) if method.exact else 1.0 / np.square(problem.prior_sd)
+    found = covariance @ (precision[:, None] * covariance)
+    for block in pose_equations(
+        problem,
+        solution.parameters,
+        solution.corrections,
+        exact=method.exact,
+        at_readings=method.at_readings,
+    ):
+        turned = block.D @ covariance
+        own = np.eye(block.E.shape[1]) - turned @ block.D.transpose(0, 2, 1)
+        values, vectors = np.linalg.eigh(own)
+        root = vectors / np.sqrt(np.maximum(values, _LEAST))[:, None, :]
+        freed = np.einsum("brs,bts,bt->br", root, vectors, block.E)
+        pulls = np.einsum("brn,br->bn", turned, freed)
+        found = found + pulls.T @ pulls
+    poses, equations = len(problem.poses), max(solution.equations, 1)
+    return Scatter(found, max(poses * (1.0 - rank / equations), 1.0))

@@ -1,0 +1,330 @@
+"""Why the nominal machine does not fit the readings: what would explain them, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import Code, InputError
+from loopcal.estimation.mounted import Bodies
+from loopcal.files.recognition.fields import names_of
+from loopcal.files.recognition.joins import Fields
+from loopcal.files.recognition.layouts import Layout, Seen
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import with_unit
+from loopcal.units import unit
+from loopcal.workflow.beginning.meanings import LENGTHS, Meaning
+from loopcal.workflow.beginning.searching import (
+    CLEARLY,
+    PLAUSIBLE,
+    Array,
+    Machine,
+    Understood,
+    every_way,
+)
+
+NOTHING = 0.3
+"""A misfit of this share of the spread of the readings, or more: the machine explains nothing."""
+SURE = 0.01
+"""An explanation that leaves less needs no rivals."""
+ONE_POSE = 5e-3
+"""A body that moves less than this [m] stands in one pose."""
+COUNTS = 1e4
+"""Joint readings beyond this are in no unit of angle."""
+_SHIFTS = (1, -1, 2, -2, 3, -3)
+_FEW = 40
+"""Poses that one coordinate is tried on."""
+_BLOCK, _TOGETHER = 12, 0.05
+"""So many consecutive poses are fitted alone; they then belong together if they leave this."""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What was read, and every way that was tried to understand it, the best first."""
+
+    machine: Machine
+    layouts: Sequence[Layout]
+    fields: Fields
+    found: Sequence[Understood]
+
+    @property
+    def share(self) -> float:
+        """The misfit of the best."""
+        return self.found[0].share if self.found else float("inf")
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What would explain the readings, with the misfit that it leaves."""
+
+    share: float
+    code: Code
+    words: str
+    remedy: str
+
+    def error(self) -> InputError:
+        """As the refusal that it is."""
+        return InputError(self.words, code=self.code, remedy=self.remedy)
+
+
+def contradiction(case: Case) -> Explanation | None:
+    """Where the readings contradict a unit that a header states."""
+    fields = [
+        f for lay in case.layouts for s in lay.seen for f in (*lay.joints, *s.position, *s.turned)
+    ]
+    if not any(f.unit for f in fields):
+        return None
+    free = sorted(every_way(case.machine, case.layouts, as_stated=False), key=lambda u: u.share)
+    stated = case.share
+    if not free or free[0].share > PLAUSIBLE or CLEARLY * free[0].share >= stated:
+        return None
+    before = set(case.found[0].words) if case.found else set()
+    other = "; ".join(w for w in free[0].words if w not in before) or "another unit"
+    return Explanation(
+        free[0].share,
+        "wrong-unit",
+        f"the units in the headers contradict the readings: the nominal machine fits with "
+        f"{other}, and misses them by {_percent(stated)} of their spread as stated",
+        "correct the unit in the header, or remove it to have it inferred",
+    )
+
+
+def objection(case: Case) -> Explanation | None:
+    """What explains the readings far better than any way to read them; else that nothing does.
+
+    None where the machine explains them well enough to be calibrated.
+    """
+    best = case.found[0]
+    told: list[Explanation] = []
+    tried = (  # the quickest first; each begins when it is its turn
+        _shifted_too(case),
+        _moved_too(case),
+        _coordinates(case.found),
+        _reversed(case, 1),
+        _displaced_zeros(case),
+        _reversed(case, 2),
+    )
+    for explained in tried:
+        told += explained
+        if told and min(e.share for e in told) <= SURE:
+            break
+    clear = [e for e in told if e.share <= PLAUSIBLE and CLEARLY * e.share < best.share]
+    if clear:
+        return min(clear, key=lambda e: e.share)
+    return None if best.share <= NOTHING else _nothing(case)
+
+
+def shifted(case: Case, ways: Sequence[Understood]) -> Explanation | None:
+    """Where the readings of the instrument fit far better some rows apart."""
+    found = [e for way in ways for meaning in way.seen for e in _displaced(case, way, meaning)]
+    return min(found, key=lambda e: e.share, default=None)
+
+
+def _shifted_too(case: Case) -> Iterator[Explanation]:
+    """Of every way to read the columns, where none of them fits."""
+    found = None if case.share <= NOTHING else shifted(case, case.found)
+    if found is not None:
+        yield found
+
+
+def _displaced(case: Case, way: Understood, meaning: Meaning) -> Iterator[Explanation]:
+    every = np.arange(len(way.bodies.origins))
+    whole = meaning.fitted(way.bodies).share
+    for shift in _SHIFTS:
+        rows, moved = (
+            (every[:-shift], every[shift:]) if shift > 0 else (every[-shift:], every[:shift])
+        )
+        if len(rows) < 10:
+            continue
+        turns = None if meaning.turns is None else meaning.turns[moved]
+        apart = replace(meaning, position=meaning.position[moved], turns=turns)
+        share = apart.fitted(_some(way.bodies, rows)).share
+        if CLEARLY * share < whole and share < NOTHING:
+            where, plural = "late" if shift > 0 else "early", "s" if abs(shift) > 1 else ""
+            joined, remedy = _joined_by(case.fields)
+            words = (
+                f"the readings of the instrument stand {abs(shift)} row{plural} too {where} "
+                f"beside those of the joints, {joined} (misfit {_percent(whole)} of the spread as "
+                f"they stand, {_percent(share)} if moved)"
+            )
+            yield Explanation(share, "mismatched-poses", words, remedy)
+
+
+def _joined_by(fields: Fields) -> tuple[str, str]:
+    """What brought joints and instrument together, and what to do where that is wrong."""
+    if fields.by_order:
+        remedy = "give both files a column of pose ids, or remove the row too many"
+        return "which were joined by row order", remedy
+    if len(fields.sources) > 1:
+        remedy = "correct the pose ids: they do not name the same poses in both files"
+        return "which were joined by pose id", remedy
+    return "in the same file", "move these columns, or remove the row too many"
+
+
+def _coordinates(ways: Sequence[Understood]) -> Iterator[Explanation]:
+    """A mirrored frame, and one coordinate in another unit than the others."""
+    for way in ways:
+        for meaning in way.seen:
+            its = meaning.seen.position
+            if meaning.position.ndim < 2 or len(its) != 3 or meaning.seen.kind == "spherical":
+                continue
+            share = _scaled(way, meaning, np.array([-1.0, 1.0, 1.0]))
+            yield Explanation(
+                share,
+                "implausible-readings",
+                f"{names_of(its)} form a left-handed frame: mirrored, the nominal machine misses "
+                f"the readings by {_percent(share)} of their spread, as read by "
+                f"{_percent(way.share)}",
+                "two of the columns are exchanged, or one has the wrong sign: correct it",
+            )
+            for axis, field in enumerate(its):
+                for other in LENGTHS:
+                    factors = np.ones(3)
+                    factors[axis] = unit(other).factor / unit(meaning.length).factor
+                    share = _scaled(way, meaning, factors)
+                    yield Explanation(
+                        share,
+                        "wrong-unit",
+                        f"{field.label} is in {other}, and the other coordinates are in "
+                        f"{meaning.length}: so the nominal machine misses the readings by "
+                        f"{_percent(share)} of their spread",
+                        "convert the column, or state the unit of each in its header",
+                    )
+
+
+def _scaled(way: Understood, meaning: Meaning, factors: Array) -> float:
+    """The misfit with coordinates multiplied by these; of a pose its position alone counts."""
+    if (factors == 1.0).all():
+        return float("inf")
+    position = meaning.position if not meaning.inverted else np.full_like(meaning.position, np.nan)
+    scaled = replace(meaning, position=position * factors, turns=None, seen=_as_point(meaning))
+    count = len(position)
+    few = np.unique(np.linspace(0, count - 1, min(count, _FEW)).astype(np.intp))
+    return scaled.fitted(way.bodies, few, 2).share
+
+
+def _as_point(meaning: Meaning) -> Seen:
+    return replace(meaning.seen, kind="point", turned=())
+
+
+def _reversed(case: Case, count: int) -> Iterator[Explanation]:
+    """So many joints that count the other way round."""
+    for names in combinations(case.machine.joints, count):
+        found = every_way(case.machine, case.layouts, turned_round=names)
+        share = min((u.share for u in found), default=float("inf"))
+        be = "counts" if count == 1 else "count"
+        yield Explanation(
+            share,
+            "implausible-readings",
+            f"{' and '.join(names)} {be} the other way round: with the sign reversed the nominal "
+            f"machine misses the readings by {_percent(share)} of their spread, as read by "
+            f"{_percent(case.share)}",
+            "write -1 for it in a column direction of the robot's table, or correct the sign in "
+            "the file",
+        )
+
+
+def _displaced_zeros(case: Case) -> Iterator[Explanation]:
+    """One joint that counts from another zero, a right angle or two away.
+
+    The zeros of the first and the last joint are those of the placement and the tool.
+    """
+    machine = case.machine
+    turning = [n for n, si in zip(machine.joints, machine.units, strict=True) if si == "rad"]
+    for name in turning[1:-1]:
+        for degrees in (90, -90, 180):
+            found = every_way(machine, case.layouts, zeros={name: np.radians(degrees)})
+            share = min((u.share for u in found), default=float("inf"))
+            yield Explanation(
+                share,
+                "implausible-readings",
+                f"{name} counts from another zero: with {degrees:+d} deg the nominal machine "
+                f"misses the readings by {_percent(share)} of their spread, as read by "
+                f"{_percent(case.share)}",
+                f"add {degrees:+d} deg to its column, or to theta of this joint in the robot's "
+                "table",
+            )
+
+
+def _nothing(case: Case) -> Explanation:
+    """That the machine explains nothing, with the likely cause where the readings show one."""
+    best = case.found[0]
+    far = float(np.sqrt(np.square(_about_median(best.bodies.origins)).sum(axis=1)).max())
+    if far < ONE_POSE:
+        return Explanation(
+            best.share,
+            "too-few-poses",
+            f"these {len(best.bodies.origins)} rows are readings of one pose: the joints move the "
+            f"robot by {with_unit(far, 'm', 2)}",
+            "measure poses that differ in every joint; loopcal noise gives the sds of sensors from "
+            "repeated readings",
+        )
+    remedy = (
+        "check the robot (URDF, Denavit-Hartenberg table and its convention), the signs and zeros "
+        "of the joints, and that joints and instrument are of the same poses"
+    )
+    if case.fields.by_order:
+        remedy += "; their rows were joined by order: give both files a column of pose ids"
+    joints = best.layout.joints
+    if max(float(np.nanmax(np.abs(f.values))) for f in joints) > COUNTS:
+        remedy = f"convert {names_of(joints)} to angles: they read like counts of encoders"
+    return Explanation(
+        best.share,
+        "implausible-readings",
+        "the nominal machine does not describe these readings: in the best of all units and orders "
+        f"it misses them by {_percent(best.share)} of their spread",
+        remedy,
+    )
+
+
+def _moved_too(case: Case) -> Iterator[Explanation]:
+    """Of every way to read the columns, the first that fits in blocks."""
+    return islice((e for way in case.found if (e := _moved(way))), 1)
+
+
+def _moved(way: Understood) -> Explanation | None:
+    """Where blocks of poses fit alone, but not together: the instrument was moved between them."""
+    count = len(way.bodies.origins)
+    blocks = [np.arange(i, i + _BLOCK) for i in range(0, count - _BLOCK + 1, _BLOCK)]
+    if len(blocks) < 3:
+        return None
+    meaning = way.seen[0]
+    alone = [meaning.fitted(way.bodies, b) for b in blocks]
+    if np.median([m.share for m in alone]) > _TOGETHER:
+        return None
+    last = next(
+        end
+        for end in range(2, len(blocks) + 1)
+        if end == len(blocks) or not _together(way, meaning, np.concatenate(blocks[: end + 1]))
+    )
+    row = min(last * _BLOCK, count - 1) + 1
+    return Explanation(
+        alone[0].share,
+        "implausible-readings",
+        f"the instrument or the robot's base was moved during the run, first near row {row}: "
+        f"blocks of {_BLOCK} poses fit the nominal machine, all of them together do not",
+        "give each place of the instrument a project of its own, or columns of its own: x1, y1, "
+        "z1 blank where it did not stand there, x2, y2, z2 blank elsewhere",
+    )
+
+
+def _together(way: Understood, meaning: Meaning, rows: NDArray[np.intp]) -> bool:
+    return meaning.fitted(way.bodies, rows).share <= _TOGETHER
+
+
+def _some(bodies: Bodies, rows: NDArray[np.intp]) -> Bodies:
+    return Bodies(bodies.rotations[rows], bodies.origins[rows])
+
+
+def _about_median(points: Array) -> Array:
+    known = points[np.isfinite(points).all(axis=1)]
+    off: Array = known - np.median(known, axis=0)
+    return off
+
+
+def _percent(share: float) -> str:
+    return f"{significant(100.0 * share, 2)} %"

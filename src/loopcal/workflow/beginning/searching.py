@@ -1,0 +1,136 @@
+"""Every way to understand the columns, tried on the placed nominal machine."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.mounted import Bodies, bodies_of
+from loopcal.files.recognition.fields import names_of
+from loopcal.files.recognition.layouts import Layout
+from loopcal.mechanisms.frame import ChainFrame
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.units import to_si
+from loopcal.workflow.beginning.meanings import Meaning, joint_units, meanings
+
+Array = NDArray[np.float64]
+PLAUSIBLE = 0.1
+"""What another meaning must leave at most to speak against a stated unit."""
+CLEARLY = 3.0
+"""A meaning is decided if every other one leaves so many times its misfit."""
+FAR = 10.0
+"""A meaning that fits so many times worse on a few poses is not tried on more."""
+_SAMPLE, _FEW = 120, 40
+
+
+@dataclass(frozen=True, eq=False)
+class Understood:
+    """The columns with their meaning.
+
+    joints: quantity -> readings [SI]; kinds: SI unit of each; units: SI unit -> unit of the joint
+    columns; seen: the instruments; remarks: what the data decided, in words.
+    """
+
+    layout: Layout
+    joints: dict[str, Array]
+    kinds: tuple[str, ...]
+    units: dict[str, str]
+    seen: tuple[Meaning, ...]
+    bodies: Bodies
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def share(self) -> float:
+        """The largest misfit of its instruments."""
+        return max(m.share for m in self.seen)
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """All units and orders."""
+        return (self.joint_words, *(w for meaning in self.seen for w in meaning.words))
+
+    @property
+    def joint_words(self) -> str:
+        """The units of the joints, those that slide in units of length."""
+        told = []
+        for si, what in (("rad", "joints"), ("m", "slides")):
+            its = [f for f, kind in zip(self.layout.joints, self.kinds, strict=True) if kind == si]
+            if its:
+                told.append(f"the {what} {names_of(its)} in {self.units[si]}")
+        return "; ".join(told)
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """The nominal machine as far as its joints move it: a mechanism with a chain."""
+
+    mechanism: Mechanism
+    joints: tuple[str, ...]
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """SI unit of each joint."""
+        return tuple(self.mechanism.quantities[name] for name in self.joints)
+
+    def bodies(self, joints: dict[str, Array]) -> Bodies:
+        """Where its body stands in every pose."""
+        nominal = {p.name: p.nominal for p in self.mechanism.parameters}
+        count = len(next(iter(joints.values())))
+        return bodies_of(ChainFrame(self.mechanism.chain, joints, nominal), count)
+
+
+def every_way(
+    machine: Machine,
+    layouts: Sequence[Layout],
+    *,
+    as_stated: bool = True,
+    turned_round: Collection[str] = (),
+    zeros: Mapping[str, float] = MappingProxyType({}),
+) -> list[Understood]:
+    """All combinations of meanings, judged on some of the poses; of each instrument the best and
+    those that fit about as well. turned_round: joints that are read with the other sign; zeros:
+    what is added to readings of joints [rad]."""
+    found = []
+    for layout in layouts:
+        count = len(layout.joints[0].values)
+        some, few = (
+            np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
+            for most in (_SAMPLE, _FEW)
+        )
+        for units in joint_units(layout.joints, machine.units, as_stated=as_stated):
+            joints = {
+                name: to_si(f.values, f.unit if f.unit and as_stated else units[si])
+                for name, f, si in zip(machine.joints, layout.joints, machine.units, strict=True)
+            }
+            moved = {
+                n: (-q if n in turned_round else q) + zeros.get(n, 0.0) for n, q in joints.items()
+            }
+            bodies = machine.bodies(moved)
+            options = []
+            for seen in layout.seen:
+                tried = _fitting(meanings(seen, as_stated=as_stated), bodies, few, 1)
+                near = [m for m in tried if m.share < FAR * tried[0].share + 1e-12]
+                tried = _fitting(near, bodies, some, 4)
+                options.append([m for m in tried if m.share < CLEARLY * tried[0].share + 1e-12])
+            if not all(options):
+                continue
+            best = tuple(o[0] for o in options)
+            first = Understood(layout, joints, machine.units, units, best, bodies)
+            found.append(first)
+            for i, its in enumerate(options):
+                for other in its[1:]:
+                    seen_so = (*first.seen[:i], other, *first.seen[i + 1 :])
+                    found.append(replace(first, seen=seen_so))
+    return found
+
+
+def _fitting(
+    some: Iterable[Meaning], bodies: Bodies, index: NDArray[np.intp], rounds: int
+) -> list[Meaning]:
+    """Those that have a fit, the best first."""
+    tried = (m.fitted(bodies, index, rounds) for m in some)
+    return sorted((m for m in tried if m.fit is not None), key=lambda m: m.share)

@@ -1,0 +1,173 @@
+"""A result read from its folder, and the figures that notebooks draw of any result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.goodness_of_fit import ChiSquared
+from loopcal.document.result_document import ResultDocument, WrittenResult
+from loopcal.document.verdict import Verdict
+from loopcal.document.views import Views
+from loopcal.errors import InputError
+from loopcal.estimation.result import Result
+from loopcal.figures.figure import Figure
+from loopcal.files.machines.python_function import Loops
+from loopcal.files.result.result_file import read_result as read_document
+from loopcal.files.result.result_folder import ReadResult, read_result_folder
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.report.drawn import figures
+from loopcal.report.source import Source, read_source, source_of
+from loopcal.workflow.calibration import write_result
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SavedResult(Views):
+    """A result as its folder holds it: `loopcal.read_result`.
+
+    document: of result.json; path: of that file; loops: of a mechanism written in Python.
+    """
+
+    document: ResultDocument
+    path: Path
+    loops: Loops | Mechanism | None = field(default=None)
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Whether the result can be used, and for what; None: an earlier version wrote it."""
+        return self.document.verdict
+
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """The names of the estimated parameters, in the order of `covariance`."""
+        return self.document.covariance.names
+
+    @cached_property
+    def value(self) -> Mapping[str, float]:
+        """Every parameter [SI]."""
+        return MappingProxyType({p.name: p.value for p in self.document.parameters})
+
+    @cached_property
+    def sd(self) -> Mapping[str, float | None]:
+        """Of every parameter [SI]: None if fixed, inf if not identifiable."""
+        return MappingProxyType(
+            {
+                p.name: np.inf if p.sd is None and not p.fixed else p.sd
+                for p in self.document.parameters
+            }
+        )
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(n, n) of the estimated parameters [SI]; NaN where one is not identifiable."""
+        size = len(self.estimated)
+        return np.array(self.document.covariance.matrix, dtype=float).reshape(size, size)
+
+    @property
+    def chi_squared(self) -> ChiSquared | None:
+        """None where the method or the loss has none."""
+        return self.document.chi_squared
+
+    @cached_property
+    def folder(self) -> ReadResult:
+        """With the calibrated mechanism. Raises InputError where mechanism.toml cannot be read."""
+        return read_result_folder(self.path, function=self.loops)
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The calibrated mechanism."""
+        return self.folder.mechanism
+
+    @cached_property
+    def source(self) -> Source:
+        """With what became of every reading. Raises InputError without residuals.csv."""
+        return read_source(self.path)
+
+    def __str__(self) -> str:
+        return str(self.document)
+
+    def __repr__(self) -> str:
+        state = "converged" if self.converged else self.document.status.reason
+        return f"<SavedResult {self.path.parent}: {self.document.method}, {state}>"
+
+
+def read_result(path: str | Path, *, mechanism: Loops | Mechanism | None = None) -> SavedResult:
+    """A result from its folder, or from the result.json in it.
+
+    mechanism: of a result whose loops are Python code, for predictions. Raises InputError, naming
+    the place in the file, for anything that is no result.
+    """
+    path = Path(path)
+    if path.name != "result.json" and path.suffix != ".json":
+        path = path / "result.json"
+    return SavedResult(read_document(path), path, mechanism)
+
+
+def source(result: Result | SavedResult) -> Source:
+    """What the report shows of a result."""
+    if isinstance(result, SavedResult):
+        return result.source
+    return source_of(result, result.document, "result")
+
+
+@dataclass(frozen=True)
+class ReportPlots:
+    """The report's figures of a result, as plotly figures."""
+
+    drawn: Mapping[str, Figure]
+
+    def residuals(self) -> Any:
+        """Computed minus measured outputs pose by pose, before and after."""
+        return self._figure("residuals")
+
+    def space(self) -> Any:
+        """Arrows from measured to computed points, and the machine."""
+        return self._figure("arrows")
+
+    def parameters(self) -> Any:
+        """Changes of the parameters from their nominal values, with 95 % intervals."""
+        return self._figure("parameters")
+
+    def correlations(self) -> Any:
+        """Correlations of the estimated parameters, as a map."""
+        return self._figure("correlations")
+
+    def _figure(self, key: str) -> Any:
+        if key not in self.drawn:
+            raise InputError(
+                f"the result has no numbers for the figure {key!r}",
+                code="no-data",
+                remedy=f"draw one of: {', '.join(self.drawn)}",
+            )
+        return self.drawn[key].plotly()
+
+
+def plots(result: Result | SavedResult) -> ReportPlots:
+    """The figures of a result."""
+    return ReportPlots(figures(source(result)))
+
+
+def fitted(result: Result | SavedResult) -> dict[str, Array]:
+    """Output -> (N,) values [SI] computed from the other readings of the poses used."""
+    table = source(result).table
+    return {n: table.readings[n] + d for n, d in table.differences_after.items()}
+
+
+def save(result: Result | SavedResult, folder: str | Path, *, report: bool = True) -> WrittenResult:
+    """`write_result` of a result in memory."""
+    if isinstance(result, SavedResult):
+        raise InputError(
+            f"this result is saved already: {result.path.parent}",
+            code="unsupported",
+            remedy="copy that folder",
+        )
+    return write_result(result, folder, report=report)

@@ -1,0 +1,89 @@
+"""A type with nominal values and a point of its own is begun from whatever instrument sees it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import loopcal as lc
+from loopcal.estimation.mounted import bodies_of
+from loopcal.mechanisms.frame import ChainFrame
+from loopcal.mechanisms.motoman import motoman_ma1400
+
+NOISE = 5e-5
+REFLECTORS = np.array([[0.02, -0.07, -0.35], [-0.1, 0.06, -0.3]])
+ANCHOR, ZERO = np.array([1.4, 0.9, -0.8]), 0.25
+
+
+@pytest.fixture(scope="module")
+def flange() -> dict[str, np.ndarray]:
+    """Joints, and T_base_flange in 80 poses, of a machine 0.3 mm and 0.3 mrad off its drawing."""
+    rng = np.random.default_rng(4)
+    mechanism = motoman_ma1400()
+    limits = np.radians([100, 60, 60, 120, 90, 150])
+    joints = {f"theta_{i + 1}": rng.uniform(-a, a, 80) for i, a in enumerate(limits)}
+    values = {
+        p.name: 0.0 if p.name.endswith("6B") else p.nominal + 3e-4 * rng.standard_normal()
+        for p in mechanism.parameters
+    }
+    bodies = bodies_of(ChainFrame(mechanism.chain, joints, values), 80)
+    return {**joints, "R": bodies.rotations, "p": bodies.origins}
+
+
+def seen(points: np.ndarray, seed: int) -> np.ndarray:
+    """From a tracker that stands askew, with noise."""
+    R = Rotation.from_euler("xyz", [0.02, -0.03, 1.2]).as_matrix()
+    noise = NOISE * np.random.default_rng(seed).standard_normal(points.shape)
+    return np.asarray(points @ R.T + np.array([2.0, -1.0, 0.4]) + noise)
+
+
+def points(flange: dict[str, np.ndarray]) -> list[np.ndarray]:
+    return [flange["p"] + flange["R"] @ r for r in REFLECTORS]
+
+
+def angles(flange: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {n: flange[n] for n in flange if n.startswith("theta")}
+
+
+def left(folder: Path) -> float:
+    """Rms of a least-squares fit of the project [m]."""
+    found = lc.calibrate(lc.read_project(folder / "project.toml"), method="least-squares")
+    assert found.status.converged
+    assert found.accuracy_after is not None
+    return found.accuracy_after.rms
+
+
+def test_two_reflectors(tmp_path: Path, flange: dict[str, np.ndarray]) -> None:
+    columns = angles(flange)
+    for i, its in enumerate(points(flange), 1):
+        columns |= dict(zip([f"x{i}", f"y{i}", f"z{i}"], seen(its, i).T, strict=True))
+    made = lc.init(columns, machine="motoman-ma1400", out=tmp_path / "o")
+    assert made.mechanism.outputs == ("x_1", "y_1", "z_1", "x_2", "y_2", "z_2")
+    assert left(tmp_path / "o") < 2.0 * NOISE
+
+
+def test_a_wire(tmp_path: Path, flange: dict[str, np.ndarray]) -> None:
+    noise = NOISE * np.random.default_rng(3).standard_normal(80)
+    wire = np.linalg.norm(points(flange)[0] - ANCHOR, axis=1) - ZERO + noise
+    made = lc.init({**angles(flange), "L": wire}, machine="motoman-ma1400", out=tmp_path / "o")
+    assert made.mechanism.outputs == ("wire",)
+    assert left(tmp_path / "o") < 1.5 * NOISE
+
+
+def test_a_pose(tmp_path: Path, flange: dict[str, np.ndarray]) -> None:
+    turned = Rotation.from_matrix(flange["R"]).as_quat()
+    columns = angles(flange) | dict(zip("xyz", flange["p"].T, strict=True))
+    columns |= dict(zip(["qx", "qy", "qz", "qw"], turned.T, strict=True))
+    made = lc.init(columns, machine="motoman-ma1400", out=tmp_path / "o")
+    assert {"x", "y", "z"} <= set(made.mechanism.outputs)
+    assert made.rms < 3e-3
+
+
+def test_one_point_is_that_of_the_type(tmp_path: Path, flange: dict[str, np.ndarray]) -> None:
+    columns = angles(flange) | dict(zip("xyz", seen(points(flange)[0], 1).T, strict=True))
+    lc.init(columns, machine="motoman-ma1400", out=tmp_path / "o")
+    assert "x6B" in (tmp_path / "o" / "project.toml").read_text("utf-8")
+    assert left(tmp_path / "o") < 2.0 * NOISE
