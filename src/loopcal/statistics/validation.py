@@ -396,6 +396,10 @@ def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
             return Failed(index, error.message)
 
 
+def _stated(drifting: Drifting | None, part: Predicted) -> Predictive | None:
+    return part.stated(drifting)
+
+
 def _predicted(fit: Result, held: Held, index: Index) -> Predicted:
     rows = [fit.mechanism.tape.quantities.index(q) for q in fit.mechanism.compared]
     differences = output_differences(held.problem, held.problem.start, held.corrections)
@@ -444,10 +448,11 @@ def _pooled(
     measured, differences = np.full((2, len(mechanism.compared), len(data)), np.nan)
     terms, inside = np.full((2, len(data)), np.nan)
     judged = stating
-    for part in parts:
+    drifting = whole.drifting if stating else None
+    told = gathered(own_threads(), _stated, drifting, parts) if stating else [None] * len(parts)
+    for part, stated in zip(parts, told, strict=True):
         measured[:, part.index] = part.measured
         differences[:, part.index] = part.differences
-        stated = part.stated(whole.drifting) if stating else None
         if stated is not None:
             terms[part.index] = stated.log_density
             inside[part.index] = stated.inside()
