@@ -372,11 +372,13 @@ class _Begun:
 
 
 def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
-    """The poses at these positions, predicted by a fit of the others."""
+    """The poses at these positions, predicted by a fit of the others; copies of rows count once."""
     which, index = piece
     begun = every[which]
     case = begun.case
     rest = np.setdiff1d(np.arange(len(case.data)), index)
+    first = index[~np.isin(index, begun.near.copied)]
+    index = first if first.size else index
     with one_blas_thread():
         try:
             found = begun.calibrated(rest)
