@@ -35,7 +35,7 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
-.PHONY: help install demo pictures dist test lint types suite partners chromium test-pythons test-lowest test-without-compiler sanitize fuzz benchmark clean
+.PHONY: help install demo pictures site dist test lint types suite partners chromium test-pythons test-lowest test-without-compiler sanitize fuzz benchmark clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -63,6 +63,10 @@ demo: $(STAMP) ## calibrate three simulated arms, one with a fault, and print th
 
 pictures: demo ## make the pictures of the README from the demo's last report; needs `make partners`
 	@$(BIN)/python -m analyses.pictures
+
+site: $(STAMP) ## the documentation as a site in build/site/html, to open from the disk
+	@$(call try,furo myst-parser sphinx,the site cannot be built)
+	$(BIN)/python docs/site/build.py
 
 dist: $(STAMP) ## source distribution and wheel in dist/
 	@$(BIN)/python -m pip install --quiet build

@@ -58,6 +58,10 @@ def test_what_is_coarse_but_possible_is_taken(data: lc.Dataset) -> None:
         lc.Noise({**NOISE, "phi?": 1.0}, estimate={"phi?": "group"}),  # where a search begins
     ):
         assert lc.check(lc.planar_two_link(), data, noise=noise).verdict
+    rod = lc.Mechanism.from_function(
+        lambda x, p: [p.a - x.length], {"length": "m"}, {"a": (1.0, "m")}
+    )
+    assert lc.check(rod, {"length": [1.0, 1.1]}, noise={"length": 0.1}).verdict  # of one length
     turns = {"phi2": [20.0, 20.5, 21.0, 22.0], "phi3": [1.0, 1.2, 1.4, 0.3]}
     arm = lc.planar_two_link({"phi20": 19.0})
     made = lc.simulate(arm, turns, noise={"*": 0.0}, seed=1, units={"phi2": "rad"})

@@ -154,3 +154,13 @@ def test_arrows_switch_between_before_and_after() -> None:
         assert 1 < sum(shown) < len(shown)
     texts = [t["text"] for t in figure.data if t.get("hoverinfo") == "text"]
     assert all("pose 7" in text[7] for text in texts if len(text) == 50)
+
+
+def test_a_pose_from_which_on_something_changed_is_marked() -> None:
+    figure = drift(SERIES, IDS, SHADES)
+    assert figure is not None
+    assert figure.marked({}) is figure
+    marked = figure.marked({21: "slip", 40: "b"})
+    assert [shape["x0"] for shape in marked.layout["shapes"]] == [20.5, 39.5]
+    assert "from pose slip, b on" in marked.caption
+    go.Figure(data=list(marked.data), layout=dict(marked.layout))

@@ -20,8 +20,9 @@ LONG, TIMES = 10.0, 20.0
 """A length [m] beyond this that is so many times the longest reading of a length."""
 TURNS = 4.0 * math.pi
 """An angle [rad] beyond this, where no reading of an angle is."""
-COARSE, HALF = 0.1, 0.5
-"""An sd [m or rad] beyond this that is so large a share of the rms of the readings themselves."""
+COARSE, HALF, SIXTH = 0.1, 0.5, 1.0 / 6.0
+"""An sd [m or rad] beyond the first, that is so large a share of the spread of its readings, and of
+their rms: repeated readings of one length spread little."""
 _LIKELY = {"m": "mm", "rad": "deg"}
 _FINER = {"m": "mm", "rad": "mrad"}
 
@@ -48,7 +49,8 @@ def refuse_other_units(mechanism: Mechanism, dataset: Dataset, noise: Noise | No
         if si not in _FINER or values is None or not np.isfinite(values).any():
             continue
         spread = float(np.nanstd(values))
-        if math.isfinite(sd) and sd >= COARSE and sd >= HALF * spread:
+        rms = float(np.sqrt(np.nanmean(np.square(values))))
+        if math.isfinite(sd) and sd >= max(COARSE, HALF * spread, SIXTH * rms):
             raise InputError(
                 f"the sd of {name!r} is {sd:g} {si}, and its readings spread by {spread:.3g} {si}: "
                 f"the sd looks like {_FINER[si]}",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 BEFORE, AFTER = "#8d8f96", "#2b7bd6"
 """Colours before and after a calibration, legible on light and on dark."""
+MARK = "#b3261e"
 COLOURS = (
     *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00"),
     *("#56b4e9", "#8c510a", "#7570b3", "#b2a800", "#6b7280"),
@@ -40,6 +41,18 @@ class Figure:
     data: tuple[Mapping[str, Any], ...]
     layout: Mapping[str, Any]
     least_width: int = 0
+
+    def marked(self, poses: Mapping[int, str]) -> Figure:
+        """A figure over the poses with a line before each of these: number from 1 -> its id."""
+        if not poses:
+            return self
+        line = {"type": "line", "xref": "x", "yref": "paper", "y0": 0, "y1": 1}
+        look = {"color": MARK, "width": 1.5, "dash": "dash"}
+        lines = [{**line, "x0": n - 0.5, "x1": n - 0.5, "line": look} for n in poses]
+        listed = ", ".join(poses.values())
+        words = f" Dashed line: something changed here (from pose {listed} on)."
+        layout = {**self.layout, "shapes": lines}
+        return replace(self, caption=self.caption + words, layout=layout)
 
     def json(self) -> str:
         """For a script element: nothing in it can end that element or begin a comment."""

@@ -23,6 +23,7 @@ from loopcal.presentation.shown import factor, unit_shown
 from loopcal.report.source import Source
 
 Array = NDArray[np.float64]
+_OVER_POSES = ("residuals", "drift")
 
 
 def figures(source: Source) -> dict[str, Figure]:
@@ -41,7 +42,17 @@ def figures(source: Source) -> dict[str, Figure]:
         _parameters(source.document),
         _correlations(source.document),
     ]
-    return {figure.key: figure for figure in found if figure is not None}
+    marks = _changed(source)
+    drawn = [figure for figure in found if figure is not None]
+    return {f.key: f.marked(marks) if f.key in _OVER_POSES else f for f in drawn}
+
+
+def _changed(source: Source) -> dict[int, str]:
+    """Number from 1 -> id of the poses from which on something was changed at once."""
+    points = source.document.change_points
+    steps = [] if points is None else [p.pose for p in points.found if p.shape == "step"]
+    ids = list(source.table.poses)
+    return {ids.index(pose) + 1: pose for pose in dict.fromkeys(steps) if pose in ids}
 
 
 def _of_outputs(source: Source) -> list[Figure | None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -461,3 +461,16 @@ def test_a_stream_learns_the_model_error_beside_stated_sds() -> None:
     whole = calibrate(arm, data, noise=noise, fit=fit)
     close(streamed, whole)
     assert "disturbance" in {entry.role for entry in streamed.noise}
+
+
+def test_a_file_at_fault_is_named_from_the_first_chunk_and_what_is_not_sought_is_said() -> None:
+    arm, data = arm_and_data()
+    noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
+    swapped = {"theta_4": data["theta_6"], "theta_6": data["theta_4"]}
+    wrong = replace(data, readings={**data.readings, **swapped})
+    found = calibrate_stream(arm, Pieces(wrong, noise))
+    assert [fault.code for fault in found.faults] == ["exchanged"]
+    assert found.status.iterations <= 3
+    good = calibrate_stream(arm, Pieces(data, noise))
+    assert good.faults == ()
+    assert "does not search for copied rows" in " ".join(good.warnings)

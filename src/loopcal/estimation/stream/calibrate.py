@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.estimation.calibrate import FAULTY
+from loopcal.estimation.faults.search import UNREPAIRED, column_faults
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.model_error import modelled
@@ -87,6 +89,13 @@ def calibrate_stream(
         problem = task.problem(first)
         refuse_parallel_axes(mechanism)
         task = _settled(task, problem)
+        faults = tuple(
+            fault
+            for fault in column_faults(problem, suspected=False)
+            if fault.code not in UNREPAIRED
+        )
+        if faults:  # no fit is of use: a short one, so that there is a result to say so
+            fit = fit.changed(max_iterations=min(fit.max_iterations, FAULTY))
         with (executor or InProcess()).crew(do, task) as crew:
 
             def solved(start: Array, loss: Loss | None, stage: Stage) -> End[bool]:
@@ -113,7 +122,8 @@ def calibrate_stream(
             else:
                 begin = Stage(resume.stage, resume.earlier) if resume else FIRST_STAGE
                 solution = in_stages(solved, problem.start, loss, cost, begin)
-            return LastPass(task, fit, solution, solution.sums.sizes).result(crew, parts)
+            last = LastPass(task, fit, solution, solution.sums.sizes)
+            return replace(last.result(crew, parts), faults=faults)
 
 
 def _learnt(

@@ -28,6 +28,12 @@ Array = NDArray[np.float64]
 Part = TypeVar("Part")
 WORST = 100
 """Of the poses that fit badly at most so many are shown."""
+NOT_SOUGHT = (
+    "In a stream loopcal does not search for copied rows, changes along the run, or residuals that "
+    "depend on each other; the sds allow for none of them. Search thinned poses in memory "
+    "(data.every, stream = false)."
+)
+"""What every result of a stream says."""
 SHOWN, _ALIKE = 10_000, 0.5
 """About so many poses are kept for figures and tests; a model error is told of where these misfit
 at least this share of what all do."""
@@ -94,7 +100,7 @@ class LastPass:
         return replace(
             found,
             all_poses=AllPoses(poses, before, after, discrepancy, robust),
-            notes=(f"{told}.",) if stride > 1 else (),
+            notes=(f"{told}.", NOT_SOUGHT) if stride > 1 else (NOT_SOUGHT,),
         )
 
     def _shown(self, shown: _Shown) -> Result:
