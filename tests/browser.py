@@ -43,6 +43,7 @@ def chromium() -> Iterator[Any]:
 def opened(browser: Any, path: Path, *, width: int = 1440, **context: Any) -> Iterator[Seen]:
     """A page from the disk, all its figures drawn."""
     where = browser.new_context(viewport={"width": width, "height": 900}, **context)
+    where.set_default_timeout(180_000)  # a busy machine takes its time
     seen = Seen(where.new_page())
     address = path.resolve().as_uri()
 
@@ -59,6 +60,6 @@ def opened(browser: Any, path: Path, *, width: int = 1440, **context: Any) -> It
     seen.page.on("console", said)
     seen.page.on("pageerror", lambda error: seen.complaints.append(str(error)))
     seen.page.goto(address)
-    seen.page.wait_for_selector("body[data-drawn=all]", timeout=60_000)
+    seen.page.wait_for_selector("body[data-drawn=all]")
     yield seen
     where.close()

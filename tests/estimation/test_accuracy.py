@@ -80,6 +80,7 @@ def test_outputs_in_metres_and_radians_have_an_accuracy_each() -> None:
         data,
         noise=lc.Noise({"q": 0.0, "u": 1e-4, "v": 1e-4, "phi": 1e-4}),
         method="implicit-loop",
+        units={"phi": "rad"},
     )
     found = result.accuracy_before
     assert found is not None

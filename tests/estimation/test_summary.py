@@ -150,8 +150,8 @@ def test_columns_line_up() -> None:
     assert columns(rows) == ["name    value  unit", "a        1.25  mm", "longer    -30  deg"]
 
 
-def test_a_notebook_shows_the_same_text(result: Result) -> None:
-    assert result._repr_html_().startswith("<pre>planar two-link arm")
+def test_a_notebook_shows_a_table_and_a_terminal_one_line(result: Result) -> None:
+    assert result._repr_html_().startswith("<div><p><b>planar two-link arm</b>")
     assert repr(result) == "<Result: implicit-loop, converged, 5 parameters>"
 
 

@@ -227,6 +227,7 @@ def test_a_calibration_is_the_same_whoever_does_its_pieces(tmp_path: Path) -> No
     with refused("invalid-usage", "--folds"):
         run_calibration(
             project,
+            Request(method="implicit-loop"),
             out=tmp_path / "alone",
             executor=Threads(2),
             listeners=Listeners(sharing=shared.append),

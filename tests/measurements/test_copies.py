@@ -25,8 +25,8 @@ def test_copied_rows_count_once_and_are_said() -> None:
     # sds of each reading are those of the rows that are kept
     sds = {q: np.full(60, sd) for q, sd in SDS.items()}
     noise = lc.Noise({**sds, OUTPUTS[0]: np.append(np.full(40, 1e-4), np.full(20, 1e-6))})
-    once = lc.calibrate(ARM.truth, data, noise=lc.Noise(SDS))
-    again = lc.calibrate(ARM.truth, doubled(data, 20), noise=noise)
+    once = lc.calibrate(ARM.truth, data, noise=lc.Noise(SDS), method="implicit-loop")
+    again = lc.calibrate(ARM.truth, doubled(data, 20), noise=noise, method="implicit-loop")
     assert dict(again.value) == dict(once.value)
     assert (again.sd, again.chi_squared) == (once.sd, once.chi_squared)
     assert again.document.data.copied == tuple(str(i) for i in range(41, 61))
@@ -35,6 +35,14 @@ def test_copied_rows_count_once_and_are_said() -> None:
     sound = lc.verdict(again).sound
     assert (sound.passed, sound.code, sound.number) == (None, "rows-copied", 20.0)
     assert not once.document.data.warnings()
+
+
+def test_a_validation_counts_copied_rows_once() -> None:
+    data = doubled(ARM.read(SDS, 1), 20)
+    found = lc.validate(ARM.truth, data, noise=lc.Noise(SDS), method="implicit-loop")
+    assert len(found.poses) == 40
+    assert found.accuracy is not None
+    assert found.accuracy.poses == 40
 
 
 def test_copies_are_judged_by_all_rows_once() -> None:

@@ -13,6 +13,7 @@ from loopcal.mechanisms.model_error import disturbances, with_model_error
 from tests.refusals import refused
 
 NOISE = lc.Noise({"*": 1e-4})
+KELVIN = {"model_t": "K"}
 
 
 def two_joints() -> Mechanism:
@@ -82,10 +83,12 @@ def test_of_two_poses_in_a_row_an_effect_acts_on_both() -> None:
 
 def test_a_quantity_called_model_t_is_predicted_from_its_reading() -> None:
     at = readings()
-    made = lc.simulate(warm(), at, noise=NOISE, seed=1)
+    made = lc.simulate(warm(), at, noise=NOISE, seed=1, units=KELVIN)
     result = lc.calibrate(warm(), made.dataset, noise=NOISE, method="implicit-loop")
     cold, hot = (
-        lc.predict(result, {"q": np.array([0.5]), "model_t": np.array([t])}).outputs["x"][0]
+        lc.predict(result, {"q": np.array([0.5]), "model_t": np.array([t])}, units=KELVIN).outputs[
+            "x"
+        ][0]
         for t in (0.0, 30.0)
     )
     assert hot / cold == pytest.approx(1.0 + 30.0 * result.value["c"], rel=1e-12)

@@ -74,7 +74,7 @@ def _scalar_sds(mechanism: Mechanism, noise: Noise | None) -> Iterator[tuple[str
     if noise is None:
         return
     for key, value in noise.entries.items():
-        for name in () if isinstance(key, tuple) else mechanism.quantity_group(key):
+        for name in () if isinstance(key, tuple) or key == MODEL else mechanism.quantity_group(key):
             found.pop(name, None)
             if isinstance(value, int | float | np.ndarray) and np.ndim(value) == 0:
                 found[name] = float(value)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from loopcal.estimation.methods import implicit_loop
 from loopcal.estimation.model_error import instrument_noise, modelled
 from loopcal.estimation.nominal import nominal_machine
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.validation import Case
 
 NOMINAL = "nominal"
@@ -32,15 +33,19 @@ class Entrant:
         return self.drawn or (self.case.fit.method.exact and not self.structured)
 
 
-def entrants(case: Case, moved: Collection[str] = ()) -> Iterator[Entrant]:
+def entrants(
+    case: Case, moved: Collection[str] = (), made: Mechanism | None = None
+) -> Iterator[Entrant]:
     """All that compete for a case: those with a model error first, the nominal machine last.
 
-    moved: parameters of what slipped during the run, which all of them estimate.
+    moved: parameters of what slipped during the run, which all of them estimate; made: the machine
+    with its model error, where it is at hand.
     """
     fit, lossless = case.fit, case.fit.robust_loss is None
     methods = fit.among(case.data, case.noise)
     own, with_error = fit.with_prior(case.mechanism), fit.changed(model_error="structured")
-    made = modelled(with_error, own, len(case.data)) if lossless else own
+    if made is None:
+        made = modelled(with_error, own, len(case.data)) if lossless else own
     for method in methods if len(made.terms) > len(own.terms) else ():
         if method.at_readings:
             continue  # the noise of the model error says nothing about the parameters anyway

@@ -19,7 +19,9 @@ from loopcal.document.findings import Outlier
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.fit import Fit
+from loopcal.estimation.model_error import modelled
 from loopcal.estimation.result import Result
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.change_points import LEAST, Shifts, find_shifts
 from loopcal.statistics.outliers import find_outliers
 from loopcal.statistics.predictive import taken
@@ -43,7 +45,7 @@ class Changes:
     case: with effects for the changes, without the outliers; kept: positions of its poses in the
     case as asked for; plain: that case without the effects; found: what was modelled; outliers:
     what was discarded; searched: the last search; toml: the lines that state the changes; whole:
-    the fit of the case, None where nothing happened.
+    the fit of the case, made: its machine with the model error, None where nothing happened.
     """
 
     case: Case
@@ -54,6 +56,7 @@ class Changes:
     searched: Shifts | None = None
     toml: str = ""
     whole: Result | None = None
+    made: Mechanism | None = None
 
     @property
     def moved(self) -> tuple[str, ...]:
@@ -131,7 +134,9 @@ def _modelled(
     full = replace(case, mechanism=made.mechanism, data=made.data)
     told = replace(told, found=found, toml=shift_lines(case.data, found))
     told = _kept(told, case, full, told.kept)
-    fitted = replace(told.case, fit=way).calibrated()
+    machine = modelled(way, way.with_prior(told.case.mechanism), len(told.case.data))
+    told, way = replace(told, made=machine), way.changed(prior=None)
+    fitted = replace(told.case, mechanism=machine, fit=way).calibrated()
     if not fitted.status.converged:
         raise NoTrustworthyResult("the fit with the changes did not converge", code="not-converged")
     tests = find_outliers(fitted)
@@ -140,7 +145,7 @@ def _modelled(
         return told, fitted
     kept = np.array([i for i in told.kept if case.data.poses[i] not in bad], dtype=np.intp)
     told = _kept(replace(told, outliers={**told.outliers, **bad}), case, full, kept)
-    fitted = replace(told.case, fit=way).calibrated()
+    fitted = replace(told.case, mechanism=machine, fit=way).calibrated()
     return told, fitted
 
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,8 @@ from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.solver import Progress as Iterated
-from loopcal.execution.executor import Executor, Progress
+from loopcal.execution.executor import Executor, Progress, gathered
+from loopcal.execution.local import own_threads
 from loopcal.presentation.shown import by_sd, size, unit_shown
 from loopcal.statistics.candidates import Entrant, entrants
 from loopcal.statistics.changes import Changes, changes, unchanged
@@ -127,16 +129,17 @@ def choose(
 
     Raises InputError where no candidate can be fitted.
     """
-    judged: list[Judged] = []
-    for entrant in entrants(case):
-        if any(one.whole for one in judged):
-            entrant = replace(entrant, case=replace(entrant.case, trusted=True))
+    judged, waiting = list[Judged](), list(entrants(case))
+    while waiting and not any(one.whole for one in judged):  # the first fit seeks faults for all
+        entrant = waiting.pop(0)
         judged.append(_fitted(entrant, iterated))
         whole = judged[-1].whole
         if whole is not None and whole.faults:  # no candidate is of use
             words = f"{entrant.name}; nothing was compared: the file is at fault"
             none = Chosen(entrant.name, (), words, ())
             return Choice(case.fit.method.name, whole, none, None, None)
+    waiting = [replace(e, case=replace(e.case, trusted=True)) for e in waiting]
+    judged += _all_fitted(waiting, iterated)
     _refuse(judged)
     case = replace(case, trusted=True)
     best = _closest(judged)
@@ -146,8 +149,7 @@ def choose(
     if told.found:
         case = told.case
         known = {best.name: told.whole} if best else {}
-        able = entrants(case, told.moved)
-        judged = [_fitted(one, iterated, known.get(one.name)) for one in able]
+        judged = _all_fitted(list(entrants(case, told.moved, told.made)), iterated, known)
     other = scheme if scheme and scheme.other is not None else None
     plan = _plan(told.plain, None if other else _of(scheme, told))
     if plan is not None:
@@ -191,6 +193,19 @@ def _of(scheme: Scheme | None, told: Changes) -> Scheme | None:
     if scheme is None or scheme.groups is None:
         return scheme
     return replace(scheme, groups=[scheme.groups[i] for i in told.kept])
+
+
+def _all_fitted(
+    entrants: Sequence[Entrant],
+    iterated: Iterated | None,
+    known: Mapping[str, Result | None] = MappingProxyType({}),
+) -> list[Judged]:
+    """Candidates with their fits of all poses, side by side; known: those at hand, by name."""
+
+    def fitted(known: Mapping[str, Result | None], one: Entrant) -> Judged:
+        return _fitted(one, iterated, known.get(one.name))
+
+    return gathered(own_threads(), fitted, known, entrants)
 
 
 def _fitted(one: Entrant, iterated: Iterated | None, whole: Result | None = None) -> Judged:

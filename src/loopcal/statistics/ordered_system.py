@@ -1,11 +1,11 @@
 """The equations of a fit in the order of the poses, ready to be searched for steps.
 
-Rows are the whitened equations E = Z z + v of each pose. Z holds the parameters and smooth
-functions of the joints along each instrument's readings (`mechanisms.structure.smooth`), whose
-variance is learnt by restricted likelihood: an arm that bends must not look like steps where
-neighbouring poses are measured one after the other. The rows are scaled by their own scatter, in
-every direction, and poses that fit badly count less (Huber), so that neither an error of the model
-nor one outlier passes for a step.
+Rows are the whitened equations E = Z z + v of each pose. Z holds the parameters and, where these
+have none, smooth functions of the joints along each instrument's readings
+(`mechanisms.structure.smooth`), whose variance is learnt by restricted likelihood: an arm that
+bends must not look like steps where neighbouring poses are measured one after the other. The rows
+are scaled by their own scatter, in every direction, and poses that fit badly count less (Huber), so
+that neither an error of the model nor one outlier passes for a step.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.mechanisms.structure.smooth import Smooth
+from loopcal.mechanisms.structure.structured import DISCREPANCY
 
 Array = NDArray[np.float64]
 _HUBER, _ROUNDS = 2.0, 3
@@ -308,7 +309,7 @@ def _smooth_columns(problem: Problem, X: Array) -> Array:
     """(N, R, m) smooth functions of the joints along the readings of each instrument."""
     mechanism, names = problem.mechanism, problem.mechanism.tape.quantities
     joints = joint_rows(problem)
-    if not joints:
+    if not joints or DISCREPANCY in {term.name for term in mechanism.learnt_terms}:
         return np.zeros((*X.shape[:2], 0))
     smooth = Smooth.of([(names[i], mechanism.quantities[names[i]]) for i in joints], {})
     features = np.array(smooth.features({names[i]: problem.readings[i] for i in joints}))

@@ -28,6 +28,8 @@ from loopcal.statistics.pose_tests import Fitted, PoseTests, pose_tests, settle
 Array = NDArray[np.float64]
 MOST = 0.3
 """At most this share of the poses is taken for bad where the first search leaves doubts."""
+ENOUGH = 1e-3
+"""Where terms are learnt, whose sds nobody knows better, fits converge to so many sds."""
 _REGIONS, _MANY, _FINALISTS, _LESS = (4, 8), 6, 2, 0.9
 _MEDIAN = 0.75
 """Of chi-squared over its degrees of freedom, of two or three of them, at most 0.79."""
@@ -214,7 +216,9 @@ class Search:
         return remarkable
 
     def _fit(self, problem: Problem, start: Array, loss: Loss | None) -> Solution:
-        return self.result.fit.solver.safe.solve(replace(problem, start=start), loss=loss)
+        solve = self.result.fit.solver.safe.solve
+        tolerance = ENOUGH if self.result.terms else None
+        return solve(replace(problem, start=start), loss=loss, tolerance=tolerance)
 
     def _robust(self, fit: Fitted) -> Fitted:
         """Huber's fit, its tuning constant in units of the scale that it finds itself."""

@@ -372,11 +372,13 @@ class _Begun:
 
 
 def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
-    """The poses at these positions, predicted by a fit of the others."""
+    """The poses at these positions, predicted by a fit of the others; copies of rows count once."""
     which, index = piece
     begun = every[which]
     case = begun.case
     rest = np.setdiff1d(np.arange(len(case.data)), index)
+    first = index[~np.isin(index, begun.near.copied)]
+    index = first if first.size else index
     with one_blas_thread():
         try:
             found = begun.calibrated(rest)
@@ -392,6 +394,10 @@ def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
             )
         except (InputError, NoTrustworthyResult) as error:
             return Failed(index, error.message)
+
+
+def _stated(drifting: Drifting | None, part: Predicted) -> Predictive | None:
+    return part.stated(drifting)
 
 
 def _predicted(fit: Result, held: Held, index: Index) -> Predicted:
@@ -442,10 +448,11 @@ def _pooled(
     measured, differences = np.full((2, len(mechanism.compared), len(data)), np.nan)
     terms, inside = np.full((2, len(data)), np.nan)
     judged = stating
-    for part in parts:
+    drifting = whole.drifting if stating else None
+    told = gathered(own_threads(), _stated, drifting, parts) if stating else [None] * len(parts)
+    for part, stated in zip(parts, told, strict=True):
         measured[:, part.index] = part.measured
         differences[:, part.index] = part.differences
-        stated = part.stated(whole.drifting) if stating else None
         if stated is not None:
             terms[part.index] = stated.log_density
             inside[part.index] = stated.inside()

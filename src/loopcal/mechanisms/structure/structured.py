@@ -32,12 +32,14 @@ TILTED = math.radians(5.0)
 """Prior sd of each tilt of gravity against the machine's base."""
 EFFECT = "structure"
 """Name of all that is added, among the effects of a mechanism."""
+DISCREPANCY = "discrepancy"
+"""Name of the term of smooth shifts of the body."""
 OWN_TERMS = (
     "lengths",
     "angles",
     "sag",
     "sag_across",
-    "discrepancy",
+    DISCREPANCY,
     "discrepancy_turns",
     "harmonics",
     "scales",
@@ -245,7 +247,7 @@ def _displaced(
     added += [Parameter(n, 0.0, "rad") for row in turns for n in row]
     terms += [
         *_term(
-            "discrepancy",
+            DISCREPANCY,
             [n for row in shifts for n in row],
             0.3e-3,
             "what remains shifts the body by {scale}, smoothly in the joints",
