@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from loopcal.document.bounds import Count, Probability, Size
+from loopcal.document.triangle import Rows
 
 
 @dataclass(frozen=True)
@@ -76,13 +77,15 @@ class CovarianceEntry:
     unit: Literal["SI"]
     matrix: tuple[tuple[float | None, ...], ...]
     """Products of the parameters' SI units; null where one is not identifiable."""
-    plain: tuple[tuple[float, ...], ...] | None = None
-    """The same as if the learnt sds were known; null: none were learnt."""
-    slopes: tuple[tuple[tuple[float, ...], ...], ...] = ()
-    """Its changes per sd of each independent error of the learnt sds."""
-    scatter: tuple[tuple[float, ...], ...] | None = None
-    """The covariance that the scatter of the poses shows, valid where noise or model are wrong;
-    null: learnt terms carry the error of the model, a stream, or a robust loss."""
+    plain: Rows | None = None
+    """The same as if the learnt sds were known, rows of the lower triangle; null: none were
+    learnt."""
+    slopes: tuple[Rows, ...] = ()
+    """Its changes per sd of each independent error of the learnt sds, rows of lower triangles."""
+    scatter: Rows | None = None
+    """The covariance that the scatter of the poses shows, valid where noise or model are wrong,
+    rows of its lower triangle; null: learnt terms carry the error of the model, a stream, or a
+    robust loss."""
     scatter_freedom: Size | None = None
     """From so many independent poses."""
 

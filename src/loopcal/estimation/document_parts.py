@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from loopcal.document.fit import CovarianceEntry, NoiseEntry, ParameterEntry, StatusEntry
 from loopcal.document.plain import known
 from loopcal.document.result_document import CoarseReadings, DataEntry, JoinedFile
+from loopcal.document.triangle import lower
 from loopcal.estimation.redundancy import UNCONTROLLED, Redundancy
 from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
@@ -59,9 +60,8 @@ def covariance_entry(
     )
     if not len(covariance.slopes):
         return CovarianceEntry(names, "SI", matrix)
-    plain = tuple(map(tuple, covariance.plain.tolist()))
-    slopes = tuple(tuple(map(tuple, slope)) for slope in _short(covariance.slopes).tolist())
-    return CovarianceEntry(names, "SI", matrix, plain, slopes)
+    slopes = tuple(map(lower, _short(covariance.slopes)))
+    return CovarianceEntry(names, "SI", matrix, lower(covariance.plain), slopes)
 
 
 def _short(values: Array) -> Array:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.fit import CovarianceEntry
+from loopcal.document.triangle import lower, symmetric
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.result import Result
 
@@ -34,7 +35,7 @@ class Scatter:
 
     def added_to(self, entry: CovarianceEntry) -> CovarianceEntry:
         """The covariance of a document with this, to six digits."""
-        rows = tuple(tuple(float(f"{v:.6g}") for v in row) for row in self.matrix.tolist())
+        rows = tuple(tuple(float(f"{v:.6g}") for v in row) for row in lower(self.matrix))
         return replace(entry, scatter=rows, scatter_freedom=self.freedom)
 
     @classmethod
@@ -42,8 +43,7 @@ class Scatter:
         """From a document."""
         if entry.scatter is None or entry.scatter_freedom is None:
             return None
-        n = len(entry.names)
-        return cls(np.array(entry.scatter).reshape(n, n), entry.scatter_freedom)
+        return cls(symmetric(entry.scatter), entry.scatter_freedom)
 
     def through(self, S: Array) -> Scatter:
         """Of S times the parameters."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.fit import CovarianceEntry
+from loopcal.document.triangle import symmetric
 from loopcal.small_samples import LearntCovariance
 
 
@@ -24,6 +25,6 @@ def stored_covariance(
         return np.asarray(np.nan_to_num(np.array(rows, dtype=float)).reshape(n, n))
 
     matrix = square(entry.matrix if determined is None else determined)
-    plain = matrix if entry.plain is None else square(entry.plain)
-    slopes = np.array([square(s) for s in entry.slopes]).reshape(-1, n, n)
+    plain = matrix if entry.plain is None else symmetric(entry.plain)
+    slopes = np.array([symmetric(s) for s in entry.slopes]).reshape(-1, n, n)
     return LearntCovariance(matrix, plain, slopes)

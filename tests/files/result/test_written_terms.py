@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 import loopcal as lc
-from loopcal.files.result.result_file import write_result
+from loopcal.document.triangle import symmetric
+from loopcal.files.result.result_file import result_json, write_result
 from loopcal.files.result.result_folder import read_result_folder
 from loopcal.report.parameters import parameter_groups
 from loopcal.report.source import source_of
@@ -41,6 +43,26 @@ def test_a_written_result_predicts_what_the_one_in_memory_does(tmp_path: Path) -
         np.testing.assert_allclose(found.sd[name], now.sd[name], rtol=1e-9)
     np.testing.assert_allclose(found.denominator, now.denominator, rtol=0.02)
     assert read.document.terms == result.terms
+
+
+def test_symmetric_matrices_are_triangles_and_whole_rows_are_read_alike(tmp_path: Path) -> None:
+    result, new = arm(3), lc.random_poses(ANGLES, 5, seed=9)
+    write_result(result, findings(result).added_to(result.document), tmp_path)
+    file = tmp_path / "result.json"
+    content = json.loads(file.read_text("utf-8"))
+    covariance, n = content["covariance"], len(result.estimated)
+    assert [len(row) for row in covariance["matrix"]] == [n] * n
+    assert [len(row) for row in covariance["plain"]] == [*range(1, n + 1)]
+    assert max(map(len, file.read_text("utf-8").splitlines())) > 20 * n
+    short = read_result_folder(tmp_path)
+    for rows in (covariance["plain"], *covariance["slopes"]):
+        rows[:] = symmetric(rows).tolist()
+    file.write_text(json.dumps(content, indent=1), "utf-8")
+    whole = read_result_folder(tmp_path)
+    assert file.stat().st_size > 1.8 * len(result_json(short.document))
+    found = [lc.predict(predictor_of(r.document, r.mechanism), new) for r in (short, whole)]
+    np.testing.assert_array_equal(found[0].covariance, found[1].covariance)
+    np.testing.assert_array_equal(found[0].denominator, found[1].denominator)
 
 
 def test_summary_and_report_show_each_term_and_not_its_columns() -> None:

@@ -29,7 +29,18 @@ _REMEDY = "name a result.json that loopcal wrote, or calibrate again"
 
 def result_json(document: ResultDocument) -> str:
     """The text of result.json; floats are written so that they read back as the same bits."""
-    return json.dumps(plain(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return _text(plain(document)) + "\n"
+
+
+def _text(value: Any, margin: str = "\n") -> str:
+    """JSON with one entry on a line, but arrays of plain values on one."""
+    inner = f"{margin} "
+    if isinstance(value, dict) and value:
+        lines = (f"{_text(key)}: {_text(its, inner)}" for key, its in value.items())
+        return "{" + inner + f",{inner}".join(lines) + margin + "}"
+    if isinstance(value, list) and any(isinstance(its, dict | list) for its in value):
+        return "[" + inner + f",{inner}".join(_text(its, inner) for its in value) + margin + "]"
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 
 def write_result(
