@@ -54,7 +54,7 @@ _FAR = 100.0
 """A variance so many times the stated one, or less than it by as much, is checked again."""
 _ROUGHLY, _SLOWLY = 0.1, 100.0
 """Variance ratios that change less than this are roughly right; early ones fall no faster."""
-NEAR, NEARBY, ROUGH = 1e-3, 2e-2, 1e-2
+NEAR, NEARBY, ROUGH = 1e-3, 1e-1, 1e-2
 """With terms, logarithms of variances still change by so much in the last round, far less than
 their uncertainty, the second where the search begins at those of nearly the same readings; the
 first fit ends so many sds near the optimum, the third."""
