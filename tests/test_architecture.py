@@ -22,7 +22,7 @@ LAYERS = (
     ("document",),
     ("estimation", "simulation"),
     ("statistics", "files"),
-    ("studies",),
+    ("studies", "planning", "life", "deployment", "performance"),
     ("figures",),
     ("report",),
     ("workflow",),

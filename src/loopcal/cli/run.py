@@ -10,7 +10,8 @@ import io
 import warnings
 from collections.abc import Sequence
 
-from loopcal.cli.commands import app
+from loopcal.cli.application import app
+from loopcal.cli.commands import calibrate
 from loopcal.cli.output import log, print_error
 from loopcal.errors import LONGEST_TEXT, LoopcalError, short
 
@@ -20,6 +21,8 @@ except ModuleNotFoundError:  # typer before 0.26 raises the exceptions of click
     from click.exceptions import Abort  # type: ignore[assignment]
     from click.exceptions import ClickException as TyperException  # type: ignore[assignment]
 
+LOADED = (calibrate,)
+"""A command of each module: all commands of a module join as it is imported."""
 INTERRUPTED = 130
 
 
