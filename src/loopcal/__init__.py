@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
     from loopcal.statistics.change_points import Shifts
+    from loopcal.statistics.changed import WhatChanged
     from loopcal.statistics.check import Check
     from loopcal.statistics.compared import Compared
     from loopcal.statistics.findings import Findings
@@ -135,6 +136,7 @@ _HOME = {
     "statistics.validate": ("MethodComparison",),
     "statistics.validation": ("Validation",),
     "document.verdict": ("Answer", "Verdict"),
+    "statistics.changed": ("WhatChanged",),
     "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison"),
     "statistics.change_points": ("Shifts",),
@@ -213,6 +215,7 @@ __all__ = [
     "Validation",
     "Verdict",
     "Verification",
+    "WhatChanged",
     "WrittenResult",
     "__version__",
     "assemble",
