@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from loopcal.statistics.verified import Verification
     from loopcal.workflow.beginning.initial import InitialProject, init
     from loopcal.workflow.calibration import write_result
+    from loopcal.workflow.exporting import Export, export
     from loopcal.workflow.public import (
         calibrate,
         check,
@@ -146,6 +147,7 @@ _HOME = {
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
     "workflow.calibration": ("write_result",),
+    "workflow.exporting": ("Export", "export"),
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
         *("find_shifts", "findings", "intervals", "load_dataset", "predict", "reliability"),
@@ -169,6 +171,7 @@ __all__ = [
     "ComparedModel",
     "Dataset",
     "Dependence",
+    "Export",
     "Findings",
     "Fit",
     "Identifiability",
@@ -225,6 +228,7 @@ __all__ = [
     "dot",
     "effects",
     "encoder_sd",
+    "export",
     "find_outliers",
     "find_shifts",
     "findings",

@@ -1,0 +1,1 @@
+"""From a result back to the machine: what its controller can be told."""
