@@ -60,9 +60,9 @@ class Corrected:
     """Targets with what was found for each.
 
     joints: (N, n) corrected; poses: (N, 4, 4) f_c of them, the corrected Cartesian target; before,
-    after: (N, 6) error of the pose that the machine is expected to reach, shift [m] and turn [rad],
-    in the base; reached: how sure that is; ratio: (N,) the parameters' part of the sd over the usual
-    one at the calibration poses; refused: (N,) None where it is corrected.
+    after: (N, 6) error of the pose that the machine is expected to reach, shift [m] and turn
+    [rad], in the base; reached: how sure that is; ratio: (N,) the parameters' part of the sd over
+    the usual one at the calibration poses; refused: (N,) None where it is corrected.
     """
 
     targets: Targets
@@ -137,23 +137,20 @@ def _refusal(
     if i in targets.missing:
         return targets.missing[i]
     q0 = targets.joints[i]
-    if not settled:
-        return Refusal("not-reached", "no joints of the calibrated machine give this pose")
-    away = _beyond(arms, q)
-    if away is not None:
-        return away
-    moved = _moved(arms, q - q0, bounds)
-    if moved is not None:
-        return moved
-    way = q0 + np.linspace(0.0, 1.0, _BETWEEN)[:, None] * (q - q0)
+    way = q0 + np.linspace(0.0, 1.0, _BETWEEN)[:, None] * ((q if settled else q0) - q0)
     J, _ = arms.controller.twists(way)
-    gains = least_gain(np.concatenate([J, arms.machine.twists(q[None])[0]]))
+    gains = least_gain(J if not settled else np.concatenate([J, arms.machine.twists(q[None])[0]]))
     if gains.min() < bounds.gain:
         return Refusal(
             "singular",
             f"near a singular pose: the smallest singular value is {gains.min():.2g}, below "
             f"{bounds.gain:.2g}",
         )
+    if not settled:
+        return Refusal("not-reached", "no joints of the calibrated machine give this pose")
+    away = _beyond(arms, q) or _moved(arms, q - q0, bounds)
+    if away is not None:
+        return away
     if J.shape[2] == 6 and np.ptp(np.sign(np.linalg.det(J))) > 0:
         return Refusal("configuration-changed", "the corrected joints are in another configuration")
     return None

@@ -82,11 +82,11 @@ class Correction:
         if refused:
             counts = Counter(refusal.reason for _, _, refusal in refused)
             several = ", ".join(f"{n} {reason}" for reason, n in counts.most_common())
-            lines.append(f"REFUSED  {len(refused)} targets stay as they are: {several}")
+            lines.append(f"REFUSED  {_stay(len(refused), 'target')}: {several}")
             lines += [f"  line {n}, {t}: {r.words}" for t, n, r in refused[:_SHOWN]]
             lines += _more(len(refused))
         if self.left:
-            lines.append(f"NOT UNDERSTOOD  {len(self.left)} lines stay as they are")
+            lines.append(f"NOT UNDERSTOOD  {_stay(len(self.left), 'line')}")
             lines += [f"  line {one.line}: {one.words}" for one in self.left[:_SHOWN]]
             lines += _more(len(self.left))
         return "\n".join([*lines, *self.remarks])
@@ -159,6 +159,10 @@ class Correction:
 
     def _named(self, q: Array) -> Mapping[str, float | None]:
         return {name: _plain(v) for name, v in zip(self.arms.joints, q.tolist(), strict=True)}
+
+
+def _stay(count: int, what: str) -> str:
+    return f"1 {what} stays as it is" if count == 1 else f"{count} {what}s stay as they are"
 
 
 def _more(count: int) -> list[str]:

@@ -79,13 +79,21 @@ def _step(J: Array, e: Array, back: Array) -> Array:
         if n > 6:
             step = step + back - inverse @ (J @ back)
     else:
-        first = np.linalg.pinv(J[:, :3], rcond=_WEAK)
+        first = _strong(J[:, :3])
         step = first @ e[:, :3]
         free = np.eye(n) - first @ J[:, :3]
         turning = J[:, 3:] @ free
-        step = step + np.linalg.pinv(turning, rcond=_WEAK) @ (e[:, 3:] - J[:, 3:] @ step)
+        step = step + _strong(turning) @ (e[:, 3:] - J[:, 3:] @ step)
     out[good] = step[:, :, 0]
     return out
+
+
+def _strong(J: Array) -> Array:
+    """The pseudo-inverse (N, n, m) over the directions that J (N, m, n) moves by enough."""
+    U, s, V = np.linalg.svd(J, full_matrices=False)
+    inverse = np.where(s > _WEAK, 1.0 / np.maximum(s, _WEAK), 0.0)
+    found: Array = np.swapaxes(V, 1, 2) * inverse[:, None, :] @ np.swapaxes(U, 1, 2)
+    return found
 
 
 def least_gain(J: Array) -> Array:

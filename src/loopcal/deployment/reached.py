@@ -30,8 +30,8 @@ LEVEL = 0.95
 class Reached:
     """Uncertainty of N poses in the base of the arm.
 
-    covariance: of shift [m] and turn [rad] (N, 6, 6), inf where nothing limits it; readings: whether
-    the sds of the joints' readings are known, and so included.
+    covariance: of shift [m] and turn [rad] (N, 6, 6), inf where nothing limits it; readings:
+    whether the sds of the joints' readings are known, and so included.
     """
 
     covariance: LearntCovariance
@@ -67,7 +67,7 @@ class Reached:
 
 
 def reached(known: Predictor, arms: Arms, q: Array, rounding: Array) -> Reached:
-    """The uncertainty at joints q (N, n); rounding (N, 6, 6): of the targets as they are written."""
+    """The uncertainty at joints q (N, n); rounding (N, 6, 6): of targets as they are written."""
     J, S = arms.machine.twists(q, known.names)
     S = S + _tool_turns(known.names, arms, q)
     total = known.covariance.through(S)

@@ -58,7 +58,15 @@ def read_table(text: str, name: str, axes: JointAxes) -> Program:
         raise InputError(
             "the table is empty", code="no-data", place=name, remedy="give one row per target"
         )
-    dialect = recognise(rows[:100], name)
+    delimiter = next((mark for mark in "\t;," if mark in rows[0].line), None)
+    dialect = recognise(rows[:100], name, delimiter=delimiter)
+    if rows[-1].number <= dialect.header_row:
+        raise InputError(
+            "there is a header, but no target",
+            code="no-data",
+            place=name,
+            remedy="give one row per target",
+        )
     joints = _joints(dialect, axes, name)
     places, quaternion = _pose_columns(dialect, name)
     if not places and len(joints) < len(axes.joints):
@@ -77,13 +85,6 @@ def read_table(text: str, name: str, axes: JointAxes) -> Program:
     targets = [
         reading.target(row, at[row.number]) for row in rows if row.number > dialect.header_row
     ]
-    if not targets:
-        raise InputError(
-            "there is a header, but no target",
-            code="no-data",
-            place=name,
-            remedy="give one row per target",
-        )
     return Program("table", name, text, tuple(targets), (), reading.write)
 
 
