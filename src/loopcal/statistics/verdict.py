@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
+from loopcal.document.terms import TermEntry
 from loopcal.document.verdict import Answer, Verdict
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import chance, with_unit
@@ -87,8 +88,12 @@ def _plain_model(document: ResultDocument) -> Said | None:
     if chosen is None:
         return None
     known = {*chosen.terms, *_GEOMETRY}
-    lacking = [t for one in chosen.over for t in one.terms if t.name not in known and t.gain]
-    worst = max(lacking, key=lambda t: t.gain or 0.0, default=None)
+    by: dict[str, list[TermEntry]] = {}
+    for term in (t for one in chosen.over for t in one.terms if t.name not in known):
+        by.setdefault(term.name, []).append(term)
+    # a fit that weighs readings wrongly takes their noise for a term; another one does not
+    agreed = [min(terms, key=lambda t: t.gain or 0.0) for terms in by.values()]
+    worst = max(agreed, key=lambda t: t.gain or 0.0, default=None)
     if worst is None or worst.gain is None or worst.gain < DECISIVE:
         return None
     return Said(
@@ -259,15 +264,22 @@ def _overfitted(document: ResultDocument) -> Said | None:
 
 
 def _outliers(document: ResultDocument) -> Said | None:
+    """As in `find_outliers`, half of the level goes to the poses and half to their readings."""
     tests = document.outlier_tests
-    limit = 1.0 if tests is None else _CHANCE / max(tests.poses, 1)
-    found = [entry for entry in document.outliers or () if entry.p_value <= limit]
-    poses = list(dict.fromkeys(entry.pose for entry in found))
-    if not poses:
+    poses = 0 if tests is None else tests.poses
+    whole = 0.5 * _CHANCE / poses if poses else 1.0
+    single = whole / max(len(document.data.quantities), 1) if poses else 1.0
+    found = [
+        entry
+        for entry in document.outliers or ()
+        if entry.p_value <= (whole if entry.quantity is None else single)
+    ]
+    bad = list(dict.fromkeys(entry.pose for entry in found))
+    if not bad:
         return None
-    named = ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")
-    count = f"{len(poses)} poses do" if len(poses) > 1 else "1 pose does"
-    return Said(f"{count} not fit the others ({named}).", float(len(poses)))
+    named = ", ".join(bad[:5]) + (", ..." if len(bad) > 5 else "")
+    count = f"{len(bad)} poses do" if len(bad) > 1 else "1 pose does"
+    return Said(f"{count} not fit the others ({named}).", float(len(bad)))
 
 
 def _mounting(document: ResultDocument) -> Said | None:
