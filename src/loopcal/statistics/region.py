@@ -116,12 +116,12 @@ def _sds(known: Predictor, x: Array, constants: Array, also: list[int]) -> list[
     """
     machine = known.mechanism.predicting()
     names, values = machine.tape.quantities, np.array([p.nominal for p in machine.parameters])
-    found = replace(machine, outputs=(*machine.outputs, *(names[i] for i in also)))
+    solved = replace(machine, outputs=(*machine.outputs, *(names[i] for i in also)))
     x = x.copy()
-    rows = [names.index(q) for q in found.outputs]
-    x[rows] = predict_outputs(found, values, np.nan_to_num(x), constants)
+    rows = [names.index(q) for q in solved.outputs]
+    x[rows] = predict_outputs(solved, values, np.nan_to_num(x), constants)
     good = np.isfinite(x).all(axis=0)
-    S = output_sensitivity(found, values, known.names, x[:, good], constants[:, good])
+    S = output_sensitivity(solved, values, known.names, x[:, good], constants[:, good])
     covariance = by_parameters(known, S.by_parameter[:, : len(machine.outputs)])
     found = []
     for group in output_groups(known.mechanism):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
-from loopcal.document.terms import TermEntry
+from loopcal.document.terms import DECISIVE, TermEntry
 from loopcal.document.verdict import Answer, Verdict
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import chance, with_unit
@@ -41,8 +41,8 @@ BEYOND = 100.0
 """The same of prior sds."""
 SHRUNK = 0.1
 """A fit whose lengths add up to less than this share of the nominal ones has collapsed."""
-DECISIVE = 10.0
-"""Gain in -2 log restricted likelihood from which a model without the term is wrong."""
+_MODELLED = 2
+"""Learnt effects that a sound result names."""
 _GEOMETRY = ("lengths", "angles")
 """Terms that give a plain model nothing but priors."""
 
@@ -435,10 +435,17 @@ def _sound(document: ResultDocument) -> Answer:
     found = findings_against(document)
     if not found:
         words = "The fit converged; sensors, poses and machine model are consistent."
-        return Answer(True, "sound", None, words, None)
+        return Answer(True, "sound", None, f"{words}{_modelled(document)}", None)
     rule, said = found[0].rule, found[0].said
     words = " ".join(finding.said.words for finding in found)
     return Answer(rule.passed, rule.code, said.number, words, rule.next)
+
+
+def _modelled(document: ResultDocument) -> str:
+    """The largest effects beyond geometry that the data need."""
+    needed = sorted((t for t in document.terms if t.told), key=lambda t: -(t.gain or 0.0))
+    words = "; ".join(term.told[0] for term in needed[:_MODELLED])
+    return f" The model has learnt: {words}." if words else ""
 
 
 _HEADS = {
