@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.serial import Joint, serial_arm
     from loopcal.mechanisms.structure.structured import structured
     from loopcal.mechanisms.terms import Term
+    from loopcal.pose_performance.result import Performance
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
     from loopcal.statistics.change_points import Shifts
@@ -70,6 +71,7 @@ if TYPE_CHECKING:
     from loopcal.workflow.beginning.initial import InitialProject, init
     from loopcal.workflow.calibration import write_result
     from loopcal.workflow.correcting import correct
+    from loopcal.workflow.performance import performance
     from loopcal.workflow.public import (
         calibrate,
         check,
@@ -132,6 +134,7 @@ _HOME = {
     "mechanisms.serial": ("Joint", "serial_arm"),
     "mechanisms.structure.structured": ("structured",),
     "mechanisms.terms": ("Term",),
+    "pose_performance.result": ("Performance",),
     "simulation.poses": ("grid_poses", "random_poses"),
     "simulation.simulate": ("Simulation",),
     "statistics.check": ("Check",),
@@ -152,6 +155,7 @@ _HOME = {
     "workflow.beginning.initial": ("InitialProject", "init"),
     "workflow.calibration": ("write_result",),
     "workflow.correcting": ("correct",),
+    "workflow.performance": ("performance",),
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
         *("find_shifts", "findings", "intervals", "load_dataset", "predict", "reliability"),
@@ -200,6 +204,7 @@ __all__ = [
     "Parameter",
     "ParameterTable",
     "Parameters",
+    "Performance",
     "Prediction",
     "Prior",
     "Processes",
@@ -246,6 +251,7 @@ __all__ = [
     "machines",
     "motoman_ma1400",
     "norm",
+    "performance",
     "planar_two_link",
     "predict",
     "random_poses",
