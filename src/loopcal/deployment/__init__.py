@@ -1,1 +1,1 @@
-"""From a result back to the machine: what its controller can be told."""
+"""A calibration in the robot: what is written for its controller."""
