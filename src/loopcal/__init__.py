@@ -12,6 +12,8 @@ from loopcal.document import offers as _offers
 
 if TYPE_CHECKING:
     from loopcal import effects, instruments, machines
+    from loopcal.deployment.corrected import CorrectionBounds
+    from loopcal.deployment.correction import Correction
     from loopcal.document.change_points import ChangePoint
     from loopcal.document.dependence import Dependence
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.serial import Joint, serial_arm
     from loopcal.mechanisms.structure.structured import structured
     from loopcal.mechanisms.terms import Term
+    from loopcal.pose_performance.result import Performance
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
     from loopcal.statistics.change_points import Shifts
@@ -67,6 +70,9 @@ if TYPE_CHECKING:
     from loopcal.statistics.verified import Verification
     from loopcal.workflow.beginning.initial import InitialProject, init
     from loopcal.workflow.calibration import write_result
+    from loopcal.workflow.correcting import correct
+    from loopcal.workflow.exporting import Export, export
+    from loopcal.workflow.performance import performance
     from loopcal.workflow.public import (
         calibrate,
         check,
@@ -89,6 +95,8 @@ if TYPE_CHECKING:
     from loopcal.workflow.saved_result import SavedResult, read_result
 
 _HOME = {
+    "deployment.corrected": ("CorrectionBounds",),
+    "deployment.correction": ("Correction",),
     "document.goodness_of_fit": ("ChiSquared",),
     "document.change_points": ("ChangePoint",),
     "document.dependence": ("Dependence",),
@@ -127,6 +135,7 @@ _HOME = {
     "mechanisms.serial": ("Joint", "serial_arm"),
     "mechanisms.structure.structured": ("structured",),
     "mechanisms.terms": ("Term",),
+    "pose_performance.result": ("Performance",),
     "simulation.poses": ("grid_poses", "random_poses"),
     "simulation.simulate": ("Simulation",),
     "statistics.check": ("Check",),
@@ -146,6 +155,9 @@ _HOME = {
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
     "workflow.calibration": ("write_result",),
+    "workflow.exporting": ("Export", "export"),
+    "workflow.correcting": ("correct",),
+    "workflow.performance": ("performance",),
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
         *("find_shifts", "findings", "intervals", "load_dataset", "predict", "reliability"),
@@ -167,8 +179,11 @@ __all__ = [
     "ColumnFault",
     "Compared",
     "ComparedModel",
+    "Correction",
+    "CorrectionBounds",
     "Dataset",
     "Dependence",
+    "Export",
     "Findings",
     "Fit",
     "Identifiability",
@@ -192,6 +207,7 @@ __all__ = [
     "Parameter",
     "ParameterTable",
     "Parameters",
+    "Performance",
     "Prediction",
     "Prior",
     "Processes",
@@ -221,10 +237,12 @@ __all__ = [
     "compare",
     "compare_methods",
     "compare_models",
+    "correct",
     "cross",
     "dot",
     "effects",
     "encoder_sd",
+    "export",
     "find_outliers",
     "find_shifts",
     "findings",
@@ -237,6 +255,7 @@ __all__ = [
     "machines",
     "motoman_ma1400",
     "norm",
+    "performance",
     "planar_two_link",
     "predict",
     "random_poses",
