@@ -28,6 +28,7 @@ from loopcal.estimation.accuracy import Accuracy, accuracy, by_pose, deviations
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.fit import Fit, FitOptions
+from loopcal.estimation.leaving_out import leaving_out
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
@@ -59,6 +60,8 @@ Array = NDArray[np.float64]
 NEARLY = 1e-2
 """Where sds of terms are learnt, refits converge to so many sds: far less than these are known, and
 no prediction moves by more than a hundredth of its error."""
+ENOUGH = 1e-5
+"""Where none are learnt: no prediction moves by more than a hundred-thousandth of its error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,11 +346,13 @@ def _of_poses(
 class _Begun:
     """What the fits of all parts share: the calibration, and where that of all poses ended.
 
+    whole: that of all poses, None where a fit without some of them cannot begin one step from it;
     anew: whether a part places its instrument.
     """
 
     case: Case
     near: Case
+    whole: Result | None = None
     anew: bool = False
 
     @classmethod
@@ -358,17 +363,32 @@ class _Begun:
             noise = (noise or Noise({})).begun_at(learnt.factors)
         # the mechanism of the calibration has the prior already
         fit = replace(case.fit, start=dict(whole.value), prior=None)
-        if whole.mechanism.learnt_terms:
-            fit = replace(fit, tolerance=fit.tolerance or NEARLY)
+        enough = NEARLY if whole.mechanism.learnt_terms else ENOUGH
+        fit = replace(fit, tolerance=fit.tolerance or enough)
         sds = dict(zip(whole.mechanism.tape.quantities, whole.problem.uncertainty.sd, strict=True))
         unread = {q: v for q, v in whole.corrections.items() if np.isinf(sds[q]).all()}
         same = len(case.data) == whole.problem.count  # no copied rows went
         near = Case(whole.mechanism, case.data, noise, fit, near=unread if same else {})
-        return cls(case, near)
+        plain = fit.robust_loss is None and not fit.solver.at_readings
+        return cls(case, near, whole if same and plain else None)
 
-    def calibrated(self, index: Index) -> Result:
-        """The calibration of these poses, begun where that of all poses ended."""
-        found = self.near.calibrated(index)
+    def without(self, index: Index) -> Case:
+        """The case that begins where a fit without these poses will end, nearly."""
+        near, whole = self.near, self.whole
+        begun = None if whole is None else leaving_out(whole, index)
+        if begun is None:
+            return near
+        noise, learnt = near.noise, near.noise and near.noise.begin
+        if learnt:
+            factors = {name: begun.factor * size for name, size in learnt.items()}
+            noise = near.noise and near.noise.begun_at(factors)
+        fit = replace(near.fit, start=dict(begun.values))
+        return replace(near, mechanism=begun.mechanism, noise=noise, fit=fit)
+
+    def calibrated(self, gone: Index) -> Result:
+        """The calibration without these poses, begun near where it will end."""
+        index = np.setdiff1d(np.arange(len(self.case.data)), gone)
+        found = self.without(gone).calibrated(index)
         if found.spectrum.rank < len(found.estimated) or not found.status.converged:
             return self.case.calibrated(index)
         return found
@@ -379,12 +399,12 @@ def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
     which, index = piece
     begun = every[which]
     case = begun.case
-    rest = np.setdiff1d(np.arange(len(case.data)), index)
+    gone, rest = index, np.setdiff1d(np.arange(len(case.data)), index)
     first = index[~np.isin(index, begun.near.copied)]
     index = first if first.size else index
     with one_blas_thread():
         try:
-            found = begun.calibrated(rest)
+            found = begun.calibrated(gone)
             if not found.status.converged:
                 return Failed(index, f"the fit did not converge ({found.status.reason})")
             if begun.anew:
