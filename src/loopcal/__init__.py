@@ -89,6 +89,7 @@ if TYPE_CHECKING:
         reliability,
         repeated_readings,
         simulate,
+        update,
         validate,
         verdict,
         verify,
@@ -163,7 +164,7 @@ _HOME = {
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
         *("find_shifts", "findings", "intervals", "load_dataset", "predict", "reliability"),
-        *("repeated_readings", "simulate", "validate", "verdict", "verify"),
+        *("repeated_readings", "simulate", "update", "validate", "verdict", "verify"),
     ),
     "workflow.saved_result": ("SavedResult", "read_result"),
 }
@@ -276,6 +277,7 @@ __all__ = [
     "simulate",
     "structured",
     "tracker_covariance",
+    "update",
     "validate",
     "vector",
     "verdict",
