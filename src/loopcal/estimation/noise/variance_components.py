@@ -156,10 +156,9 @@ def estimate_ratios(
 def scoring_step(current: MixedFit, ratios: Array, lowest: Array, free: NDArray[np.bool_]) -> Array:
     """Fisher's step d, the greatest of score d - d I d / 2 where no ratio falls below the lowest.
 
-    With I = A^T A and u = ratios + d - lowest it is the least |A u - b| over u >= 0.
+    With I = A^T A and u = ratios + d - lowest it is the least |A u - b| over u >= 0; where no bound
+    holds, u solves A u = b.
     """
-    from scipy.optimize import nnls
-
     step = np.zeros_like(ratios)
     diagonal = np.diag(current.information)
     index = np.flatnonzero(free & (diagonal > 0.0))
@@ -172,7 +171,12 @@ def scoring_step(current: MixedFit, ratios: Array, lowest: Array, free: NDArray[
     A = root[:, None] * vectors.T
     above = (ratios - lowest)[index] / scale
     b = A @ above + (vectors.T @ (current.score[index] * scale)) / root
-    step[index] = np.maximum(nnls(A, b)[0] - above, -above) * scale
+    u = np.linalg.solve(A, b)
+    if (u < 0.0).any():
+        from scipy.optimize import nnls
+
+        u = nnls(A, b)[0]
+    step[index] = np.maximum(u - above, -above) * scale
     return step
 
 
