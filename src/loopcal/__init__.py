@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
     from loopcal.statistics.change_points import Shifts
+    from loopcal.statistics.changed import WhatChanged
     from loopcal.statistics.check import Check
     from loopcal.statistics.compared import Compared
     from loopcal.statistics.findings import Findings
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
     from loopcal.workflow.beginning.initial import InitialProject, init
     from loopcal.workflow.calibration import write_result
     from loopcal.workflow.correcting import correct
+    from loopcal.workflow.exporting import Export, export
     from loopcal.workflow.performance import performance
     from loopcal.workflow.public import (
         calibrate,
@@ -143,6 +145,7 @@ _HOME = {
     "statistics.validate": ("MethodComparison",),
     "statistics.validation": ("Validation",),
     "document.verdict": ("Answer", "Verdict"),
+    "statistics.changed": ("WhatChanged",),
     "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison"),
     "statistics.change_points": ("Shifts",),
@@ -154,6 +157,7 @@ _HOME = {
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
     "workflow.calibration": ("write_result",),
+    "workflow.exporting": ("Export", "export"),
     "workflow.correcting": ("correct",),
     "workflow.performance": ("performance",),
     "workflow.public": (
@@ -181,6 +185,7 @@ __all__ = [
     "CorrectionBounds",
     "Dataset",
     "Dependence",
+    "Export",
     "Findings",
     "Fit",
     "Identifiability",
@@ -226,6 +231,7 @@ __all__ = [
     "Validation",
     "Verdict",
     "Verification",
+    "WhatChanged",
     "WrittenResult",
     "__version__",
     "assemble",
@@ -239,6 +245,7 @@ __all__ = [
     "dot",
     "effects",
     "encoder_sd",
+    "export",
     "find_outliers",
     "find_shifts",
     "findings",
