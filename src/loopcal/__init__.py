@@ -12,6 +12,8 @@ from loopcal.document import offers as _offers
 
 if TYPE_CHECKING:
     from loopcal import effects, instruments, machines
+    from loopcal.deployment.corrected import CorrectionBounds
+    from loopcal.deployment.correction import Correction
     from loopcal.document.change_points import ChangePoint
     from loopcal.document.dependence import Dependence
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
@@ -69,6 +71,7 @@ if TYPE_CHECKING:
     from loopcal.statistics.verified import Verification
     from loopcal.workflow.beginning.initial import InitialProject, init
     from loopcal.workflow.calibration import write_result
+    from loopcal.workflow.correcting import correct
     from loopcal.workflow.performance import performance
     from loopcal.workflow.public import (
         calibrate,
@@ -93,6 +96,8 @@ if TYPE_CHECKING:
     from loopcal.workflow.saved_result import SavedResult, read_result
 
 _HOME = {
+    "deployment.corrected": ("CorrectionBounds",),
+    "deployment.correction": ("Correction",),
     "document.goodness_of_fit": ("ChiSquared",),
     "document.change_points": ("ChangePoint",),
     "document.dependence": ("Dependence",),
@@ -152,6 +157,7 @@ _HOME = {
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
     "workflow.calibration": ("write_result",),
+    "workflow.correcting": ("correct",),
     "workflow.performance": ("performance",),
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
@@ -175,6 +181,8 @@ __all__ = [
     "ColumnFault",
     "Compared",
     "ComparedModel",
+    "Correction",
+    "CorrectionBounds",
     "Dataset",
     "Dependence",
     "Findings",
@@ -232,6 +240,7 @@ __all__ = [
     "compare",
     "compare_methods",
     "compare_models",
+    "correct",
     "cross",
     "dot",
     "effects",
