@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
     from loopcal.statistics.change_points import Shifts
+    from loopcal.statistics.changed import WhatChanged
     from loopcal.statistics.check import Check
     from loopcal.statistics.compared import Compared
     from loopcal.statistics.findings import Findings
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
     from loopcal.workflow.beginning.initial import InitialProject, init
     from loopcal.workflow.calibration import write_result
     from loopcal.workflow.correcting import correct
+    from loopcal.workflow.exporting import Export, export
     from loopcal.workflow.performance import performance
     from loopcal.workflow.public import (
         calibrate,
@@ -146,6 +148,7 @@ _HOME = {
     "statistics.validate": ("MethodComparison",),
     "statistics.validation": ("Validation",),
     "document.verdict": ("Answer", "Verdict"),
+    "statistics.changed": ("WhatChanged",),
     "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison"),
     "statistics.change_points": ("Shifts",),
@@ -157,6 +160,7 @@ _HOME = {
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
     "workflow.calibration": ("write_result",),
+    "workflow.exporting": ("Export", "export"),
     "workflow.correcting": ("correct",),
     "workflow.performance": ("performance",),
     "workflow.public": (
@@ -185,6 +189,7 @@ __all__ = [
     "CorrectionBounds",
     "Dataset",
     "Dependence",
+    "Export",
     "Findings",
     "Fit",
     "Identifiability",
@@ -232,6 +237,7 @@ __all__ = [
     "Validation",
     "Verdict",
     "Verification",
+    "WhatChanged",
     "WrittenResult",
     "__version__",
     "assemble",
@@ -245,6 +251,7 @@ __all__ = [
     "dot",
     "effects",
     "encoder_sd",
+    "export",
     "find_outliers",
     "find_shifts",
     "findings",
