@@ -12,6 +12,8 @@ from loopcal.document import offers as _offers
 
 if TYPE_CHECKING:
     from loopcal import effects, instruments, machines
+    from loopcal.deployment.corrected import CorrectionBounds
+    from loopcal.deployment.correction import Correction
     from loopcal.document.change_points import ChangePoint
     from loopcal.document.dependence import Dependence
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from loopcal.files.machines.mechanism_file import read_mechanism
     from loopcal.files.project.project_data import LoadedData
     from loopcal.files.project.project_file import Project, read_project
+    from loopcal.files.result.record_file import RecordCheck
     from loopcal.files.tables.readers import read_dataset
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
@@ -53,6 +56,7 @@ if TYPE_CHECKING:
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
     from loopcal.statistics.change_points import Shifts
+    from loopcal.statistics.changed import WhatChanged
     from loopcal.statistics.check import Check
     from loopcal.statistics.compared import Compared
     from loopcal.statistics.findings import Findings
@@ -68,6 +72,8 @@ if TYPE_CHECKING:
     from loopcal.statistics.verified import Verification
     from loopcal.workflow.beginning.initial import InitialProject, init
     from loopcal.workflow.calibration import write_result
+    from loopcal.workflow.correcting import correct
+    from loopcal.workflow.exporting import Export, export
     from loopcal.workflow.performance import performance
     from loopcal.workflow.public import (
         calibrate,
@@ -88,9 +94,12 @@ if TYPE_CHECKING:
         verdict,
         verify,
     )
+    from loopcal.workflow.record import Record, record, verify_record
     from loopcal.workflow.saved_result import SavedResult, read_result
 
 _HOME = {
+    "deployment.corrected": ("CorrectionBounds",),
+    "deployment.correction": ("Correction",),
     "document.goodness_of_fit": ("ChiSquared",),
     "document.change_points": ("ChangePoint",),
     "document.dependence": ("Dependence",),
@@ -110,6 +119,7 @@ _HOME = {
     "expressions.vectors": (
         *("cross", "dot", "norm", "rot_x", "rot_y", "rot_z", "rotate", "vector"),
     ),
+    "files.result.record_file": ("RecordCheck",),
     "files.tables.readers": ("read_dataset",),
     "files.machines.mechanism_file": ("read_mechanism",),
     "files.project.project_data": ("LoadedData",),
@@ -138,6 +148,7 @@ _HOME = {
     "statistics.validate": ("MethodComparison",),
     "statistics.validation": ("Validation",),
     "document.verdict": ("Answer", "Verdict"),
+    "statistics.changed": ("WhatChanged",),
     "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison"),
     "statistics.change_points": ("Shifts",),
@@ -149,12 +160,15 @@ _HOME = {
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
     "workflow.calibration": ("write_result",),
+    "workflow.exporting": ("Export", "export"),
+    "workflow.correcting": ("correct",),
     "workflow.performance": ("performance",),
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
         *("find_shifts", "findings", "intervals", "load_dataset", "predict", "reliability"),
         *("repeated_readings", "simulate", "validate", "verdict", "verify"),
     ),
+    "workflow.record": ("Record", "record", "verify_record"),
     "workflow.saved_result": ("SavedResult", "read_result"),
 }
 _NAMESPACES = ("effects", "instruments", "machines")
@@ -171,8 +185,11 @@ __all__ = [
     "ColumnFault",
     "Compared",
     "ComparedModel",
+    "Correction",
+    "CorrectionBounds",
     "Dataset",
     "Dependence",
+    "Export",
     "Findings",
     "Fit",
     "Identifiability",
@@ -202,6 +219,8 @@ __all__ = [
     "Processes",
     "Project",
     "ReadingReliability",
+    "Record",
+    "RecordCheck",
     "Repeats",
     "Result",
     "ResultDocument",
@@ -218,6 +237,7 @@ __all__ = [
     "Validation",
     "Verdict",
     "Verification",
+    "WhatChanged",
     "WrittenResult",
     "__version__",
     "assemble",
@@ -226,10 +246,12 @@ __all__ = [
     "compare",
     "compare_methods",
     "compare_models",
+    "correct",
     "cross",
     "dot",
     "effects",
     "encoder_sd",
+    "export",
     "find_outliers",
     "find_shifts",
     "findings",
@@ -250,6 +272,7 @@ __all__ = [
     "read_mechanism",
     "read_project",
     "read_result",
+    "record",
     "reliability",
     "repeated_readings",
     "rot_x",
@@ -264,6 +287,7 @@ __all__ = [
     "vector",
     "verdict",
     "verify",
+    "verify_record",
     "with_effects",
     "with_shifts",
     "write_result",
