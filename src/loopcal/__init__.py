@@ -12,6 +12,8 @@ from loopcal.document import offers as _offers
 
 if TYPE_CHECKING:
     from loopcal import effects, instruments, machines
+    from loopcal.deployment.corrected import CorrectionBounds
+    from loopcal.deployment.correction import Correction
     from loopcal.document.change_points import ChangePoint
     from loopcal.document.dependence import Dependence
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.structure.structured import structured
     from loopcal.mechanisms.terms import Term
     from loopcal.planning.planned import Plan
+    from loopcal.pose_performance.result import Performance
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
     from loopcal.statistics.change_points import Shifts
@@ -69,6 +72,8 @@ if TYPE_CHECKING:
     from loopcal.statistics.verified import Verification
     from loopcal.workflow.beginning.initial import InitialProject, init
     from loopcal.workflow.calibration import write_result
+    from loopcal.workflow.correcting import correct
+    from loopcal.workflow.performance import performance
     from loopcal.workflow.public import (
         calibrate,
         check,
@@ -92,6 +97,8 @@ if TYPE_CHECKING:
     from loopcal.workflow.saved_result import SavedResult, read_result
 
 _HOME = {
+    "deployment.corrected": ("CorrectionBounds",),
+    "deployment.correction": ("Correction",),
     "document.goodness_of_fit": ("ChiSquared",),
     "document.change_points": ("ChangePoint",),
     "document.dependence": ("Dependence",),
@@ -132,6 +139,7 @@ _HOME = {
     "mechanisms.serial": ("Joint", "serial_arm"),
     "mechanisms.structure.structured": ("structured",),
     "mechanisms.terms": ("Term",),
+    "pose_performance.result": ("Performance",),
     "simulation.poses": ("grid_poses", "random_poses"),
     "simulation.simulate": ("Simulation",),
     "statistics.check": ("Check",),
@@ -151,6 +159,8 @@ _HOME = {
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
     "workflow.calibration": ("write_result",),
+    "workflow.correcting": ("correct",),
+    "workflow.performance": ("performance",),
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
         *("find_shifts", "findings", "intervals", "load_dataset", "plan", "predict"),
@@ -173,6 +183,8 @@ __all__ = [
     "ColumnFault",
     "Compared",
     "ComparedModel",
+    "Correction",
+    "CorrectionBounds",
     "Dataset",
     "Dependence",
     "Findings",
@@ -198,6 +210,7 @@ __all__ = [
     "Parameter",
     "ParameterTable",
     "Parameters",
+    "Performance",
     "Plan",
     "PlanSettings",
     "Prediction",
@@ -230,6 +243,7 @@ __all__ = [
     "compare",
     "compare_methods",
     "compare_models",
+    "correct",
     "cross",
     "dot",
     "effects",
@@ -246,6 +260,7 @@ __all__ = [
     "machines",
     "motoman_ma1400",
     "norm",
+    "performance",
     "plan",
     "planar_two_link",
     "predict",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -103,15 +104,10 @@ def test_loops_that_cannot_close_are_counted() -> None:
         {"r": (1.0, "m")},
         outputs=("b",),
     )
-    home = {"b": 0.5}
-    machine = lc.Mechanism(**{**vars_of(machine), "home": home})
+    machine = replace(machine, home={"b": 0.5})
     found = given(machine, lc.Dataset.from_arrays({"a": [0.2, 1.5, -0.7]}), PlanSettings())
     assert list(found.driven.poses) == ["1", "3"]
     assert found.refused == {"loops do not close": 1}
-
-
-def vars_of(mechanism: lc.Mechanism) -> dict[str, object]:
-    return {name: getattr(mechanism, name) for name in mechanism.__dataclass_fields__}
 
 
 def test_ranges_that_nothing_states_are_asked_for() -> None:

@@ -10,9 +10,9 @@ from scipy.optimize import minimize
 
 from loopcal.planning.certificate import certificate
 from loopcal.planning.information import Information
-from loopcal.planning.search import Search, choose, criterion_value, inverse
+from loopcal.planning.search import Criterion, Search, choose, criterion_value, inverse
 
-CRITERIA = ("I", "G", "D", "A")
+CRITERIA: tuple[Criterion, ...] = ("I", "G", "D", "A")
 
 
 def pool(candidates: int, seed: int, k: int = 4, r: int = 2, nuisance: int = 1) -> Information:
@@ -33,7 +33,7 @@ def pool(candidates: int, seed: int, k: int = 4, r: int = 2, nuisance: int = 1) 
     )
 
 
-def brute(draws: list[Information], number: int, criterion: str) -> float:
+def brute(draws: list[Information], number: int, criterion: Criterion) -> float:
     every = combinations(range(len(draws[0].rows)), number)
     return min(
         float(np.mean([criterion_value(d, d.of(list(c)), criterion) for d in draws])) for c in every
@@ -41,7 +41,7 @@ def brute(draws: list[Information], number: int, criterion: str) -> float:
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)
-def test_the_choice_is_that_of_brute_force(criterion: str) -> None:
+def test_the_choice_is_that_of_brute_force(criterion: Criterion) -> None:
     for seed in range(5):
         draws = [pool(11, seed)]
         found = choose(draws, 4, criterion)
@@ -49,14 +49,14 @@ def test_the_choice_is_that_of_brute_force(criterion: str) -> None:
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)
-def test_the_choice_over_draws_is_that_of_brute_force(criterion: str) -> None:
+def test_the_choice_over_draws_is_that_of_brute_force(criterion: Criterion) -> None:
     draws = [pool(10, 1), pool(10, 2)]
     found = choose(draws, 4, criterion)
     assert found.value == pytest.approx(brute(draws, 4, criterion), rel=1e-9)
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)
-def test_gains_are_what_the_criterion_falls_by(criterion: str) -> None:
+def test_gains_are_what_the_criterion_falls_by(criterion: Criterion) -> None:
     """Also after poses came and went: updates are the inverse."""
     draw = pool(9, 3)
     search = Search([draw], criterion)
@@ -73,7 +73,7 @@ def test_gains_are_what_the_criterion_falls_by(criterion: str) -> None:
     )
 
 
-def relaxed(draw: Information, number: int, criterion: str) -> float:
+def relaxed(draw: Information, number: int, criterion: Criterion) -> float:
     """The continuous optimum by another optimiser; of G over the bound t of all variances."""
     N = len(draw.rows)
 
@@ -112,7 +112,7 @@ def relaxed(draw: Information, number: int, criterion: str) -> float:
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)
-def test_the_bound_is_the_continuous_optimum(criterion: str) -> None:
+def test_the_bound_is_the_continuous_optimum(criterion: Criterion) -> None:
     """Within 1 % and from below; of D within 0.01 per parameter, its logarithm."""
     draw = pool(14, 10)
     found = certificate([draw], choose([draw], 5, criterion).poses, criterion)

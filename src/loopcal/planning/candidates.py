@@ -216,9 +216,8 @@ def _rounded(mechanism: Mechanism, readings: Mapping[str, Array]) -> dict[str, A
     units = {**mechanism.quantities, **mechanism.known}
     found = {}
     for q, values in readings.items():
-        step = STEP.get(units[q])
-        one = step is None or np.ptp(values) == 0.0
-        found[q] = values if one else np.trunc(values / step) * step
+        step = STEP.get(units[q], 0.0)
+        found[q] = np.trunc(values / step) * step if step and np.ptp(values) else values
     return found
 
 

@@ -34,7 +34,7 @@ def valid(document: ResultDocument) -> Answer:
     sources = {one.source for one in region.ranges}
     where = "the working region"
     if sources == {"readings"}:
-        where = "the box of the measured readings (no limits are known)"
+        where = "the region between the measured poses (no limits are known)"
     elif "turn" in sources:
         where = "the working region (joints without stated limits turn a quarter turn either way)"
     worst = region.worst
@@ -58,6 +58,9 @@ def better(document: ResultDocument) -> Answer:
         words = "The accuracy is unknown: the mechanism has no measured outputs."
         return Answer(None, "no-outputs", None, words, None)
     unseen = None if validation is None else validation.accuracy
+    if unseen is None and not document.status.converged:
+        words = "No other poses were predicted: the fit did not converge."
+        return Answer(None, "not-validated", None, words, "Make the fit converge first.")
     if unseen is None:
         words = "No other poses were predicted. Expect a larger error there."
         return Answer(None, "not-validated", None, words, "Validate on other poses (--folds 10).")
