@@ -66,12 +66,12 @@ def plan(
     """The poses that tell most of the machine, with what they promise.
 
     candidates: poses to choose among [SI], by default random ones (`PlanSettings`); existing: poses
-    already measured, which the plan adds to; criterion: "I", the mean variance of the predicted end
-    point over test poses (the default where there is an end point), "G", the largest, "D" the
-    determinant of the covariance of the parameters (the default elsewhere), or "A", its trace in
-    relative units. The placement of instruments is estimated but does not count. Chosen by
-    Fedorov's exchange (1972) from a greedy start; the stated efficiency is a bound. Raises
-    InputError for what cannot be used.
+    already measured, which the plan adds to. criterion: "I", the mean variance of the predicted end
+    point over test poses, is the default where there is an end point; "G" is the largest. "D" is
+    the determinant of the covariance of the parameters, the default elsewhere; "A" its trace in
+    relative units. The placement of instruments is estimated but does not count. Fedorov's exchange
+    (1972) from a greedy start; the stated efficiency is a bound. Raises InputError for what cannot
+    be used.
 
     >>> from loopcal.measurements.plan_settings import PlanSettings
     >>> from loopcal.mechanisms.planar import planar_two_link
