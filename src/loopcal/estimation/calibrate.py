@@ -110,7 +110,7 @@ def calibrate(
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)
-        if near:
+        if near is not None:
             problem = begun_near(problem, near)
         if fit.solver.exact or fit.solver.at_readings:
             arrays = problem.readings, problem.known, problem.uncertainty.sd

@@ -63,6 +63,11 @@ class Accumulator:
             self.total += other.total
 
     @property
+    def products(self) -> Array:
+        """[D E]^T [D E] over all poses, (n + 1, n + 1)."""
+        return self.total.T @ self.total if self.triangular else self.total
+
+    @property
     def lengths(self) -> Array:
         """Lengths of the columns of D, (n,): the effect of each parameter in sds per unit [SI]."""
         squares = np.square(self.total).sum(axis=0) if self.triangular else np.diag(self.total)
@@ -91,6 +96,11 @@ class Summed:
 
     matrix: Array
     gradient: Array
+
+    def times(self, z: Array) -> Array:
+        """The matrix of the normal equations times scaled steps, (n,) or (n, h)."""
+        found: Array = self.matrix @ z
+        return found
 
     def directions(self) -> Directions:
         """By an eigendecomposition."""
@@ -138,6 +148,11 @@ class Stacked:
 
     matrix: Array
     right: Array
+
+    def times(self, z: Array) -> Array:
+        """The matrix of the normal equations times scaled steps, (n,) or (n, h)."""
+        found: Array = self.matrix.T @ (self.matrix @ z)
+        return found
 
     def directions(self) -> Directions:
         """By a singular value decomposition, which has twice the digits."""
