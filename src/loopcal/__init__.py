@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from loopcal.files.machines.mechanism_file import read_mechanism
     from loopcal.files.project.project_data import LoadedData
     from loopcal.files.project.project_file import Project, read_project
+    from loopcal.files.result.record_file import RecordCheck
     from loopcal.files.tables.readers import read_dataset
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
     from loopcal.statistics.change_points import Shifts
+    from loopcal.statistics.changed import WhatChanged
     from loopcal.statistics.check import Check
     from loopcal.statistics.compared import Compared
     from loopcal.statistics.findings import Findings
@@ -71,6 +73,7 @@ if TYPE_CHECKING:
     from loopcal.workflow.beginning.initial import InitialProject, init
     from loopcal.workflow.calibration import write_result
     from loopcal.workflow.correcting import correct
+    from loopcal.workflow.exporting import Export, export
     from loopcal.workflow.performance import performance
     from loopcal.workflow.public import (
         calibrate,
@@ -91,6 +94,7 @@ if TYPE_CHECKING:
         verdict,
         verify,
     )
+    from loopcal.workflow.record import Record, record, verify_record
     from loopcal.workflow.saved_result import SavedResult, read_result
 
 _HOME = {
@@ -115,6 +119,7 @@ _HOME = {
     "expressions.vectors": (
         *("cross", "dot", "norm", "rot_x", "rot_y", "rot_z", "rotate", "vector"),
     ),
+    "files.result.record_file": ("RecordCheck",),
     "files.tables.readers": ("read_dataset",),
     "files.machines.mechanism_file": ("read_mechanism",),
     "files.project.project_data": ("LoadedData",),
@@ -143,6 +148,7 @@ _HOME = {
     "statistics.validate": ("MethodComparison",),
     "statistics.validation": ("Validation",),
     "document.verdict": ("Answer", "Verdict"),
+    "statistics.changed": ("WhatChanged",),
     "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison"),
     "statistics.change_points": ("Shifts",),
@@ -154,6 +160,7 @@ _HOME = {
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
     "workflow.calibration": ("write_result",),
+    "workflow.exporting": ("Export", "export"),
     "workflow.correcting": ("correct",),
     "workflow.performance": ("performance",),
     "workflow.public": (
@@ -161,6 +168,7 @@ _HOME = {
         *("find_shifts", "findings", "intervals", "load_dataset", "predict", "reliability"),
         *("repeated_readings", "simulate", "validate", "verdict", "verify"),
     ),
+    "workflow.record": ("Record", "record", "verify_record"),
     "workflow.saved_result": ("SavedResult", "read_result"),
 }
 _NAMESPACES = ("effects", "instruments", "machines")
@@ -181,6 +189,7 @@ __all__ = [
     "CorrectionBounds",
     "Dataset",
     "Dependence",
+    "Export",
     "Findings",
     "Fit",
     "Identifiability",
@@ -210,6 +219,8 @@ __all__ = [
     "Processes",
     "Project",
     "ReadingReliability",
+    "Record",
+    "RecordCheck",
     "Repeats",
     "Result",
     "ResultDocument",
@@ -226,6 +237,7 @@ __all__ = [
     "Validation",
     "Verdict",
     "Verification",
+    "WhatChanged",
     "WrittenResult",
     "__version__",
     "assemble",
@@ -239,6 +251,7 @@ __all__ = [
     "dot",
     "effects",
     "encoder_sd",
+    "export",
     "find_outliers",
     "find_shifts",
     "findings",
@@ -259,6 +272,7 @@ __all__ = [
     "read_mechanism",
     "read_project",
     "read_result",
+    "record",
     "reliability",
     "repeated_readings",
     "rot_x",
@@ -273,6 +287,7 @@ __all__ = [
     "vector",
     "verdict",
     "verify",
+    "verify_record",
     "with_effects",
     "with_shifts",
     "write_result",

@@ -292,6 +292,14 @@ def test_never_silently_worse_than_a_rival() -> None:
     assert verdict_of(replace(clean(), validation=None)).better.code == "not-validated"
 
 
+def test_a_fit_that_did_not_converge_is_not_told_to_validate() -> None:
+    unseen = replace(clean(), validation=None)
+    assert "--folds" in (verdict_of(unseen).better.next or "")
+    failed = replace(unseen, status=replace(unseen.status, converged=False))
+    assert verdict_of(failed).better.code == "not-validated"
+    assert "--folds" not in (verdict_of(failed).better.next or "")
+
+
 def test_a_result_knows_its_verdict_and_files_hold_the_same(tmp_path: Path) -> None:
     result = corner()
     assert result.verdict == lc.verdict(result)

@@ -10,7 +10,6 @@ import typer
 from loopcal.cli.application import JsonOption, app
 from loopcal.cli.output import log, print_json, print_out
 from loopcal.errors import UsageError
-from loopcal.units import to_si
 
 
 @app.command()
@@ -124,6 +123,8 @@ def _numbers(text: str, option: str) -> list[float]:
 
 def _constants(stated: Sequence[str]) -> dict[str, float]:
     """NAME=VALUE or NAME=VALUE UNIT as SI."""
+    from loopcal.units import to_si
+
     found = {}
     for one in stated:
         name, _, value = one.partition("=")

@@ -105,12 +105,12 @@ def calibrate(
             return once(problem)
         return solve_or_fall_back(problem, once, fit.max_iterations, judged=judged)
 
-    if learns:
+    if learns and mechanism.learnt_terms:
         import scipy.linalg  # noqa: F401  before the limit, which then holds for its threads too
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)
-        if near:
+        if near is not None:
             problem = begun_near(problem, near)
         if fit.solver.exact or fit.solver.at_readings:
             arrays = problem.readings, problem.known, problem.uncertainty.sd

@@ -58,6 +58,9 @@ def better(document: ResultDocument) -> Answer:
         words = "The accuracy is unknown: the mechanism has no measured outputs."
         return Answer(None, "no-outputs", None, words, None)
     unseen = None if validation is None else validation.accuracy
+    if unseen is None and not document.status.converged:
+        words = "No other poses were predicted: the fit did not converge."
+        return Answer(None, "not-validated", None, words, "Make the fit converge first.")
     if unseen is None:
         words = "No other poses were predicted. Expect a larger error there."
         return Answer(None, "not-validated", None, words, "Validate on other poses (--folds 10).")

@@ -351,12 +351,48 @@ class VerdictEntry(Model):
 
 
 class RecordEntry(Model):
-    """Who measured what, when and with what: copied to result.json and to the report."""
+    """Who measured what, when and with what: for result.json, the report and the record."""
 
-    date: str | None = Field(default=None, description="Day of the measurement.")
-    operator: str | None = Field(default=None, description="Who measured.")
-    instrument: str | None = Field(default=None, description="What measured, with its number.")
+    laboratory: str | None = Field(default=None, description="Laboratory, with its address.")
+    place: str | None = Field(default=None, description="Where the machine was calibrated.")
+    number: str | None = Field(
+        default=None,
+        description="Unique number of the record; by default it follows from its content.",
+    )
+    customer: str | None = Field(default=None, description="Customer, with a way to reach them.")
+    machine: str | None = Field(default=None, description="Make and model of the machine.")
     serial: str | None = Field(default=None, description="Serial number of the machine.")
+    received: str | None = Field(default=None, description="Day on which the machine was received.")
+    date: str | None = Field(default=None, description="Day of the measurement.")
+    issued: str | None = Field(default=None, description="Day on which the record is issued.")
+    procedure: str | None = Field(
+        default=None,
+        description="Procedure by which the machine was measured.",
+    )
+    temperature: str | None = Field(default=None, description="Temperature during the measurement.")
+    payload: str | None = Field(default=None, description="Payload of the machine.")
+    warm_up: str | None = Field(default=None, description="How the machine was warmed up.")
+    speed: str | None = Field(default=None, description="Speed between the poses.")
+    instrument: str | None = Field(default=None, description="What measured: make and model.")
+    instrument_serial: str | None = Field(
+        default=None,
+        description="Serial number of the instrument.",
+    )
+    traceability: str | None = Field(
+        default=None,
+        description="Calibration of the instrument: certificate, laboratory, date.",
+    )
+    adjustment: str | None = Field(
+        default=None,
+        description="What was adjusted after this calibration, and when.",
+    )
+    deviations: str | None = Field(default=None, description="Deviations from the procedure.")
+    operator: str | None = Field(default=None, description="Who measured.")
+    authorised_by: str | None = Field(default=None, description="Who authorises the record.")
+    accreditation: str | None = Field(
+        default=None,
+        description="Accreditation of the laboratory; with it the record is a certificate.",
+    )
     note: str | None = Field(default=None, description="Anything else that a reader should know.")
 
 
