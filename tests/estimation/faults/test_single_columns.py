@@ -10,6 +10,7 @@ import pytest
 import loopcal as lc
 from analyses.instruments import Setup, setup
 from loopcal.estimation.faults import search
+from loopcal.estimation.faults.misfit import Misfit, misfit
 from loopcal.estimation.faults.repairs import repairs
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import Problem, build_problem
@@ -68,9 +69,13 @@ def test_a_search_without_bounds_is_cut_and_says_so(monkeypatch: pytest.MonkeyPa
     every = list(repairs(whole))
     pairs = sum(one.code == "exchanged" for one in every)
     monkeypatch.setattr(search, "MOST_READ", len(every) - pairs)
-    tried: list[object] = []
-    misfit = search.misfit
-    monkeypatch.setattr(search, "misfit", lambda *a, **k: (tried.append(a), misfit(*a, **k))[1])
+    tried: list[Problem] = []
+
+    def counted(one: Problem, rounds: int = 3, steps: int = 10, kept: float = 0.9) -> Misfit:
+        tried.append(one)
+        return misfit(one, rounds, steps, kept)
+
+    monkeypatch.setattr(search, "misfit", counted)
     (fault,) = column_faults(whole)
     assert fault.code in ("wrong-machine", "rows-shuffled")
     assert len(tried) <= len(every) - pairs + 20
