@@ -50,6 +50,7 @@ from loopcal.statistics.folds import (
     parts_of,
     stated_sds,
 )
+from loopcal.statistics.innovation import Linearised, components_of
 from loopcal.statistics.predictive import LEVEL, Held, Predictive, held_problem, predictive, taken
 from loopcal.statistics.replacing import Freedom, replaced
 from loopcal.statistics.same_run import Run
@@ -253,7 +254,8 @@ class Predicted:
 
     measured, differences (c, n) [SI]: what is compared, and computed minus measured ones; fit,
     held: the fit and these poses, None where it states nothing of them; rest: positions of the
-    poses of the fit, None where these poses are of another run.
+    poses of the fit, None where these poses are of another run; regions: what was stated where
+    the instrument was placed by these poses.
     """
 
     index: Index
@@ -262,6 +264,7 @@ class Predicted:
     fit: Result | None = None
     held: Held | None = None
     rest: Index | None = None
+    regions: Predictive | None = None
 
     def stated(self, drifting: Drifting | None) -> Predictive | None:
         """What the fit stated of them under the drift of all poses; None where it states nothing.
@@ -269,7 +272,7 @@ class Predicted:
         Computed on request: it costs as much as the fit, and what loses a choice never needs it.
         """
         if self.fit is None or self.held is None:
-            return None
+            return self.regions
         try:
             with one_blas_thread():
                 run = None if self.rest is None else Run(self.rest, self.index)
@@ -429,16 +432,23 @@ def _predicted(fit: Result, held: Held, index: Index) -> Predicted:
 def _placed_anew(fit: Result, data: Dataset, noise: Noise | None, index: Index) -> Predicted:
     """With every instrument placed by the readings of these poses; all else is held.
 
-    Their probability is not stated: they say where the instrument stands.
+    Stated is the region of each pose, less what the placement takes up of it; not their
+    probability, for they say where the instrument stands.
     """
     known = Calibrated.of(fit, "")
     own = None if noise is None or noise.estimate else noise
     problem = day_problem(known, data, own)
     variance = None if known.residual is None else known.residual.value
-    here = replaced(problem, Freedom.of(known.mechanism), variance=variance)
+    components = components_of(known, known.mechanism.tape.quantities)
+    freedom = Freedom.of(known.mechanism)
+    here = replaced(problem, freedom, variance=variance, components=components)
+    linear = Linearised.of(here, known)
+    seen = linear.by_pose(here)
+    denominator = np.full(len(index), linear.noise)
+    stated = Predictive(None, seen.squares, seen.loops, denominator)
     rows = [known.mechanism.tape.quantities.index(q) for q in known.mechanism.compared]
     differences = output_differences(problem, here.parameters, here.corrections)
-    return Predicted(index, problem.readings[rows], differences)
+    return Predicted(index, problem.readings[rows], differences, regions=stated)
 
 
 def _pooled(
@@ -467,16 +477,20 @@ def _pooled(
         words += f"; {len(parts)} of {len(made)} {kind} predicted"
     measured, differences = np.full((2, len(mechanism.compared), len(data)), np.nan)
     terms, inside = np.full((2, len(data)), np.nan)
-    judged = stating
+    judged = probable = stating
     drifting = whole.drifting if stating else None
     told = gathered(own_threads(), _stated, drifting, parts) if stating else [None] * len(parts)
     for part, stated in zip(parts, told, strict=True):
         measured[:, part.index] = part.measured
         differences[:, part.index] = part.differences
-        if stated is not None:
+        if stated is None:
+            judged = probable = False
+            continue
+        inside[part.index] = stated.inside()
+        if stated.log_density is None:
+            probable = False
+        else:
             terms[part.index] = stated.log_density
-            inside[part.index] = stated.inside()
-        judged = judged and stated is not None
     apart = deviations(mechanism, measured, differences)
     off = by_pose(apart)
     predicted = np.unique(np.concatenate([part.index for part in parts]))
@@ -484,10 +498,10 @@ def _pooled(
         MappingProxyType(dict(parts_left.stated)),
         words,
         accuracy(apart),
-        float(terms[predicted].sum()) if judged else None,
+        float(terms[predicted].sum()) if probable else None,
         tuple(data.poses[i] for i in predicted),
         None if off is None else off[predicted],
-        terms[predicted] if judged else None,
+        terms[predicted] if probable else None,
         len(made),
         failed,
         inside[predicted] if judged else None,
