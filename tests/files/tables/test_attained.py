@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
 from loopcal.files.tables.attained import read_attained, rotations, template
@@ -40,6 +41,17 @@ def test_headers_of_others_mean_the_same(tmp_path: Path, head: str) -> None:
     read = read_attained(written(tmp_path, head, *(row.replace(",", ";") for row in ROWS)))
     assert read.pose == ("A", "A", "B")
     assert read.measured[0] == pytest.approx([0.1001, 0.0, 0.0])
+
+
+def test_workbooks_and_parquet_mean_the_same(tmp_path: Path) -> None:
+    text = read_attained(written(tmp_path, HEAD, *ROWS))
+    table = pl.read_csv(tmp_path / "poses.csv")
+    table.write_excel(tmp_path / "poses.xlsx")
+    table.write_parquet(tmp_path / "poses.parquet")
+    for name in ("poses.xlsx", "poses.parquet"):
+        read = read_attained(tmp_path / name)
+        assert (read.pose, read.cycle) == (text.pose, text.cycle)
+        np.testing.assert_array_equal(read.measured, text.measured)
 
 
 def test_commanded_poses_from_another_table(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -401,7 +401,7 @@ def _times(read: _Columns) -> Array | None:
         found = []
         for row, cell in enumerate(cells):
             try:
-                found.append(datetime.fromisoformat(cell).timestamp())
+                at = datetime.fromisoformat(cell)
             except ValueError:
                 raise InputError(
                     f"{cell!r} is not a time",
@@ -409,6 +409,8 @@ def _times(read: _Columns) -> Array | None:
                     place=read.place(row, position),
                     remedy="write 2026-03-01T08:30:00, or numbers under time [s], [min] or [h]",
                 ) from None
+            # without a zone, so that no change of clocks in the night stretches an hour
+            found.append((at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp())
         return np.array(found) - min(found)
     its = read.headings[position]
     word = its.unit or its.stem.rpartition("_")[2]
