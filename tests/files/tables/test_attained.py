@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -145,6 +146,18 @@ def test_what_cannot_be_used_is_refused_with_its_place(
 ) -> None:
     with refused(code, *stated):  # type: ignore[arg-type]
         read_attained(written(tmp_path, *lines))
+
+
+def test_a_person_is_asked_once_for_each_dimension(tmp_path: Path) -> None:
+    asked: list[str] = []
+
+    def ask(question: str, answers: Sequence[str]) -> int:
+        asked.append(question)
+        return answers.index("mm")
+
+    path = written(tmp_path, HEAD.replace(" [mm]", ""), *ROWS)
+    assert read_attained(path, ask=ask).measured[0, 0] == pytest.approx(0.1001)
+    assert len(asked) == 1
 
 
 def test_wrong_options_are_refused(tmp_path: Path) -> None:
