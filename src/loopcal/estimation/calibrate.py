@@ -105,7 +105,7 @@ def calibrate(
             return once(problem)
         return solve_or_fall_back(problem, once, fit.max_iterations, judged=judged)
 
-    if learns:
+    if learns and mechanism.learnt_terms:
         import scipy.linalg  # noqa: F401  before the limit, which then holds for its threads too
 
     with one_blas_thread():
