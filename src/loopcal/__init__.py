@@ -35,10 +35,12 @@ if TYPE_CHECKING:
     from loopcal.files.machines.mechanism_file import read_mechanism
     from loopcal.files.project.project_data import LoadedData
     from loopcal.files.project.project_file import Project, read_project
+    from loopcal.files.result.record_file import RecordCheck
     from loopcal.files.tables.readers import read_dataset
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
     from loopcal.measurements.noise import Noise
+    from loopcal.measurements.plan_settings import Box, PlanSettings, Sight
     from loopcal.mechanisms.effects.effect import with_effects
     from loopcal.mechanisms.effects.model import Model
     from loopcal.mechanisms.machine import Instrument, Machine, assemble
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.serial import Joint, serial_arm
     from loopcal.mechanisms.structure.structured import structured
     from loopcal.mechanisms.terms import Term
+    from loopcal.planning.planned import Plan
     from loopcal.pose_performance.result import Performance
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
@@ -85,6 +88,7 @@ if TYPE_CHECKING:
         findings,
         intervals,
         load_dataset,
+        plan,
         predict,
         reliability,
         repeated_readings,
@@ -94,6 +98,7 @@ if TYPE_CHECKING:
         verdict,
         verify,
     )
+    from loopcal.workflow.record import Record, record, verify_record
     from loopcal.workflow.saved_result import SavedResult, read_result
 
 _HOME = {
@@ -118,6 +123,7 @@ _HOME = {
     "expressions.vectors": (
         *("cross", "dot", "norm", "rot_x", "rot_y", "rot_z", "rotate", "vector"),
     ),
+    "files.result.record_file": ("RecordCheck",),
     "files.tables.readers": ("read_dataset",),
     "files.machines.mechanism_file": ("read_mechanism",),
     "files.project.project_data": ("LoadedData",),
@@ -125,6 +131,8 @@ _HOME = {
     "measurements.dataset": ("Dataset",),
     "measurements.datasheet": ("Tracker", "encoder_sd", "tracker_covariance"),
     "measurements.noise": ("Noise",),
+    "measurements.plan_settings": ("Box", "PlanSettings", "Sight"),
+    "planning.planned": ("Plan",),
     "mechanisms.effects.effect": ("with_effects",),
     "mechanisms.effects.model": ("Model",),
     "mechanisms.machine": ("Instrument", "Machine", "assemble"),
@@ -163,9 +171,11 @@ _HOME = {
     "workflow.performance": ("performance",),
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
-        *("find_shifts", "findings", "intervals", "load_dataset", "predict", "reliability"),
-        *("repeated_readings", "simulate", "update", "validate", "verdict", "verify"),
+        *("find_shifts", "findings", "intervals", "load_dataset", "plan", "predict"),
+        *("reliability", "repeated_readings", "simulate", "update", "validate", "verdict"),
+        "verify",
     ),
+    "workflow.record": ("Record", "record", "verify_record"),
     "workflow.saved_result": ("SavedResult", "read_result"),
 }
 _NAMESPACES = ("effects", "instruments", "machines")
@@ -174,6 +184,7 @@ _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name
 __all__ = [
     "Accuracy",
     "Answer",
+    "Box",
     "ChangePoint",
     "Check",
     "ChiSquared",
@@ -211,17 +222,22 @@ __all__ = [
     "ParameterTable",
     "Parameters",
     "Performance",
+    "Plan",
+    "PlanSettings",
     "Prediction",
     "Prior",
     "Processes",
     "Project",
     "ReadingReliability",
+    "Record",
+    "RecordCheck",
     "Repeats",
     "Result",
     "ResultDocument",
     "SavedResult",
     "Shifted",
     "Shifts",
+    "Sight",
     "Simulation",
     "Status",
     "Term",
@@ -260,6 +276,7 @@ __all__ = [
     "motoman_ma1400",
     "norm",
     "performance",
+    "plan",
     "planar_two_link",
     "predict",
     "random_poses",
@@ -267,6 +284,7 @@ __all__ = [
     "read_mechanism",
     "read_project",
     "read_result",
+    "record",
     "reliability",
     "repeated_readings",
     "rot_x",
@@ -282,6 +300,7 @@ __all__ = [
     "vector",
     "verdict",
     "verify",
+    "verify_record",
     "with_effects",
     "with_shifts",
     "write_result",

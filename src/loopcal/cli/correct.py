@@ -10,7 +10,6 @@ import typer
 from loopcal.cli.application import JsonOption, app
 from loopcal.cli.output import log, print_json, print_out
 from loopcal.errors import UsageError
-from loopcal.units import to_si
 
 
 @app.command()
@@ -63,6 +62,20 @@ def correct(
             help="Smallest singular value of the Jacobian (m and rad) that is not singular.",
         ),
     ] = 0.005,
+    line: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MM",
+            min=0.0,
+            help="Insert targets until straight moves are off by less [default: none inserted].",
+        ),
+    ] = None,
+    pulses_per_degree: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N,N,...", help="Pulses per degree of each joint, for programs in pulses."
+        ),
+    ] = None,
     at: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Constant of the result, such as a temperature."),
@@ -83,8 +96,11 @@ def correct(
         tool=tool if tool in ("calibrated", "nominal") else _numbers(tool, "--tool"),
         controller=controller,
         frame=None if frame is None else _numbers(frame, "--frame"),
-        bounds=CorrectionBounds(math.radians(most_turn), 1e-3 * most_slide, least_gain),
+        bounds=CorrectionBounds(
+            math.radians(most_turn), 1e-3 * most_slide, least_gain, _metres(line)
+        ),
         at=_constants(at or []),
+        pulses=() if pulses_per_degree is None else _list(pulses_per_degree),
     )
     where = f"written to {done.written}" if done.written else "nothing is written"
     if as_json:
@@ -96,12 +112,21 @@ def correct(
         raise typer.Exit(4)
 
 
+def _metres(value: float | None) -> float | None:
+    return None if value is None else 1e-3 * value
+
+
+def _list(text: str) -> list[float]:
+    """Numbers with commas between; none where one is no number."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        return []
+
+
 def _numbers(text: str, option: str) -> list[float]:
     """Three or six numbers with commas between."""
-    try:
-        found = [float(part) for part in text.split(",")]
-    except ValueError:
-        found = []
+    found = _list(text)
     if len(found) not in (3, 6):
         raise UsageError(
             f"{option} is {text!r}, which is not three or six numbers with commas between them",
@@ -112,6 +137,8 @@ def _numbers(text: str, option: str) -> list[float]:
 
 def _constants(stated: Sequence[str]) -> dict[str, float]:
     """NAME=VALUE or NAME=VALUE UNIT as SI."""
+    from loopcal.units import to_si
+
     found = {}
     for one in stated:
         name, _, value = one.partition("=")

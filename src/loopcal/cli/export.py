@@ -20,7 +20,7 @@ def export(
         str,
         typer.Option(
             metavar="FORMAT",
-            help="Write this format: urdf, xacro, dh, mdh, mjcf, sdf, zeros, frames or json.",
+            help="Write this format: urdf, xacro, ur, dh, mdh, mjcf, sdf, zeros, frames or json.",
         ),
     ],
     out: Annotated[

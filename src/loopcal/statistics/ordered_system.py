@@ -213,8 +213,13 @@ def _ridge(E: Array, Z: Array, P: Array, pull: Array, smooth: int, ratios: Array
 
 @dataclass(frozen=True, eq=False)
 class _Factor:
-    """H = L L^T, or its eigenvectors where a direction is not determined."""
+    """H = L L^T, or its eigenvectors where a direction is not determined.
 
+    By NumPy alone: the search for changes runs in every calibration, and is over before SciPy is
+    loaded.
+    """
+
+    H: Array
     L: Array | None
     values: Array
     vectors: Array
@@ -225,12 +230,12 @@ class _Factor:
         try:
             L = np.asarray(np.linalg.cholesky(H), dtype=np.float64)
             if float(np.diag(L).min()) > _ABSORBED * float(np.diag(L).max()):
-                return cls(L, np.diag(L), none)
+                return cls(H, L, np.diag(L), none)
         except np.linalg.LinAlgError:
             pass
         values, vectors = np.linalg.eigh(H)
         kept = values > 1e-11 * values[-1]
-        return cls(None, np.sqrt(values[kept]), vectors[:, kept])
+        return cls(H, None, np.sqrt(values[kept]), vectors[:, kept])
 
     @property
     def log_determinant(self) -> float:
@@ -239,11 +244,9 @@ class _Factor:
     @cached_property
     def root(self) -> Array:
         """(m, k) with H^-1 = root root^T."""
-        from scipy.linalg.lapack import dtrtri
-
         if self.L is None:
             return self.vectors / self.values
-        return np.asarray(dtrtri(self.L, lower=1)[0].T)
+        return np.asarray(np.linalg.inv(self.L.T))
 
     @property
     def variances(self) -> Array:
@@ -252,11 +255,9 @@ class _Factor:
 
     def solved(self, g: Array) -> Array:
         """H^-1 g."""
-        from scipy.linalg import cho_solve
-
         if self.L is None:
             return np.asarray(self.root @ (self.root.T @ g))
-        return np.asarray(cho_solve((self.L, True), g, check_finite=False))
+        return np.asarray(np.linalg.solve(self.H, g))
 
 
 def ordered_system(result: Result) -> OrderedSystem:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.deployment.arms import Arms, arm_joints, arms_of
-from loopcal.deployment.corrected import CorrectionBounds, Targets, corrected
+from loopcal.deployment.corrected import Corrected, CorrectionBounds, Targets, corrected
 from loopcal.deployment.correction import Correction, Left
 from loopcal.deployment.inverse import solve
 from loopcal.deployment.refusals import Refusal
 from loopcal.deployment.rigid import inverse
 from loopcal.deployment.solutions import solutions, with_turns
+from loopcal.deployment.straight import StraightMove, straight_move
 from loopcal.deployment.tool import CALIBRATED, Tool, tool_of
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
@@ -81,7 +83,7 @@ def correct(
     )
     program = read_program(targets, axes)
     placed = np.eye(4) if frame is None else pose_of_turns([*frame, 0.0, 0.0, 0.0][:6])
-    wanted = _wanted(arms, program, placed)
+    wanted = _wanted(arms, program, placed, frame is not None)
     found = corrected(arms, known, wanted, bounds, at)
     new = {
         i: program.write(target, found.joints[i], inverse(placed) @ found.poses[i])
@@ -95,15 +97,28 @@ def correct(
         for target, q, refusal in zip(program.targets, found.joints, found.refused, strict=True)
     )
     new = {i: texts for i, texts in new.items() if changed[i] is None}
+    found = replace(found, refused=changed)
+    moves = _straight(arms, program, found, bounds.line)
+    ahead = {
+        move.end: [
+            program.write(
+                program.targets[move.end], q, inverse(placed) @ arms.controller(q[None])[0]
+            )
+            for q in move.inserted
+        ]
+        for move in moves
+        if len(move.inserted)
+    }
     return Correction(
         arms,
-        replace(found, refused=changed),
+        found,
         program.name,
         program.kind,
         tuple(target.line for target in program.targets),
         tuple(Left(note.line, note.words) for note in program.noted),
         _remarks(seated, arms),
-        program.edited(new),
+        program.edited(new, ahead),
+        moves=moves,
     )
 
 
@@ -190,8 +205,11 @@ def _of_table(
     return Correction(arms, found, "", "joints", lines, (), remarks)
 
 
-def _wanted(arms: Arms, program: Program, frame: Array) -> Targets:
-    """The targets of a program in the base of the arm, with the joints of the controller there."""
+def _wanted(arms: Arms, program: Program, frame: Array, stated: bool) -> Targets:
+    """The targets of a program in the base of the arm, with the joints of the controller there.
+
+    stated: whether the user states the frame of the poses.
+    """
     count, n = len(program.targets), len(arms.joints)
     q, poses = np.full((count, n), np.nan), np.full((count, 4, 4), np.nan)
     step, missing = np.zeros((count, max(n, 6))), {}
@@ -199,6 +217,9 @@ def _wanted(arms: Arms, program: Program, frame: Array) -> Targets:
         step[i, : len(target.step)] = target.step
         if target.pose is None:
             q[i] = target.joints
+        elif program.frame is not None and not stated:
+            words = f"the pose is relative to {program.frame}, whose place is not stated (--frame)"
+            missing[i] = Refusal("not-stated", words)
         else:
             poses[i] = frame @ target.pose
             found = _joints_of(arms, program, target, poses[i])
@@ -225,8 +246,15 @@ def _joints_of(arms: Arms, program: Program, target: ProgramTarget, pose: Array)
             return Refusal("not-reached", words)
         seeded: Array = near.joints[0]
         return seeded
-    every = with_turns(arms, solutions(arms, pose)) if target.states else solutions(arms, pose)
-    fitting: list[Array] = [q for q in every if program.fits(target, q)]
+    every = solutions(arms, pose)
+    fitting: list[Array] = []
+    for turns in (0, 1):  # of joints without limits
+        for one in every:
+            ways = [q for q in with_turns(arms, one, turns) if program.fits(target, q)]
+            fitting += sorted(ways, key=lambda q: float(np.abs(q).max()))[:1]
+        if fitting:
+            break
+    fitting = program.chosen(target, fitting)
     if not len(every):
         return Refusal("not-reached", "no joints of the controller's model give this pose")
     if len(fitting) == 1:
@@ -237,6 +265,22 @@ def _joints_of(arms: Arms, program: Program, target: ProgramTarget, pose: Array)
         else "no configuration that gives this pose is the one that the program states"
     )
     return Refusal("configuration-missing", words)
+
+
+def _straight(
+    arms: Arms, program: Program, found: Corrected, bound: float | None
+) -> tuple[StraightMove, ...]:
+    """The straight moves between corrected targets; targets are inserted into tables alone."""
+    moves, done = [], found.done
+    for last, move in pairwise(program.moves):
+        if last is None or move is None or not move.straight:
+            continue
+        ends = (last.target, move.target)
+        if all(done[i] for i in ends):
+            own = bound if program.kind == "table" else None
+            q, wanted = found.joints[list(ends)], found.targets.poses[list(ends)]
+            moves.append(straight_move(arms, ends, move.line, q, wanted, own))
+    return tuple(moves)
 
 
 def _remarks(tool: Tool, arms: Arms) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.kernel import eliminate, loadings
-from loopcal.estimation.solve.reduction import WELL_CONDITIONED
+from loopcal.estimation.solve.reduction import WELL_CONDITIONED, inverse_of_upper
 from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]
@@ -211,17 +211,15 @@ def _solved(model: LinearModel, joined: Joined) -> _Solved:
 
 def _by_products(model: LinearModel, joined: Joined) -> _Solved | None:
     """By the triangle of the products; None where their rounding would show."""
-    from scipy.linalg.lapack import dtrtri
-
     prior = _prior_rows(model)
     total = joined.total + prior.T @ prior
     scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-300))
     try:
-        R = np.linalg.cholesky(total * scale * scale[:, None]).T
+        R = np.asarray(np.linalg.cholesky(total * scale * scale[:, None]).T, dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
     n = len(R) - 1
-    inverse = dtrtri(R[:n, :n])[0]
+    inverse = inverse_of_upper(R[:n, :n])
     if not np.linalg.norm(R[:n, :n]) * np.linalg.norm(inverse) <= WELL_CONDITIONED:
         return None
     own, size = scale[:n], 1.0 / scale[n]

@@ -142,6 +142,15 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray(np.tril(half) + np.tril(half, -1).T)
 
 
+def inverse_of_upper(R: Array) -> Array:
+    """R^-1 of an upper triangle (n, n), whose elimination needs no exchange of rows."""
+    if len(R) < LARGE:
+        return np.asarray(np.linalg.inv(R))
+    from scipy.linalg.lapack import dtrtri
+
+    return np.asarray(dtrtri(R)[0])
+
+
 @dataclass(frozen=True)
 class Stacked:
     """A scaled triangle: matrix (n, n) and its right-hand side (n,)."""

@@ -137,6 +137,14 @@ def mdh(exported: Exported, options: ExportOptions) -> ExportFiles:
     return _denavit(modified(dh_table(exported.chain)), "mdh")
 
 
+def frames_csv(frames: Iterable[tuple[str, Array]]) -> str:
+    """Frames (4, 4) by name, in m and rad."""
+    rows = [["frame", "x [m]", "y [m]", "z [m]", "roll [rad]", "pitch [rad]", "yaw [rad]"]]
+    for name, T in frames:
+        rows.append([name, *map(decimal, (*T[:3, 3].tolist(), *roll_pitch_yaw(T[:3, :3])))])
+    return csv_text(rows)
+
+
 FAR = 10.0
 """d [m] from which a table is warned of."""
 
@@ -147,9 +155,6 @@ def _denavit(table: DenavitTable, form: str) -> ExportFiles:
     for row in table.rows:
         numbers = map(decimal, (row.a, row.alpha, row.d, row.theta, row.factor))
         rows.append([row.joint, row.kind, form, *numbers])
-    placed = [["frame", "x [m]", "y [m]", "z [m]", "roll [rad]", "pitch [rad]", "yaw [rad]"]]
-    for name, T in (("base", table.base), ("tool", table.tool)):
-        placed.append([name, *map(decimal, (*T[:3, 3], *roll_pitch_yaw(T[:3, :3])))])
     far = [row.joint for row in table.rows if abs(row.d) > FAR]
     words = (
         (
@@ -161,7 +166,11 @@ def _denavit(table: DenavitTable, form: str) -> ExportFiles:
         else ()
     )
     return ExportFiles(
-        {f"{form}.csv": csv_text(rows), f"{form}_frames.csv": csv_text(placed)}, words
+        {
+            f"{form}.csv": csv_text(rows),
+            f"{form}_frames.csv": frames_csv((("base", table.base), ("tool", table.tool))),
+        },
+        words,
     )
 
 
