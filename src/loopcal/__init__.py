@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
     from loopcal.measurements.noise import Noise
+    from loopcal.measurements.plan_settings import Box, PlanSettings, Sight
     from loopcal.mechanisms.effects.effect import with_effects
     from loopcal.mechanisms.effects.model import Model
     from loopcal.mechanisms.machine import Instrument, Machine, assemble
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.serial import Joint, serial_arm
     from loopcal.mechanisms.structure.structured import structured
     from loopcal.mechanisms.terms import Term
+    from loopcal.planning.planned import Plan
     from loopcal.pose_performance.result import Performance
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
@@ -86,6 +88,7 @@ if TYPE_CHECKING:
         findings,
         intervals,
         load_dataset,
+        plan,
         predict,
         reliability,
         repeated_readings,
@@ -127,6 +130,8 @@ _HOME = {
     "measurements.dataset": ("Dataset",),
     "measurements.datasheet": ("Tracker", "encoder_sd", "tracker_covariance"),
     "measurements.noise": ("Noise",),
+    "measurements.plan_settings": ("Box", "PlanSettings", "Sight"),
+    "planning.planned": ("Plan",),
     "mechanisms.effects.effect": ("with_effects",),
     "mechanisms.effects.model": ("Model",),
     "mechanisms.machine": ("Instrument", "Machine", "assemble"),
@@ -165,8 +170,8 @@ _HOME = {
     "workflow.performance": ("performance",),
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
-        *("find_shifts", "findings", "intervals", "load_dataset", "predict", "reliability"),
-        *("repeated_readings", "simulate", "validate", "verdict", "verify"),
+        *("find_shifts", "findings", "intervals", "load_dataset", "plan", "predict"),
+        *("reliability", "repeated_readings", "simulate", "validate", "verdict", "verify"),
     ),
     "workflow.record": ("Record", "record", "verify_record"),
     "workflow.saved_result": ("SavedResult", "read_result"),
@@ -177,6 +182,7 @@ _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name
 __all__ = [
     "Accuracy",
     "Answer",
+    "Box",
     "ChangePoint",
     "Check",
     "ChiSquared",
@@ -214,6 +220,8 @@ __all__ = [
     "ParameterTable",
     "Parameters",
     "Performance",
+    "Plan",
+    "PlanSettings",
     "Prediction",
     "Prior",
     "Processes",
@@ -227,6 +235,7 @@ __all__ = [
     "SavedResult",
     "Shifted",
     "Shifts",
+    "Sight",
     "Simulation",
     "Status",
     "Term",
@@ -265,6 +274,7 @@ __all__ = [
     "motoman_ma1400",
     "norm",
     "performance",
+    "plan",
     "planar_two_link",
     "predict",
     "random_poses",

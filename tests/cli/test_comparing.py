@@ -52,7 +52,7 @@ def test_what_the_project_asks_for_is_in_summary_and_result(folder: Path) -> Non
     text = (folder / "a.txt").read_text()
     assert "on poses not used" in text
     assert "4 folds of 40 poses" in text
-    assert "95% interval" in text
+    assert "95 % interval" in text
     document = json.loads((folder / "a-result" / "result.json").read_text())
     assert document["validation"]["scheme"] == {"folds": 4, "seed": 1}
     assert document["validation"]["accuracy"]["rms"] > document["accuracy"]["after"]["rms"]

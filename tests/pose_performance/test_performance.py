@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from analyses.pose_performance import CASES, coverage, distance_coverage
 from loopcal.measurements.attained import AttainedPoses
+from loopcal.pose_performance.accuracy import Group, Means, fitted_base, frame_effect
 from loopcal.pose_performance.instrument import Figures, MeasuringErrors, tracker_of
 from loopcal.pose_performance.intervals import NormalScatter, length_interval, repeatability
 from loopcal.pose_performance.performance import pose_performance
@@ -106,6 +107,49 @@ def test_the_fitted_base_is_no_worse() -> None:
     poses = pose_performance(table).conditions[0].poses
     before = sum(p.accuracy.value**2 for p in poses)
     assert sum(p.accuracy_fitted.value**2 for p in poses if p.accuracy_fitted) < before
+
+
+def test_covariances_after_the_fit_are_those_of_the_whole_matrix() -> None:
+    """M C M^T with M = I - J (J^T W J)^-1 J^T W, all means at once."""
+    rng = np.random.default_rng(3)
+    table = attained(*(rng.normal(0, 1e-4, (n, 3)) for n in (3, 5, 4, 6)))
+    table = replace(table, direction=tuple("ab"[i % 2] for i in range(len(table))))
+    keys = dict.fromkeys(zip(table.pose, table.direction or (), strict=True))
+    rows = [
+        np.array([i for i in range(len(table)) if (table.pose[i], (table.direction or ())[i]) == k])
+        for k in keys
+    ]
+    groups = [Group(*key, its) for key, its in zip(keys, rows, strict=True)]
+    errors = MeasuringErrors(tracker=tracker_of("20 um, 40 um"), frame=Figures.of("1 mm, 1 mrad"))
+    means = Means.of(groups, table.measured, table.commanded, errors)
+    base = fitted_base(means)
+    assert not isinstance(base, str)
+    n = len(groups)
+    C = np.zeros((n, 3, n, 3))
+    for g in range(n):
+        C[g, :, g] += means.scatter[g]
+        for k in range(n):
+            if groups[g].pose == groups[k].pose:
+                C[g, :, k] += means.shared[g]
+    turn = np.kron(np.eye(n), base.rotation)
+    J = frame_effect(means.commanded).reshape(-1, 6)
+    W = np.diag(np.repeat(means.cycles, 3))
+    S = np.linalg.solve(J.T @ W @ J, J.T @ W)
+    M = np.eye(3 * n) - J @ S
+    inner = turn @ C.reshape(3 * n, 3 * n) @ turn.T
+    whole = (M @ inner @ M.T).reshape(n, 3, n, 3)
+    for g in range(n):
+        np.testing.assert_allclose(base.covariance[g], whole[g, :, g], atol=1e-18)
+    np.testing.assert_allclose(base.turn, (S @ inner @ S.T)[3:, 3:], rtol=1e-9)
+
+
+def test_a_thousand_poses_are_no_trouble() -> None:
+    """One cycle each, as of a calibration: AP before and after, and what is missing."""
+    rng = np.random.default_rng(4)
+    clouds = [rng.normal(0.0, 1e-4, (1, 3)) for _ in range(1000)]
+    done = pose_performance(attained(*clouds, at=rng.uniform(-1.0, 1.0, (1000, 3))))
+    assert len(done.conditions[0].poses) == 1000
+    assert "more: --json has all" in str(done)
 
 
 def test_the_instruments_share_of_repeatability() -> None:

@@ -62,6 +62,12 @@ def correct(
             help="Smallest singular value of the Jacobian (m and rad) that is not singular.",
         ),
     ] = 0.005,
+    pulses_per_degree: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N,N,...", help="Pulses per degree of each joint, for programs in pulses."
+        ),
+    ] = None,
     at: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Constant of the result, such as a temperature."),
@@ -84,6 +90,7 @@ def correct(
         frame=None if frame is None else _numbers(frame, "--frame"),
         bounds=CorrectionBounds(math.radians(most_turn), 1e-3 * most_slide, least_gain),
         at=_constants(at or []),
+        pulses=() if pulses_per_degree is None else _list(pulses_per_degree),
     )
     where = f"written to {done.written}" if done.written else "nothing is written"
     if as_json:
@@ -95,12 +102,17 @@ def correct(
         raise typer.Exit(4)
 
 
+def _list(text: str) -> list[float]:
+    """Numbers with commas between; none where one is no number."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        return []
+
+
 def _numbers(text: str, option: str) -> list[float]:
     """Three or six numbers with commas between."""
-    try:
-        found = [float(part) for part in text.split(",")]
-    except ValueError:
-        found = []
+    found = _list(text)
     if len(found) not in (3, 6):
         raise UsageError(
             f"{option} is {text!r}, which is not three or six numbers with commas between them",

@@ -46,19 +46,19 @@ def _apart(q: Array, other: Array, turning: NDArray[np.bool_]) -> float:
     return float(np.abs(np.where(turning, np.remainder(d + math.pi, _TURN) - math.pi, d)).max())
 
 
-def with_turns(arms: Arms, found: Array) -> Array:
-    """The solutions with whole turns added to joints, wherever the limits allow them.
+def with_turns(arms: Arms, q: Array, most: int) -> list[Array]:
+    """A solution (n,) with whole turns added to its joints, wherever the limits allow them.
 
-    Joints without stated limits turn up to two whole turns.
+    most: turns of a joint whose limits are not stated, beyond half a turn to both sides. What
+    differs by whole turns alone has the same pose and the same correction.
     """
     spans = arms.spans()
-    spans = np.where(np.isfinite(spans), spans, [-2.0 * _TURN, 2.0 * _TURN])
-    turning = [unit == "rad" for unit in arms.joints.values()]
-    every: list[Array] = []
-    for q in found:
-        ways = [
-            [v + k * _TURN for k in (-1, 0, 1) if low <= v + k * _TURN <= high] if turns else [v]
-            for v, turns, (low, high) in zip(q, turning, spans, strict=True)
-        ]
-        every += [np.array(way) for way in product(*ways)]
-    return np.array(every).reshape(-1, len(turning))
+    reach = (most + 0.5) * _TURN + _NEAR
+    spans = np.where(np.isfinite(spans), spans, [-reach, reach])
+    ways = [
+        [v + k * _TURN for k in (-1, 0, 1) if low <= v + k * _TURN <= high]
+        if unit == "rad"
+        else [v]
+        for v, unit, (low, high) in zip(q, arms.joints.values(), spans, strict=True)
+    ]
+    return [np.array(way) for way in product(*ways)]

@@ -271,8 +271,7 @@ class _Part:
             if len(blocks) < 2:
                 continue
             found = True
-            at = slice(3 * i, 3 * i + 3)
-            common = self.errors.of_point(means.positions[i]) + frame[at, at]
+            common = means.shared[i] + frame[i]
             name = group.pose if group.direction is None else f"{group.pose}, {group.direction}"
             yield drift(name, blocks, offsets, common, seen)
         if not found:

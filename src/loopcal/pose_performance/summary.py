@@ -35,7 +35,9 @@ def condition_lines(part: ConditionPerformance) -> Iterator[str]:
     yield headline(part)
     for rows in tables_of(part).values():
         yield ""
-        yield from columns(rows)
+        yield from columns(rows[: MOST_ROWS + 1])
+        if len(rows) > MOST_ROWS + 1:
+            yield f"(and {len(rows) - 1 - MOST_ROWS} more: --json has all)"
     for note in part.notes:
         yield ""
         yield note
@@ -45,6 +47,8 @@ def condition_lines(part: ConditionPerformance) -> Iterator[str]:
         yield from (f"  {line}" for line in part.missing)
 
 
+MOST_ROWS = 60
+"""Rows of a printed table."""
 Rows = Sequence[tuple[str, ...]]
 
 

@@ -81,7 +81,7 @@ def correct(
     )
     program = read_program(targets, axes)
     placed = np.eye(4) if frame is None else pose_of_turns([*frame, 0.0, 0.0, 0.0][:6])
-    wanted = _wanted(arms, program, placed)
+    wanted = _wanted(arms, program, placed, frame is not None)
     found = corrected(arms, known, wanted, bounds, at)
     new = {
         i: program.write(target, found.joints[i], inverse(placed) @ found.poses[i])
@@ -190,8 +190,11 @@ def _of_table(
     return Correction(arms, found, "", "joints", lines, (), remarks)
 
 
-def _wanted(arms: Arms, program: Program, frame: Array) -> Targets:
-    """The targets of a program in the base of the arm, with the joints of the controller there."""
+def _wanted(arms: Arms, program: Program, frame: Array, stated: bool) -> Targets:
+    """The targets of a program in the base of the arm, with the joints of the controller there.
+
+    stated: whether the user states the frame of the poses.
+    """
     count, n = len(program.targets), len(arms.joints)
     q, poses = np.full((count, n), np.nan), np.full((count, 4, 4), np.nan)
     step, missing = np.zeros((count, max(n, 6))), {}
@@ -199,6 +202,9 @@ def _wanted(arms: Arms, program: Program, frame: Array) -> Targets:
         step[i, : len(target.step)] = target.step
         if target.pose is None:
             q[i] = target.joints
+        elif program.frame is not None and not stated:
+            words = f"the pose is relative to {program.frame}, whose place is not stated (--frame)"
+            missing[i] = Refusal("not-stated", words)
         else:
             poses[i] = frame @ target.pose
             found = _joints_of(arms, program, target, poses[i])
@@ -225,8 +231,15 @@ def _joints_of(arms: Arms, program: Program, target: ProgramTarget, pose: Array)
             return Refusal("not-reached", words)
         seeded: Array = near.joints[0]
         return seeded
-    every = with_turns(arms, solutions(arms, pose)) if target.states else solutions(arms, pose)
-    fitting: list[Array] = [q for q in every if program.fits(target, q)]
+    every = solutions(arms, pose)
+    fitting: list[Array] = []
+    for turns in (0, 1):  # of joints without limits
+        for one in every:
+            ways = [q for q in with_turns(arms, one, turns) if program.fits(target, q)]
+            fitting += sorted(ways, key=lambda q: float(np.abs(q).max()))[:1]
+        if fitting:
+            break
+    fitting = program.chosen(target, fitting)
     if not len(every):
         return Refusal("not-reached", "no joints of the controller's model give this pose")
     if len(fitting) == 1:

@@ -60,7 +60,7 @@ def test_poses_are_written_in_their_own_way() -> None:
 
 def test_straight_moves_are_marked_in_a_column() -> None:
     program = read(b"A,Z,move\n1,2,joint\n1,2,linear\n")
-    assert [t.straight for t in program.targets] == [False, True]
+    assert [m is not None and m.straight for m in program.moves] == [False, True]
 
 
 @pytest.mark.parametrize(

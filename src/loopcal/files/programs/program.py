@@ -6,6 +6,8 @@ are SI inside; each number remembers how many decimals it had.
 
 from __future__ import annotations
 
+import re
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -13,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
+from loopcal.files.programs.joint_axes import JointAxes
 
 Array = NDArray[np.float64]
+NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 LARGEST = 64_000_000
 """Bytes of a program, at most: a larger file is no program."""
 
@@ -47,7 +51,7 @@ class ProgramTarget:
     in the order of the format; joints (n,) [rad, m]: of a joint target, or the seed of a pose;
     pose (4, 4): of a pose, in the frame that the program names; step: last digits as they will be
     written [SI], (n,) of joints or (6,) of a pose; states: what the program says of the
-    configuration, by its own names; straight: whether the move to it is a straight line.
+    configuration, by its own names.
     """
 
     name: str
@@ -58,7 +62,6 @@ class ProgramTarget:
     pose: Array | None
     step: Array
     states: Mapping[str, int] = field(default_factory=dict)
-    straight: bool = False
 
 
 @dataclass(frozen=True)
@@ -69,12 +72,24 @@ class Noted:
     words: str
 
 
+@dataclass(frozen=True)
+class Move:
+    """A move in the order of the program: to which target (its index), and how."""
+
+    target: int
+    line: int
+    straight: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Program:
     """What a file asks for.
 
     text: Latin-1; write(target, joints, pose): new texts of its numbers; fits(target, joints):
-    whether joints have the configuration that the target states; noted: what is left alone.
+    whether joints have the configuration that the target states; chosen(target, several): those of
+    several fitting joints that it means; noted: what is left alone; moves:
+    in their order, None where a move in between is not understood; frame: what the poses are
+    relative to, where it is not the base.
     """
 
     kind: str
@@ -84,6 +99,9 @@ class Program:
     noted: tuple[Noted, ...]
     write: Callable[[ProgramTarget, Array, Array], list[str]]
     fits: Callable[[ProgramTarget, Array], bool] = lambda target, joints: True
+    chosen: Callable[[ProgramTarget, list[Array]], list[Array]] = lambda target, several: several
+    moves: tuple[Move | None, ...] = ()
+    frame: str | None = None
 
     def edited(self, new: Mapping[int, Sequence[str]]) -> bytes:
         """The bytes with the numbers of some targets (index -> texts) replaced."""
@@ -119,12 +137,36 @@ def text_of(data: bytes, name: str) -> str:
     return data.decode("latin-1")
 
 
+def blanked(text: str, pattern: re.Pattern[str]) -> str:
+    """The text with what matches (comments, strings) as blanks, every place kept."""
+    return pattern.sub(lambda found: re.sub(r"[^\r\n]", " ", found[0]), text)
+
+
+def refuse_redundant(axes: JointAxes, name: str) -> None:
+    """Raise InputError for an arm of more joints than the targets of this format have."""
+    if len(axes.joints) > 6:
+        raise InputError(
+            f"targets of this format have six joints, the arm {len(axes.joints)}",
+            code="unsupported",
+            place=name,
+            remedy="give the joints as a table",
+        )
+
+
+def within(starts: Sequence[int], begin: int, end: int) -> Sequence[int]:
+    """Those of some ascending places that lie from begin to before end."""
+    return starts[bisect_left(starts, begin) : bisect_left(starts, end)]
+
+
+def numbers_of(text: str, at: int) -> tuple[Number, ...]:
+    """The numbers of a list such as "1, -2.5, 9E9", which begins at this place."""
+    return tuple(Number(at + m.start(), at + m.end(), m[0]) for m in NUMBER.finditer(text))
+
+
 class Lines:
     """Numbers of lines by the position in a text; LF, CRLF and CR alone end a line."""
 
     def __init__(self, text: str) -> None:
-        import re
-
         self._ends = np.array([m.end() for m in re.finditer(r"\r\n|\n|\r", text)], dtype=np.int64)
 
     def of(self, position: int) -> int:

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from pathlib import Path
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
+from loopcal.files.programs.fanuc import read_fanuc
 from loopcal.files.programs.joint_axes import JointAxes
+from loopcal.files.programs.krl import read_krl
 from loopcal.files.programs.program import LARGEST, Program, text_of
+from loopcal.files.programs.rapid import read_rapid
 from loopcal.files.programs.table import read_table
+from loopcal.files.programs.yaskawa import read_yaskawa
 
 Read = Callable[[str, str, JointAxes], Program]
-FORMATS: dict[str, Read] = dict.fromkeys((".csv", ".tsv", ".txt"), read_table)
+FORMATS: dict[str, Read] = {
+    **dict.fromkeys((".csv", ".tsv", ".txt"), read_table),
+    **dict.fromkeys((".mod", ".modx", ".prg", ".sys"), read_rapid),
+    **dict.fromkeys((".src", ".dat"), read_krl),
+    ".ls": read_fanuc,
+    ".jbi": read_yaskawa,
+}
 
 
 def read_program(path: str | Path, axes: JointAxes) -> Program:
@@ -37,7 +48,16 @@ def read_program(path: str | Path, axes: JointAxes) -> Program:
             place=str(path),
             remedy="check the path",
         ) from None
-    return read(text_of(data, path.name), path.name, axes)
+    program = read(text_of(data, path.name), path.name, axes)
+    for target in program.targets:
+        if not all(math.isfinite(number.value) for number in target.numbers):
+            raise InputError(
+                f"the target {target.name} has a number that is too large",
+                code="invalid-number",
+                place=f"{path.name}, line {target.line}",
+                remedy="correct the number",
+            )
+    return program
 
 
 def beside(path: str | Path) -> Path:

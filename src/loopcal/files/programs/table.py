@@ -22,7 +22,7 @@ from loopcal.files.programs.poses_text import (
     quaternion_of_pose,
     turns_of_pose,
 )
-from loopcal.files.programs.program import Number, Program, ProgramTarget, written
+from loopcal.files.programs.program import Move, Number, Program, ProgramTarget, written
 from loopcal.files.tables.cells import number
 from loopcal.files.tables.dialect import WHITESPACE, Dialect, Row, recognise
 from loopcal.units import unit
@@ -82,10 +82,10 @@ def read_table(text: str, name: str, axes: JointAxes) -> Program:
     move = next((i for i, n in enumerate(dialect.names) if n.strip().lower() == "move"), None)
     ids = dialect.names.index(str(axes.pose)) if str(axes.pose) in dialect.names else None
     reading = _Reading(dialect, axes, joints, places, quaternion, move, ids, name)
-    targets = [
-        reading.target(row, at[row.number]) for row in rows if row.number > dialect.header_row
-    ]
-    return Program("table", name, text, tuple(targets), (), reading.write)
+    found = [reading.target(row, at[row.number]) for row in rows if row.number > dialect.header_row]
+    moves = [Move(i, target.line, straight) for i, (target, straight) in enumerate(found)]
+    targets = tuple(target for target, _ in found)
+    return Program("table", name, text, targets, (), reading.write, moves=tuple(moves))
 
 
 def _rows(text: str) -> list[tuple[int, int, str]]:
@@ -174,7 +174,8 @@ class _Reading:
     ids: int | None
     name: str
 
-    def target(self, row: Row, start: int) -> ProgramTarget:
+    def target(self, row: Row, start: int) -> tuple[ProgramTarget, bool]:
+        """The target of a row, and whether the move to it is straight."""
         cells = list(_spans(row.line, self.dialect.delimiter))
         if len(cells) < self.dialect.width:
             raise InputError(
@@ -217,7 +218,7 @@ class _Reading:
             straight = _MOVES[word]
         named = row.line[slice(*cells[self.ids])].strip('"') if self.ids is not None else ""
         numbers, used = (places, self.places) if places else (seeds, own)
-        return ProgramTarget(
+        target = ProgramTarget(
             named or f"row {row.number}",
             row.number,
             bool(places),
@@ -225,8 +226,8 @@ class _Reading:
             q if len(own) == len(self.axes.joints) else None,
             self._pose(places, f"{self.name}, line {row.number}") if places else None,
             self._steps(numbers, used),
-            straight=straight,
         )
+        return target, straight
 
     def _pose(self, places: Sequence[Number], place: str) -> Array:
         values = [n.value * c.factor for n, c in zip(places, self.places, strict=True)]

@@ -350,6 +350,66 @@ class VerdictEntry(Model):
     )
 
 
+class BoxEntry(Model):
+    """A box in the frame of the machine's base; a coordinate that is absent is not limited."""
+
+    x: SpanEntry | None = None
+    y: SpanEntry | None = None
+    z: SpanEntry | None = None
+
+
+class SightEntry(Model):
+    """What the instrument can see."""
+
+    station: list[Finite] = Field(
+        default=[0.0, 0.0, 0.0],
+        description="Where the instrument stands in the frame of its readings.",
+    )
+    unit: UnitName | None = Field(default=None, description="Of the station.")
+    normal: list[Finite] | None = Field(
+        default=None,
+        description="Direction in the body's frame that the reflector looks along.",
+        examples=[[0, 0, 1]],
+    )
+    within: Amount | None = Field(
+        default=None,
+        description="Largest angle between that direction and the line to the instrument; "
+        "default: 30 degrees.",
+        examples=[{"value": 30, "unit": "deg"}],
+    )
+
+
+class PlanEntry(Model):
+    """Where `loopcal plan` may choose poses."""
+
+    candidates: Length = Field(default=3000, description="How many random poses to choose among.")
+    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="Of the random poses.")
+    ranges: dict[str, SpanEntry] = Field(
+        default={},
+        description="Of each quantity that is driven; default: the joints' limits, else the ranges "
+        "of [simulation].",
+        examples=[{"theta_1": {"from": -90, "to": 90, "unit": "deg"}}],
+    )
+    reach: BoxEntry | None = Field(default=None, description="Where the end point must be.")
+    keep_out: list[BoxEntry] = Field(
+        default=[],
+        description="Boxes that neither the end point, nor the links of a serial arm, nor the line "
+        "of sight may touch.",
+    )
+    sight: SightEntry | None = Field(
+        default=None, description="Line of sight and incidence at the reflector."
+    )
+    forbidden: str | None = Field(
+        default=None,
+        description="File of readings, in the columns of [data], near which (1 degree, 1 mm) no "
+        "pose may be.",
+    )
+    model_error: Literal["structured", "none"] = Field(
+        default="structured",
+        description="structured: choose poses that also show what geometry does not explain.",
+    )
+
+
 class RecordEntry(Model):
     """Who measured what, when and with what: for result.json, the report and the record."""
 
@@ -417,6 +477,7 @@ class ProjectModel(Model):
     verdict: VerdictEntry = VerdictEntry()
     record: RecordEntry = RecordEntry()
     compare: CompareEntry | None = None
+    plan: PlanEntry = PlanEntry()
     simulation: SimulationEntry | None = None
 
 
