@@ -75,6 +75,13 @@ def pose_performance(
                 place=attained.file,
                 remedy=nearest(name, known),
             )
+    for one, other in distances:
+        if one == other:
+            raise InputError(
+                f"the pose {one!r} has no distance from itself",
+                place=attained.file,
+                remedy="name two poses",
+            )
     parts = [
         _Part(attained, condition, rows, errors).figures(distances)
         for condition, rows in _conditions(attained)
