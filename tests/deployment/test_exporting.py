@@ -172,3 +172,44 @@ def test_offsets_of_frames_are_those_of_the_parameters(rigid):
     back = frames["instrument", "base", "geometry"].T
     np.testing.assert_allclose(there @ back, np.eye(4), atol=1e-15)
     np.testing.assert_allclose(there[:3, 3], [value[f"base_{a}"] for a in "xyz"])
+
+
+def test_an_arm_on_a_wire_is_exported_too():
+    """No point of it is measured: zeros and tool are compared at the point that the wire holds."""
+    joints = [lc.Joint(q, form) for q, form in zip(JOINTS, FORMS, strict=True)]
+    wires = [
+        lc.instruments.draw_wire(f"wire{i}", anchor=f"wire{i}", target="tool") for i in range(3)
+    ]
+    nominal = NOMINAL | {"wire0_x": 1.0, "wire1_y": 1.2, "wire2_x": -0.6, "wire2_z": 1.5}
+    arm = lc.fix_redundant(lc.assemble(lc.machines.serial(joints), wires, nominal))
+    poses = lc.random_poses(RANGES, 80, seed=3)
+    noise = lc.Noise({"q*": 2e-5, "wire*": 2e-5})
+    wrong = {p.name: p.nominal for p in arm.parameters}
+    wrong |= {n: wrong[n] + v for n, v in ZEROS.items() if n in arm.parameters.free}
+    made = lc.simulate(arm, poses, noise=noise, seed=3, truth=wrong)
+    machine = of(lc.calibrate(arm, made.dataset, noise=noise, method="implicit-loop"))
+    assert machine.of("zeros and tool").from_full.rms < 2e-4
+    assert [f.name for f in machine.frames if f.model == "geometry"] == ["tool"]
+    for zero in machine.zeros:
+        if zero.determined:
+            true = ZEROS[f"offset_{zero.joint[1]}"]
+            assert abs(zero.offset - true) < 2.0 * zero.u95
+
+
+def test_transitions_hold_their_base_themselves():
+    """The zero of joint 1 turns the base; a model error beside the sensors is no geometry."""
+    arm = lc.motoman_ma1400(before={"rz": QUARTER})
+    names = [f"theta_{i}" for i in range(1, 7)]
+    poses = lc.random_poses(dict.fromkeys(names, (-1.0, 1.0)), 60, seed=5)
+    noise = lc.Noise({"theta_*": 2e-5, **dict.fromkeys("xyz", 2e-5)})
+    wrong = {p.name: p.nominal for p in arm.parameters}
+    made = lc.simulate(arm, poses, noise=noise, seed=5, truth=wrong | {"z2": 0.615})
+    learnt = lc.Noise({"theta_*": 2e-5, **dict.fromkeys("xyz", 2e-5), "model": 1e-4})
+    result = lc.calibrate(arm, made.dataset, noise=learnt, method="implicit-loop")
+    machine = of(result)
+    assert [z.joint for z in machine.zeros if not z.determined] == ["theta_1", "theta_6"]
+    assert machine.of("geometry").figures[3] == 0.0
+    axes = {f.model: f for f in machine.frames if f.name == "axis of theta_1 (z)"}
+    chain = machine.chain.along_z
+    np.testing.assert_allclose(axes["geometry"].T, chain.joints[0].before, atol=1e-12)
+    assert "zeros and tool" in axes

@@ -9,7 +9,7 @@ zeros, tool and base alone, for controllers that keep their nominal geometry.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +21,14 @@ from loopcal.document.exported import Exported, ModelAccuracy, Placed, ZeroOffse
 from loopcal.document.result_document import ResultDocument
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.sensitivity import output_sensitivity
+from loopcal.files.machines.further_points import with_points
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.calibrated_origins import calibrated_origins
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.origins import LinkJoint
 from loopcal.mechanisms.outputs import points
-from loopcal.mechanisms.placement import rigid
+from loopcal.mechanisms.placement import ChainPlacement, rigid
 from loopcal.mechanisms.rest import rest_chain
 from loopcal.mechanisms.station import Station
 from loopcal.mechanisms.structure.structured import EFFECT
@@ -36,6 +37,7 @@ from loopcal.statistics.predictor import Predictor
 
 Array = NDArray[np.float64]
 _POSES = 400
+_POINT = "point:"
 _GEOMETRY = ("length", "angle", "placement", "mounting")
 
 
@@ -68,11 +70,12 @@ def exported(
             if not p.fixed and mechanism.kinds[p.name] in _GEOMETRY
         ]
         units = {p.name: p.unit for p in mechanism.parameters}
-        geometry = dict(refit(full.goals, bare, free, units=units).values)
+        found = refit(full.goals, bare | full.standing, free, units=units)
+        geometry = {n: v for n, v in found.values.items() if n in bare}
     elif beyond:
         warnings.append(
-            "The geometry is not refitted to the full model: no instrument measures a point of the "
-            "arm. Expect errors as large as the effects that are left out."
+            "The geometry is not refitted to the full model, which is written as a function. "
+            "Expect errors as large as the effects that are left out."
         )
     zeros = None if full is None else _zeros(document, mechanism, full, bare)
     described = mechanism.description or {}
@@ -84,7 +87,7 @@ def exported(
     accuracy: tuple[ModelAccuracy, ...] = ()
     if full is not None and zeros is not None:
         frames += _frames(mechanism, zeros.refit.values, "zeros and tool")
-        accuracy = _accuracy(document, full, zeros.refit, geometry)
+        accuracy = _accuracy(document, full, zeros, geometry)
     return Exported(
         name,
         rest_chain(mechanism.chain, geometry),
@@ -101,7 +104,11 @@ def exported(
 
 @dataclass(frozen=True, eq=False)
 class _Full:
-    """The full model in the working region: what it predicts there, and from which readings."""
+    """The full model in the working region: what it predicts there, and from which readings.
+
+    floating: parameters of where the base stands, 0 in the full model, of an arm that has none:
+    lengths alone are measured, which do not tell, or its own transitions hold it.
+    """
 
     known: Predictor
     seen: tuple[SeenPoint, ...]
@@ -109,14 +116,21 @@ class _Full:
     x: Array
     constants: Array
     poses: Dataset | None
+    floating: tuple[str, ...]
 
     @classmethod
     def of(cls, document: ResultDocument, known: Predictor, poses: Dataset | None) -> _Full | None:
-        """None where no instrument measures a point in space, or the region is unknown."""
-        machine = known.mechanism
+        """None for an arm written as a function, or where the region is unknown."""
+        machine, floating = known.mechanism, Station(None)
         seen = seen_points(machine)
         if not seen:
-            return None
+            floating = Station("base:")
+            machine = _looked_at(machine)
+            known = replace(known, mechanism=machine)
+            seen = seen_points(machine)
+        elif isinstance(machine.placement, ChainPlacement):
+            floating = Station("base:")
+        seen = tuple(replace(one, steps=(*floating.steps, *one.steps)) for one in seen)
         names = machine.tape.quantities
         stored = document.prediction
         ranges = {}
@@ -129,7 +143,8 @@ class _Full:
         if not set(joints) <= ranges.keys():
             return None
         rng = np.random.default_rng(0)
-        x = np.repeat([[known.typical.get(q, 0.0)] for q in names], _POSES, axis=1)
+        home = {q: v for q, v in known.typical.items() if q not in machine.disturbances}
+        x = np.repeat([[home.get(q, 0.0)] for q in names], _POSES, axis=1)
         for q, (low, high) in ranges.items():
             if q in names:
                 x[names.index(q)] = rng.uniform(low, high, _POSES)
@@ -144,7 +159,14 @@ class _Full:
         goals = tuple(
             Goal(s, at, s.measured({q: x[names.index(q)] for q in s.outputs})) for s in seen
         )
-        return cls(known, seen, goals, x, constants, poses) if good.any() else None
+        if not good.any():
+            return None
+        return cls(known, seen, goals, x, constants, poses, floating.parameters)
+
+    @property
+    def standing(self) -> dict[str, float]:
+        """The floating parameters in the full model."""
+        return dict.fromkeys(self.floating, 0.0)
 
     def by_parameter(self) -> Array:
         """(rows, n) derivatives of all points of the goals by the estimated parameters."""
@@ -161,6 +183,18 @@ class _Full:
             J = _cartesian_by_output(goal.seen, at)
             parts.append((J @ S[:, rows]).reshape(-1, S.shape[2]))
         return np.vstack(parts)
+
+
+def _looked_at(machine: Mechanism) -> Mechanism:
+    """An arm of which no point is measured, the point that is looked at as its only output."""
+    mounted = next((f.mounted for f in machine.families if len(f.mounted) >= 3), ())
+    target = [n for n in mounted if machine.parameters[n].unit == "m"][:3]
+    made = with_points(machine, {_POINT: target or (0.0, 0.0, 0.0)}, None)
+    outputs = tuple(f"{_POINT}_{axis}" for axis in "xyz")
+    kept = [made.tape.loops.index(name) for name in outputs]
+    families = tuple(family for family in made.families if family.name == _POINT)
+    made = replace(made, outputs=outputs, families=families)
+    return made.with_tape(lambda tape: tape.only(kept))
 
 
 def _constants(machine: Mechanism, poses: Dataset | None, rng: np.random.Generator) -> Array:
@@ -188,8 +222,11 @@ def _cartesian_by_output(seen: SeenPoint, at: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Zeros:
+    """rows; refit: of zeros, tool and base; nominal: of tool and base alone."""
+
     rows: tuple[ZeroOffset, ...]
     refit: Refit
+    nominal: Refit
 
 
 def _zeros(
@@ -198,15 +235,12 @@ def _zeros(
     """Zeros, tool and base alone: the drawing's geometry refitted by these to the full model."""
     kinds = mechanism.kinds
     nominal = {p.name: p.nominal for p in document.parameters}
-    start = {
-        n: nominal[n] if kinds[n] in ("length", "angle", "gain") else v for n, v in bare.items()
-    }
+    placed = ("mounting",) if full.floating else ("placement", "mounting")
+    start = {n: v if kinds[n] in placed else nominal[n] for n, v in bare.items()}
     start |= {n: 0.0 for its in mechanism.effects.values() for n in its}
-    names = [
-        p.name
-        for p in mechanism.parameters
-        if not p.fixed and kinds[p.name] in ("placement", "mounting")
-    ]
+    start |= full.standing
+    names = [p.name for p in mechanism.parameters if not p.fixed and kinds[p.name] in placed]
+    names += full.floating
     joints = {s.joint: s.unit for s in mechanism.chain if s.joint}
     determined = separable(full.goals, start, names, list(joints))
     found = refit(full.goals, start, names, determined)
@@ -220,21 +254,23 @@ def _zeros(
         ZeroOffset(q, unit, found.offsets.get(q, 0.0), half.get(q), q in determined)
         for q, unit in joints.items()
     )
-    return _Zeros(rows, found)
+    return _Zeros(rows, found, refit(full.goals, start, names))
 
 
 def _accuracy(
-    document: ResultDocument, full: _Full, zeros: Refit, geometry: Mapping[str, float]
+    document: ResultDocument, full: _Full, zeros: _Zeros, geometry: Mapping[str, float]
 ) -> tuple[ModelAccuracy, ...]:
     """The four models beside the measured poses and the full model."""
     stated = document.accuracy
     nominal = calibrated = None
     if stated is not None and stated.unit == "m":
         nominal, calibrated = stated.nominal, stated.after
-    alone = Refit(geometry, {}, (), np.empty((0, 0)))
+    alone = Refit({**geometry, **full.standing}, {}, (), np.empty((0, 0)))
     return (
-        ModelAccuracy("nominal", nominal, None),
-        ModelAccuracy("zeros and tool", _measured(full, zeros), _away(full, zeros)),
+        ModelAccuracy(
+            "nominal", nominal or _measured(full, zeros.nominal), _away(full, zeros.nominal)
+        ),
+        ModelAccuracy("zeros and tool", _measured(full, zeros.refit), _away(full, zeros.refit)),
         ModelAccuracy("geometry", _measured(full, alone), _away(full, alone)),
         ModelAccuracy("full", calibrated, None),
     )
@@ -269,14 +305,14 @@ def _distances(d: Array) -> Distances | None:
 
 
 def _frames(mechanism: Mechanism, values: Mapping[str, float], model: str) -> tuple[Placed, ...]:
-    """Tools on the flange, and stations beside the base; each once."""
+    """Tools on the flange, stations beside the base; of transitions, which have none, axis 1."""
     found: dict[str, Placed] = {}
     for family in mechanism.families:
         units = [(n, mechanism.parameters[n].unit) for n in family.mounted]
-        shift = [n for n, unit in units if unit == "m"]
+        shift = [n for n, unit in units if unit == "m"][:3]
         turns = [n for n, unit in units if unit == "rad"]
         if len(shift) == 3 and len(turns) in (0, 3):
-            tool = shift[0].removesuffix("_x")
+            tool = shift[0].removesuffix("_x") if shift[0].endswith("_x") else "tool"
             steps = _frame_steps([*shift, *turns])
             T = product(steps, {}, values)
             found.setdefault(tool, Placed(tool, "flange", T, bool(turns), model))
@@ -287,6 +323,11 @@ def _frames(mechanism: Mechanism, values: Mapping[str, float], model: str) -> tu
             found.setdefault(f"base in {name}", Placed("base", name, T, True, model))
             back = rigid(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])
             found.setdefault(f"{name} in base", Placed(name, "base", back, True, model))
+    if isinstance(mechanism.placement, ChainPlacement):
+        ahead = Station("base:").steps if "base:_x" in values else ()
+        first = rest_chain((*ahead, *mechanism.chain), values).along_z.joints[0]
+        name = f"axis of {first.name} (z)"
+        found[name] = Placed(name, "instrument", first.before, True, model)
     return tuple(found.values())
 
 
