@@ -11,7 +11,8 @@ import loopcal as lc
 from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
 from loopcal.deployment.inverse import solve
-from loopcal.deployment.rigid import between, turned
+from loopcal.deployment.rigid import between, of_quaternion, turn_of, turned
+from loopcal.mechanisms.serial import serial_machine
 from tests.refusals import refused
 
 NAMES = [f"q{i}" for i in range(1, 7)]
@@ -192,3 +193,30 @@ def test_an_arm_whose_own_parameters_place_it_is_based_where_its_drawing_fits_be
     aim = (base @ done.corrected.targets.poses)[:, :3, 3]
     reached = np.array([seen.outputs[c] for c in "xyz"]).T
     assert reached == pytest.approx(aim, abs=1e-9)
+
+
+def test_a_measured_pose_says_how_the_tool_is_turned() -> None:
+    arm = loops.drawing(loops.ARMS["six-axis"])
+    assert arm.description is not None
+    seen = lc.assemble(serial_machine(arm.description["joints"]), [lc.instruments.pose("camera")])
+    drawn_at = {p.name: p.nominal for p in arm.parameters if p.name in seen.parameters.names}
+    seen = seen.with_nominal(drawn_at | {"tool_rz": 0.3, "tool_ry": -0.2})
+    truth = {p.name: p.nominal + 3e-4 for p in seen.parameters}
+    q = drawn(loops.BOXES["six-axis"], 40, np.random.default_rng(1))
+    noise = lc.Noise(dict.fromkeys(seen.quantities, 2e-5))
+    joints = dict(zip(NAMES, q.T, strict=True))
+    made = lc.simulate(seen, joints, noise=noise, seed=1, truth=truth)
+    result = lc.calibrate(
+        seen, made.dataset, noise=noise, prior=loops.prior(seen), method="implicit-loop"
+    )
+    done = lc.correct(result, targets(6))
+    assert done.corrected.done.all()
+    assert "was not measured" not in str(done)
+    reached = done.corrected.reached
+    assert reached.radial(3).max() < 3e-4  # far below the prior of the last link's turn, 2 mrad
+    machine = seen.with_nominal(truth)
+    again = lc.simulate(machine, done.joints, noise={"*": 0.0}, seed=1).dataset
+    R = of_quaternion(np.array([again[c] for c in ("qw", "qx", "qy", "qz")]).T)
+    wanted = done.arms.machine.base @ done.corrected.targets.poses
+    off = np.linalg.norm(turn_of(np.swapaxes(R, 1, 2) @ wanted[:, :3, :3]), axis=1)
+    assert (off < 2.0 * reached.radial(3)).all()
