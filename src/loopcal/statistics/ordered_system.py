@@ -244,7 +244,9 @@ class _Factor:
     @cached_property
     def root(self) -> Array:
         """(m, k) with H^-1 = root root^T."""
-        return self.vectors / self.values if self.L is None else np.linalg.inv(self.L.T)
+        if self.L is None:
+            return self.vectors / self.values
+        return np.asarray(np.linalg.inv(self.L.T))
 
     @property
     def variances(self) -> Array:
