@@ -109,7 +109,7 @@ def prior(mechanism: lc.Mechanism) -> lc.Prior:
 def closed_loop(name: str, seed: int, *, wear: bool, poses: int = 100, targets: int = 100) -> Loop:
     """One arm, measured, calibrated, corrected, and sent to its targets.
 
-    wear: calibrated by default with what that finds; without it by the machine's own priors.
+    wear: calibrated with the structured model error; without it by the machine's own priors.
     """
     rng = np.random.default_rng([len(name), seed])
     box, drawn_arm = BOXES[name], drawing(ARMS[name])
@@ -131,7 +131,8 @@ def closed_loop(name: str, seed: int, *, wear: bool, poses: int = 100, targets: 
     readings = read | dict(zip("xyz", measured.T, strict=True))
     noise = lc.Noise(dict(zip(names, sds.tolist(), strict=True)) | dict.fromkeys("xyz", TRACKER))
     if wear:
-        result = lc.calibrate(drawn_arm, readings, noise=noise)
+        model = lc.structured(drawn_arm)
+        result = lc.calibrate(model, readings, noise=noise, method="implicit-loop")
     else:
         known = prior(drawn_arm)
         result = lc.calibrate(drawn_arm, readings, noise=noise, prior=known, method="implicit-loop")

@@ -62,6 +62,14 @@ def correct(
             help="Smallest singular value of the Jacobian (m and rad) that is not singular.",
         ),
     ] = 0.005,
+    line: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MM",
+            min=0.0,
+            help="Insert targets until straight moves are off by less [default: none inserted].",
+        ),
+    ] = None,
     pulses_per_degree: Annotated[
         str | None,
         typer.Option(
@@ -88,7 +96,9 @@ def correct(
         tool=tool if tool in ("calibrated", "nominal") else _numbers(tool, "--tool"),
         controller=controller,
         frame=None if frame is None else _numbers(frame, "--frame"),
-        bounds=CorrectionBounds(math.radians(most_turn), 1e-3 * most_slide, least_gain),
+        bounds=CorrectionBounds(
+            math.radians(most_turn), 1e-3 * most_slide, least_gain, _metres(line)
+        ),
         at=_constants(at or []),
         pulses=() if pulses_per_degree is None else _list(pulses_per_degree),
     )
@@ -100,6 +110,10 @@ def correct(
         print_out(f"{done.words()}\n\n{where}")
     if not done.corrected.done.all():
         raise typer.Exit(4)
+
+
+def _metres(value: float | None) -> float | None:
+    return None if value is None else 1e-3 * value
 
 
 def _list(text: str) -> list[float]:

@@ -30,11 +30,15 @@ _BETWEEN = 5
 
 @dataclass(frozen=True)
 class CorrectionBounds:
-    """What a target may need at most: turn [rad] and slide [m] of a joint; least singular value."""
+    """What a target may need at most: turn [rad] and slide [m] of a joint; least singular value.
+
+    line: error [m] in the middle of a straight move above which targets are inserted; None: none.
+    """
 
     turn: float = math.radians(5.0)
     slide: float = 0.05
     gain: float = 0.005
+    line: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from loopcal.deployment.arms import Arms
 from loopcal.deployment.corrected import Corrected
+from loopcal.deployment.straight import StraightMove
 from loopcal.presentation.shown import with_unit
 
 Array = NDArray[np.float64]
@@ -33,7 +34,7 @@ class Correction:
 
     file, kind: of the program; lines: (N,) of the targets; left: lines that are left alone;
     remarks: what the correction assumes; content: the corrected file; written: where it was
-    written, if anywhere.
+    written, if anywhere; moves: the straight ones between corrected targets.
     """
 
     arms: Arms
@@ -45,6 +46,7 @@ class Correction:
     remarks: tuple[str, ...] = ()
     content: bytes = field(default=b"", repr=False)
     written: str | None = None
+    moves: tuple[StraightMove, ...] = ()
 
     @property
     def joints(self) -> dict[str, Array]:
@@ -79,6 +81,8 @@ class Correction:
             )
             if refusal is not None
         ]
+        if self.moves:
+            lines.append(self._straight())
         if refused:
             counts = Counter(refusal.reason for _, _, refusal in refused)
             several = ", ".join(f"{n} {reason}" for reason, n in counts.most_common())
@@ -115,6 +119,15 @@ class Correction:
         if not found.reached.readings:
             lines.append("U95 without the joints' readings, whose sds are unknown")
         return lines
+
+    def _straight(self) -> str:
+        """The straight moves."""
+        worst = max(self.moves, key=lambda move: move.error)
+        new = sum(len(move.inserted) for move in self.moves)
+        count = f"{len(self.moves)} straight move{'s' if len(self.moves) > 1 else ''}"
+        error = _m(worst.error) if math.isfinite(worst.error) else "not followed by the controller"
+        words = f"{count}: error in between up to {error} (line {worst.line})"
+        return f"{words}; {new} targets inserted" if new else words
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""
@@ -154,6 +167,16 @@ class Correction:
             "readings_included": found.reached.readings,
             "not_understood": [{"line": one.line, "words": one.words} for one in self.left],
             "remarks": list(self.remarks),
+            "straight_moves": [
+                {
+                    "line": move.line,
+                    "from": found.targets.names[move.begin],
+                    "to": found.targets.names[move.end],
+                    "error": _plain(move.error),
+                    "inserted": [self._named(q) for q in move.inserted],
+                }
+                for move in self.moves
+            ],
             "targets": targets,
         }
 

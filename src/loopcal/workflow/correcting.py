@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.deployment.arms import Arms, arm_joints, arms_of
-from loopcal.deployment.corrected import CorrectionBounds, Targets, corrected
+from loopcal.deployment.corrected import Corrected, CorrectionBounds, Targets, corrected
 from loopcal.deployment.correction import Correction, Left
 from loopcal.deployment.inverse import solve
 from loopcal.deployment.refusals import Refusal
 from loopcal.deployment.rigid import inverse
 from loopcal.deployment.solutions import solutions, with_turns
+from loopcal.deployment.straight import StraightMove, straight_move
 from loopcal.deployment.tool import CALIBRATED, Tool, tool_of
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
@@ -95,15 +97,28 @@ def correct(
         for target, q, refusal in zip(program.targets, found.joints, found.refused, strict=True)
     )
     new = {i: texts for i, texts in new.items() if changed[i] is None}
+    found = replace(found, refused=changed)
+    moves = _straight(arms, program, found, bounds.line)
+    ahead = {
+        move.end: [
+            program.write(
+                program.targets[move.end], q, inverse(placed) @ arms.controller(q[None])[0]
+            )
+            for q in move.inserted
+        ]
+        for move in moves
+        if len(move.inserted)
+    }
     return Correction(
         arms,
-        replace(found, refused=changed),
+        found,
         program.name,
         program.kind,
         tuple(target.line for target in program.targets),
         tuple(Left(note.line, note.words) for note in program.noted),
         _remarks(seated, arms),
-        program.edited(new),
+        program.edited(new, ahead),
+        moves=moves,
     )
 
 
@@ -250,6 +265,22 @@ def _joints_of(arms: Arms, program: Program, target: ProgramTarget, pose: Array)
         else "no configuration that gives this pose is the one that the program states"
     )
     return Refusal("configuration-missing", words)
+
+
+def _straight(
+    arms: Arms, program: Program, found: Corrected, bound: float | None
+) -> tuple[StraightMove, ...]:
+    """The straight moves between corrected targets; targets are inserted into tables alone."""
+    moves, done = [], found.done
+    for last, move in pairwise(program.moves):
+        if last is None or move is None or not move.straight:
+            continue
+        ends = (last.target, move.target)
+        if all(done[i] for i in ends):
+            own = bound if program.kind == "table" else None
+            q, wanted = found.joints[list(ends)], found.targets.poses[list(ends)]
+            moves.append(straight_move(arms, ends, move.line, q, wanted, own))
+    return tuple(moves)
 
 
 def _remarks(tool: Tool, arms: Arms) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ def descent(curvature: Array, *, triangular: bool, steps: int, fast: bool) -> li
         g = -true @ p
         scaled = H * scale * scale[:, None]
         if triangular:
-            R = np.asarray(np.linalg.cholesky(scaled).T)
+            R: Array = np.asarray(np.linalg.cholesky(scaled).T, dtype=np.float64)
             system = Spectrum(scale, Stacked(R, np.linalg.solve(R.T, scale * g)))
         else:
             system = Spectrum(scale, Summed(scaled, scale * g))

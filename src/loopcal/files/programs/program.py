@@ -51,7 +51,7 @@ class ProgramTarget:
     in the order of the format; joints (n,) [rad, m]: of a joint target, or the seed of a pose;
     pose (4, 4): of a pose, in the frame that the program names; step: last digits as they will be
     written [SI], (n,) of joints or (6,) of a pose; states: what the program says of the
-    configuration, by its own names.
+    configuration, by its own names; label: where its name stands, for copies of its row.
     """
 
     name: str
@@ -62,6 +62,7 @@ class ProgramTarget:
     pose: Array | None
     step: Array
     states: Mapping[str, int] = field(default_factory=dict)
+    label: Number | None = None
 
 
 @dataclass(frozen=True)
@@ -103,18 +104,47 @@ class Program:
     moves: tuple[Move | None, ...] = ()
     frame: str | None = None
 
-    def edited(self, new: Mapping[int, Sequence[str]]) -> bytes:
-        """The bytes with the numbers of some targets (index -> texts) replaced."""
+    def edited(
+        self,
+        new: Mapping[int, Sequence[str]],
+        ahead: Mapping[int, Sequence[Sequence[str]]] | None = None,
+    ) -> bytes:
+        """The bytes with the numbers of some targets (index -> texts) replaced.
+
+        ahead: copies of the row of a target to put before it, of a table.
+        """
         places = [
             (number.start, number.end, text)
             for index, texts in new.items()
             for number, text in zip(self.targets[index].numbers, texts, strict=True)
         ]
-        parts, at = [], 0
-        for start, end, text in sorted(places):
-            parts += [self.text[at:start], text]
-            at = end
-        return "".join([*parts, self.text[at:]]).encode("latin-1")
+        for index, rows in (ahead or {}).items():
+            start, copies = self._copies(self.targets[index], rows)
+            places.append((start, start, copies))
+        return _replaced(self.text, 0, len(self.text), places).encode("latin-1")
+
+    def _copies(self, target: ProgramTarget, rows: Sequence[Sequence[str]]) -> tuple[int, str]:
+        """Where the row of a target begins, and copies of it with other numbers."""
+        start = max(self.text.rfind(mark, 0, target.numbers[0].start) for mark in "\r\n") + 1
+        ends = [self.text.find(mark, start) for mark in "\r\n"]
+        end = min((e for e in ends if e >= 0), default=len(self.text))
+        mark = re.search(r"\r\n|\n|\r", self.text)
+        copies = []
+        for count, texts in enumerate(rows, 1):
+            own = [(n.start, n.end, t) for n, t in zip(target.numbers, texts, strict=True)]
+            if target.label is not None:
+                own.append((target.label.start, target.label.end, f"{target.label.text}-{count}"))
+            copies.append(_replaced(self.text, start, end, own) + (mark[0] if mark else "\n"))
+        return start, "".join(copies)
+
+
+def _replaced(text: str, begin: int, end: int, places: Sequence[tuple[int, int, str]]) -> str:
+    """A part of the text with other texts at some places (start, end, new)."""
+    parts, at = [], begin
+    for start, stop, new in sorted(places):
+        parts += [text[at:start], new]
+        at = stop
+    return "".join([*parts, text[at:end]])
 
 
 def text_of(data: bytes, name: str) -> str:

@@ -216,16 +216,20 @@ class _Reading:
                     remedy="give 'linear' or 'joint'",
                 )
             straight = _MOVES[word]
-        named = row.line[slice(*cells[self.ids])].strip('"') if self.ids is not None else ""
+        label = None
+        if self.ids is not None:
+            begin, end = cells[self.ids]
+            label = Number(start + begin, start + end, row.line[begin:end])
         numbers, used = (places, self.places) if places else (seeds, own)
         target = ProgramTarget(
-            named or f"row {row.number}",
+            label.text if label and label.text else f"row {row.number}",
             row.number,
             bool(places),
             tuple(numbers),
             q if len(own) == len(self.axes.joints) else None,
             self._pose(places, f"{self.name}, line {row.number}") if places else None,
             self._steps(numbers, used),
+            label=label,
         )
         return target, straight
 
