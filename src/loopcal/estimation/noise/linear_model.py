@@ -215,7 +215,7 @@ def _by_products(model: LinearModel, joined: Joined) -> _Solved | None:
     total = joined.total + prior.T @ prior
     scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-300))
     try:
-        R = np.asarray(np.linalg.cholesky(total * scale * scale[:, None]).T)
+        R = np.asarray(np.linalg.cholesky(total * scale * scale[:, None]).T, dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
     n = len(R) - 1
