@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import io
 import json
 import os
 import re
@@ -100,6 +102,15 @@ def test_every_public_function_and_class_has_its_signature(source: Path) -> None
     for name in lc.__all__:
         if callable(getattr(lc, name)):
             assert f":: loopcal.{name}\n" in text
+
+
+def test_every_docstring_of_a_public_name_is_sound_markup() -> None:
+    core = pytest.importorskip("docutils.core", reason="docutils is absent; `make site` brings it")
+    for name in lc.__all__:
+        text = inspect.getdoc(getattr(lc, name)) or ""
+        told = io.StringIO()
+        core.publish_doctree(text, settings_overrides={"warning_stream": told, "report_level": 2})
+        assert told.getvalue() == "", name
 
 
 def test_it_opens_from_the_disk_without_a_request(html: Path) -> None:

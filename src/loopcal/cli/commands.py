@@ -144,9 +144,12 @@ def check(
     for warning in done.warnings:
         log(f"warning: {warning}")
     if as_json:
-        print_json({"title": done.title, **done.check.document(), "warnings": [*done.warnings]})
+        cured = None if done.cure is None else done.cure.document()
+        document = {"title": done.title, **done.check.document(), "cure": cured}
+        print_json({**document, "warnings": [*done.warnings]})
     else:
-        print_out(f"{done.title}: {done.check.poses} poses, nothing fitted\n\n{done.check}")
+        more = "" if done.cure is None else f"\n\n{done.cure}"
+        print_out(f"{done.title}: {done.check.poses} poses, nothing fitted\n\n{done.check}{more}")
 
 
 @app.command()

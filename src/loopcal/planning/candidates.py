@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed
+from loopcal.estimation.problem.problem import Problem
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.measurements.plan_settings import PlanSettings, Span
@@ -22,6 +23,7 @@ from loopcal.simulation.simulate import simulate, within_reach
 Array = NDArray[np.float64]
 STEP = {"rad": math.radians(0.01), "m": 1e-5}
 """Steps of random readings [SI]."""
+_QUARTER = 0.5 * math.pi
 _ROUNDS = 10
 """Draws of random poses until enough are allowed."""
 EXACT = Noise({"*": 0.0})
@@ -62,7 +64,7 @@ def ranges_of(
     mechanism: Mechanism, stated: Mapping[str, Span], measured: Dataset | None
 ) -> dict[str, Span]:
     """Quantity or known constant -> range [SI]: as stated, else the joints' limits, else that of
-    the poses already measured.
+    the poses already measured, of turning joints of an arm a quarter turn either way at least.
 
     What is found by closing the loops has none. Raises InputError where ranges are missing.
     """
@@ -74,12 +76,17 @@ def ranges_of(
         found = {q: (one.low, one.high) for q, one in joint_limits(mechanism).items()}
     driven = [q for q in units if q not in outputs and q not in mechanism.disturbances]
     missing = [q for q in driven if q not in found]
+    turning = {s.joint for s in mechanism.chain if s.joint and s.motion[0] == "r"}
     for q in missing:
         if q in mechanism.latest:
             found[q] = (mechanism.latest[q],) * 2
         elif measured is not None and np.isfinite(measured.readings.get(q, np.nan)).any():
             values = measured.readings[q]
-            found[q] = (float(np.nanmin(values)), float(np.nanmax(values)))
+            low, high = float(np.nanmin(values)), float(np.nanmax(values))
+            if q in turning:
+                middle = 0.5 * (low + high)
+                low, high = min(low, middle - _QUARTER), max(high, middle + _QUARTER)
+            found[q] = (low, high)
     free = len(mechanism.tape.loops) - len(mechanism.outputs)
     missing = [q for q in missing if q not in found and q not in mechanism.unused]
     if len(missing) > free or any(q in mechanism.known for q in missing):
@@ -219,6 +226,21 @@ def _rounded(mechanism: Mechanism, readings: Mapping[str, Array]) -> dict[str, A
         step = STEP.get(units[q], 0.0)
         found[q] = np.trunc(values / step) * step if step and np.ptp(values) else values
     return found
+
+
+def typical_sds(problem: Problem) -> Dataset | None:
+    """Measured poses with those sds that came with their readings; None where none did."""
+    names = problem.mechanism.tape.quantities
+    own = [i for i, source in enumerate(problem.uncertainty.sources) if source == "reading"]
+    if not own:
+        return None
+    sds = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
+    return Dataset(
+        {names[i]: problem.readings[i] for i in own},
+        {},
+        problem.poses,
+        {names[i]: sds[i] for i in own},
+    )
 
 
 def with_sds(data: Dataset, like: Dataset | None) -> Dataset:

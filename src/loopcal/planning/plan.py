@@ -28,6 +28,7 @@ from loopcal.planning.candidates import (
     in_shares,
     ranges_of,
     too_few,
+    typical_sds,
     with_sds,
 )
 from loopcal.planning.certificate import certificate
@@ -206,7 +207,12 @@ def _tests(mechanism: Mechanism, pool: Candidates, settings: PlanSettings) -> Da
 
 
 def _problem(mechanism: Mechanism, driven: Dataset, noise: Noise, like: Dataset | None) -> Problem:
-    closed = with_sds(given(mechanism, driven, PlanSettings()).closed, like)
+    closed = given(mechanism, driven, PlanSettings()).closed
+    return as_problem(mechanism, with_sds(closed, like), noise)
+
+
+def as_problem(mechanism: Mechanism, closed: Dataset, noise: Noise) -> Problem:
+    """Closed candidates as readings of a calibration."""
     machine, data = with_model(mechanism, closed, noise)
     return build_problem(machine, data, noise, whole=False)
 
@@ -218,7 +224,7 @@ def _at(
     measured: _Measured | None,
     noise: Noise,
 ) -> _Drawn:
-    like = None if measured is None else _sds(measured)
+    like = None if measured is None else typical_sds(measured.problem)
     problem = _problem(mechanism, pool.driven, noise, like)
     rows = rows_of(problem, problem.start, np.zeros(problem.readings.shape))
     before = np.empty((0, *rows.shape[1:]))
@@ -239,21 +245,6 @@ def _at(
     moves = np.array([kinds.get(n, "placement") != "placement" for n in problem.names])
     made = information(problem, rows, before, np.where(moves, T, 0.0), counts)
     return _Drawn(made, problem, rows)
-
-
-def _sds(measured: _Measured) -> Dataset | None:
-    problem = measured.problem
-    names = problem.mechanism.tape.quantities
-    own = [i for i, source in enumerate(problem.uncertainty.sources) if source == "reading"]
-    if not own:
-        return None
-    sds = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
-    return Dataset(
-        {names[i]: problem.readings[i] for i in own},
-        {},
-        problem.poses,
-        {names[i]: sds[i] for i in own},
-    )
 
 
 def _depends(
