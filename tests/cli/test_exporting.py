@@ -52,7 +52,11 @@ def test_a_second_export_changes_nothing(folder):
 
 def test_every_format_of_an_arm_is_made_in_python(folder: Path):
     robot = folder / "robot/robot.urdf"
+    with refused("unsupported", "Universal Robots"):
+        lc.export(folder / "robot-result", "ur")
     for name, one in EXPORTS.items():
+        if name == "ur":
+            continue
         made = lc.export(
             folder / "robot-result", name, source=robot if one.source and not one.optional else None
         )

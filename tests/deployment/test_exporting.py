@@ -172,3 +172,25 @@ def test_offsets_of_frames_are_those_of_the_parameters(rigid):
     back = frames["instrument", "base", "geometry"].T
     np.testing.assert_allclose(there @ back, np.eye(4), atol=1e-15)
     np.testing.assert_allclose(there[:3, 3], [value[f"base_{a}"] for a in "xyz"])
+
+
+def test_an_arm_on_a_wire_is_exported_too():
+    """No point of it is measured: zeros and tool are compared at the point that the wire holds."""
+    joints = [lc.Joint(q, form) for q, form in zip(JOINTS, FORMS, strict=True)]
+    wires = [
+        lc.instruments.draw_wire(f"wire{i}", anchor=f"wire{i}", target="tool") for i in range(3)
+    ]
+    nominal = NOMINAL | {"wire0_x": 1.0, "wire1_y": 1.2, "wire2_x": -0.6, "wire2_z": 1.5}
+    arm = lc.fix_redundant(lc.assemble(lc.machines.serial(joints), wires, nominal))
+    poses = lc.random_poses(RANGES, 80, seed=3)
+    noise = lc.Noise({"q*": 2e-5, "wire*": 2e-5})
+    wrong = {p.name: p.nominal for p in arm.parameters}
+    wrong |= {n: wrong[n] + v for n, v in ZEROS.items() if n in arm.parameters.free}
+    made = lc.simulate(arm, poses, noise=noise, seed=3, truth=wrong)
+    machine = of(lc.calibrate(arm, made.dataset, noise=noise, method="implicit-loop"))
+    assert machine.of("zeros and tool").from_full.rms < 2e-4
+    assert [f.name for f in machine.frames if f.model == "geometry"] == ["tool"]
+    for zero in machine.zeros:
+        if zero.determined:
+            true = ZEROS[f"offset_{zero.joint[1]}"]
+            assert abs(zero.offset - true) < 2.0 * zero.u95

@@ -218,6 +218,8 @@ def test_a_wrong_unit_is_refused() -> None:
 def test_an_unknown_pose_is_refused() -> None:
     with refused("unknown-name", "P9"):
         pose_performance(attained(CROSS, CROSS), distances=[("P1", "P9")])
+    with refused("invalid-value", "P1", "itself"):
+        pose_performance(attained(CROSS, CROSS), distances=[("P1", "P1")])
 
 
 def test_exact_readings_have_exact_figures() -> None:

@@ -12,7 +12,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.document.verdict import Answer
-from loopcal.files.result.record_file import check_record
+from loopcal.files.result.record_file import OPEN, RecordFile, check_record
 from loopcal.files.result.result_file import read_result
 from loopcal.report.record_page import FIELDS, OTHERS, PEOPLE, RULE, UNSTATED, record_page
 from loopcal.small_samples import t_quantile
@@ -150,6 +150,23 @@ def test_the_number_follows_from_the_content(planar: Path) -> None:
         record_page(document, {"customer": name}, ()).number for name in ("A", "A", "B")
     )
     assert one == same != other
+
+
+def test_markup_in_names_is_shown_as_text(hostile: Path) -> None:
+    from tests.report.conftest import MARKUP, SCRIPT
+
+    file = RecordFile(MARKUP, SCRIPT, SCRIPT, OPEN)
+    page = record_page(read_result(hostile / "result.json"), {"note": SCRIPT}, (file,)).html
+    assert "<img/src" not in page
+    assert page.count("</script>") == 1
+
+
+@pytest.mark.parametrize(
+    "without", [{"accuracy": None, "validation": None}, {"verdict": None}, {"parameters": ()}]
+)
+def test_what_a_result_does_not_have_is_left_out(planar: Path, without: dict[str, None]) -> None:
+    document = replace(read_result(planar / "result.json"), **without)  # type: ignore[arg-type]
+    assert "relate only to the item" in record_page(document, {}, ()).html
 
 
 def test_another_page_is_refused(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ zeros, tool and base alone, for controllers that keep their nominal geometry.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from loopcal.document.exported import Exported, ModelAccuracy, Placed, ZeroOffse
 from loopcal.document.result_document import ResultDocument
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.sensitivity import output_sensitivity
+from loopcal.files.machines.further_points import with_points
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.calibrated_origins import calibrated_origins
 from loopcal.mechanisms.chain import Step, product
@@ -36,6 +37,7 @@ from loopcal.statistics.predictor import Predictor
 
 Array = NDArray[np.float64]
 _POSES = 400
+_POINT = "point:"
 _GEOMETRY = ("length", "angle", "placement", "mounting")
 
 
@@ -68,11 +70,12 @@ def exported(
             if not p.fixed and mechanism.kinds[p.name] in _GEOMETRY
         ]
         units = {p.name: p.unit for p in mechanism.parameters}
-        geometry = dict(refit(full.goals, bare, free, units=units).values)
+        found = refit(full.goals, bare | full.standing, free, units=units)
+        geometry = {n: v for n, v in found.values.items() if n in bare}
     elif beyond:
         warnings.append(
-            "The geometry is not refitted to the full model: no instrument measures a point of the "
-            "arm. Expect errors as large as the effects that are left out."
+            "The geometry is not refitted to the full model, which is written as a function. "
+            "Expect errors as large as the effects that are left out."
         )
     zeros = None if full is None else _zeros(document, mechanism, full, bare)
     described = mechanism.description or {}
@@ -101,7 +104,11 @@ def exported(
 
 @dataclass(frozen=True, eq=False)
 class _Full:
-    """The full model in the working region: what it predicts there, and from which readings."""
+    """The full model in the working region: what it predicts there, and from which readings.
+
+    floating: parameters of where the base stands, 0 in the full model, of an arm of which lengths
+    alone are measured: they do not tell where it stands.
+    """
 
     known: Predictor
     seen: tuple[SeenPoint, ...]
@@ -109,14 +116,20 @@ class _Full:
     x: Array
     constants: Array
     poses: Dataset | None
+    floating: tuple[str, ...]
 
     @classmethod
     def of(cls, document: ResultDocument, known: Predictor, poses: Dataset | None) -> _Full | None:
-        """None where no instrument measures a point in space, or the region is unknown."""
-        machine = known.mechanism
+        """None for an arm written as a function, or where the region is unknown."""
+        machine, floating = known.mechanism, Station(None)
         seen = seen_points(machine)
         if not seen:
-            return None
+            floating = Station("base:")
+            machine = _looked_at(machine)
+            known = replace(known, mechanism=machine)
+            seen = tuple(
+                replace(one, steps=(*floating.steps, *one.steps)) for one in seen_points(machine)
+            )
         names = machine.tape.quantities
         stored = document.prediction
         ranges = {}
@@ -144,7 +157,14 @@ class _Full:
         goals = tuple(
             Goal(s, at, s.measured({q: x[names.index(q)] for q in s.outputs})) for s in seen
         )
-        return cls(known, seen, goals, x, constants, poses) if good.any() else None
+        if not good.any():
+            return None
+        return cls(known, seen, goals, x, constants, poses, floating.parameters)
+
+    @property
+    def standing(self) -> dict[str, float]:
+        """The floating parameters in the full model."""
+        return dict.fromkeys(self.floating, 0.0)
 
     def by_parameter(self) -> Array:
         """(rows, n) derivatives of all points of the goals by the estimated parameters."""
@@ -161,6 +181,18 @@ class _Full:
             J = _cartesian_by_output(goal.seen, at)
             parts.append((J @ S[:, rows]).reshape(-1, S.shape[2]))
         return np.vstack(parts)
+
+
+def _looked_at(machine: Mechanism) -> Mechanism:
+    """An arm of which no point is measured, the point that is looked at as its only output."""
+    mounted = next((f.mounted for f in machine.families if len(f.mounted) >= 3), ())
+    target = [n for n in mounted if machine.parameters[n].unit == "m"][:3]
+    made = with_points(machine, {_POINT: target or (0.0, 0.0, 0.0)}, None)
+    outputs = tuple(f"{_POINT}_{axis}" for axis in "xyz")
+    kept = [made.tape.loops.index(name) for name in outputs]
+    families = tuple(family for family in made.families if family.name == _POINT)
+    made = replace(made, outputs=outputs, families=families)
+    return made.with_tape(lambda tape: tape.only(kept))
 
 
 def _constants(machine: Mechanism, poses: Dataset | None, rng: np.random.Generator) -> Array:
@@ -202,11 +234,13 @@ def _zeros(
         n: nominal[n] if kinds[n] in ("length", "angle", "gain") else v for n, v in bare.items()
     }
     start |= {n: 0.0 for its in mechanism.effects.values() for n in its}
+    start |= full.standing
     names = [
         p.name
         for p in mechanism.parameters
         if not p.fixed and kinds[p.name] in ("placement", "mounting")
     ]
+    names += full.floating
     joints = {s.joint: s.unit for s in mechanism.chain if s.joint}
     determined = separable(full.goals, start, names, list(joints))
     found = refit(full.goals, start, names, determined)
@@ -231,7 +265,7 @@ def _accuracy(
     nominal = calibrated = None
     if stated is not None and stated.unit == "m":
         nominal, calibrated = stated.nominal, stated.after
-    alone = Refit(geometry, {}, (), np.empty((0, 0)))
+    alone = Refit({**geometry, **full.standing}, {}, (), np.empty((0, 0)))
     return (
         ModelAccuracy("nominal", nominal, None),
         ModelAccuracy("zeros and tool", _measured(full, zeros), _away(full, zeros)),
@@ -273,7 +307,7 @@ def _frames(mechanism: Mechanism, values: Mapping[str, float], model: str) -> tu
     found: dict[str, Placed] = {}
     for family in mechanism.families:
         units = [(n, mechanism.parameters[n].unit) for n in family.mounted]
-        shift = [n for n, unit in units if unit == "m"]
+        shift = [n for n, unit in units if unit == "m"][:3]
         turns = [n for n, unit in units if unit == "rad"]
         if len(shift) == 3 and len(turns) in (0, 3):
             tool = shift[0].removesuffix("_x")

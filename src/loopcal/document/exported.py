@@ -19,6 +19,8 @@ from loopcal.mechanisms.rest import RestChain
 from loopcal.presentation.shown import size
 
 Array = NDArray[np.float64]
+_NOTHING = 1e-9
+"""[m] what is left of two models that are the same."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,9 @@ class ModelAccuracy:
         """rms, 95 % and max at the measured poses, and rms from the full model [m]."""
         here, away = self.measured, self.from_full
         at_poses = (None, None, None) if here is None else (here.rms, here.p95, here.max)
-        return (*at_poses, None if away is None else away.rms)
+        if away is None:
+            return (*at_poses, None)
+        return (*at_poses, away.rms if away.rms > _NOTHING else 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +114,5 @@ def accuracy_lines(exported: Exported) -> list[str]:
     return lines
 
 
-_NOTHING = 1e-9
-"""[m] what is left of two models that are the same."""
-
-
 def _apart(rms: float | None) -> str:
-    return "0" if rms is not None and rms < _NOTHING else size(rms, "m")
+    return "0" if rms == 0.0 else size(rms, "m")

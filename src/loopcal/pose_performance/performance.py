@@ -1,7 +1,7 @@
 """All figures of pose performance from attained poses, one payload and speed after the other.
 
-Formulas as secondary sources give them for ISO 9283:1998, among them Nof (ed.), Handbook of
-Industrial Robotics (1999), and Slamani, Nubiola and Bonev, Industrial Robot 39 (2012):
+Formulas of ISO 9283:1998 as secondary sources give them, such as Slamani, Nubiola and Bonev,
+Assessment of the positioning performance of an industrial robot, Industrial Robot 39 (2012):
 
     AP = |p - p_c|,  RP = l + 3 S_l,  l_j = |p_j - p|;   about each axis AP_a = mean, RP_a = +-3 S_a
     vAP = max |p_h - p_k| of directions of approach,  AD = |D - D_c|,  RD = +-3 S_D
@@ -74,6 +74,13 @@ def pose_performance(
                 code="unknown-name",
                 place=attained.file,
                 remedy=nearest(name, known),
+            )
+    for one, other in distances:
+        if one == other:
+            raise InputError(
+                f"the pose {one!r} has no distance from itself",
+                place=attained.file,
+                remedy="name two poses",
             )
     parts = [
         _Part(attained, condition, rows, errors).figures(distances)

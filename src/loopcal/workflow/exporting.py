@@ -159,7 +159,7 @@ def _check_options(one: Format, source: Any, offsets: str, vendor: str | None) -
 _LACKS = {
     "chain": "it is not a serial arm in space",
     "origins": "its joints are not described by origins, as those of a URDF are",
-    "zeros": "no instrument measures a point of a serial arm in space",
+    "zeros": "it is not a serial arm in space, or nothing measures it",
 }
 
 
