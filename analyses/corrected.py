@@ -11,6 +11,8 @@ covariance expects; the share of targets inside the stated 95 % region of the po
 difference between f(q) and the wanted pose, q by the controller's inverse from the corrected pose.
 
     python -m analyses.corrected [--draws 20] [--only WORD ...] [--write FILE.md]
+
+With --write the table goes into the file, and bars of the worn arms into docs/pictures.
 """
 
 from __future__ import annotations
@@ -56,6 +58,10 @@ BOXES = {
         [[-2, 2], [0.3, 1.2], [-1, 1], [-1.6, -0.6], [-2, 2], [0.4, 1.3], [-2, 2]]
     ),
 }
+
+
+INKS = {"before": "#9e9e9e", "after": "#0072b2", "stated: expected rms": "#56b4e9"}
+SVG = Path(__file__).parents[1] / "docs" / "pictures" / "corrected.svg"
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,6 +197,54 @@ HEAD = (
 )
 
 
+def bars(rows: list[str]) -> str:
+    """Bars of the rms errors of worn arms before and after, and what is stated, as SVG."""
+    wide, high, left, top, bottom = 720, 340, 64, 54, 36
+    low, most = 0.01, 2.0
+
+    def up(value: float) -> float:
+        share = np.log(min(max(value, low), most) / low) / np.log(most / low)
+        return float(high - bottom - share * (high - bottom - top))
+
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide} {high}" '
+        'font-family="sans-serif" font-size="13">',
+        "<title>Errors at the targets of a program before and after its correction</title>",
+        f'<rect width="{wide}" height="{high}" fill="white"/>',
+    ]
+    for tick in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0):
+        y = up(tick)
+        lines.append(f'<path d="M{left},{y:.1f}H{wide - 16}" stroke="#ddd"/>')
+        lines.append(f'<text x="{left - 8}" y="{y + 4:.1f}" text-anchor="end">{tick:g}</text>')
+    shown = [row for row in rows if ", worn" in row]
+    group = (wide - 16 - left) / len(shown)
+    bar = 0.75 * group / len(INKS)
+    for j, row in enumerate(shown):
+        name, values = row[:22].strip().removesuffix(", worn"), map(float, row[30:55].split())
+        begin = left + j * group + 0.125 * group
+        for i, (value, ink) in enumerate(zip(values, INKS.values(), strict=True)):
+            x, y = begin + i * bar, up(value)
+            lines.append(
+                f'<rect x="{x:.1f}" y="{y:.1f}" width="{bar - 4:.1f}" '
+                f'height="{high - bottom - y:.1f}" fill="{ink}"/>'
+            )
+            lines.append(
+                f'<text x="{x + 0.5 * (bar - 4):.1f}" y="{y - 4:.1f}" text-anchor="middle" '
+                f'font-size="11">{value:.3f}</text>'
+            )
+        middle = begin + 0.375 * group
+        lines.append(f'<text x="{middle:.1f}" y="{high - 14}" text-anchor="middle">{name}</text>')
+    for i, (label, ink) in enumerate(INKS.items()):
+        lines.append(f'<rect x="{left + i * 170}" y="14" width="12" height="12" fill="{ink}"/>')
+        lines.append(f'<text x="{left + i * 170 + 17}" y="25">{label}</text>')
+    y = 0.5 * (high - bottom + top)
+    lines.append(
+        f'<text x="14" y="{y}" transform="rotate(-90 14 {y})" text-anchor="middle">'
+        "rms error of the tool's point [mm]</text>"
+    )
+    return "\n".join([*lines, "</svg>", ""])
+
+
 def main() -> None:
     """Run what is asked for, and print the table."""
     parser = argparse.ArgumentParser(description="Closed loops of corrected targets.")
@@ -209,6 +263,7 @@ def main() -> None:
             print(rows[-1], flush=True)
     if given.write:
         write_block(given.write, "corrected", "\n".join(rows))
+        SVG.write_text(bars(rows), "utf-8")
 
 
 if __name__ == "__main__":

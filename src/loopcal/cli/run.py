@@ -14,6 +14,7 @@ from loopcal.cli.application import app
 from loopcal.cli.commands import calibrate
 from loopcal.cli.correct import correct
 from loopcal.cli.export import export
+from loopcal.cli.life import update
 from loopcal.cli.output import log, print_error
 from loopcal.cli.performance import performance
 from loopcal.cli.planning import plan
@@ -26,7 +27,7 @@ except ModuleNotFoundError:  # typer before 0.26 raises the exceptions of click
     from click.exceptions import Abort  # type: ignore[assignment]
     from click.exceptions import ClickException as TyperException  # type: ignore[assignment]
 
-LOADED = (calibrate, correct, export, performance, plan, record)
+LOADED = (calibrate, correct, export, performance, plan, record, update)
 """A command of each module: all commands of a module join as it is imported."""
 INTERRUPTED = 130
 

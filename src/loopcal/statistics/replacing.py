@@ -245,6 +245,10 @@ class _Search:
         """Where points are best aligned; as calibrated where no points are seen, or too few."""
         start, d = self.problem.start, self._size
         stays = _Place(np.eye(d), np.zeros(d), start)
+        station = self.problem.mechanism.placement
+        anew = isinstance(station, Station) and {*station.parameters} <= {*self.freedom.names}
+        if not (self.freedom.whole or anew):
+            return stays
         try:
             mechanism, motion = placed(self.problem)
         except InputError:

@@ -15,6 +15,7 @@ from loopcal.files.project import project_data
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.readers import read_dataset
+from loopcal.life import updating
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.measurements.plan_settings import PlanSettings
@@ -171,6 +172,7 @@ validate = _on_machine(validating.validate)
 compare_models = _on_machine(models.compare_models)
 predict = _on_result(prediction.predict, predictor_from, whole=False)
 verify = _on_result(verification.verify, calibrated_from, whole=True)
+update = _on_result(updating.update, calibrated_from, whole=True)
 findings = _on_fit(finding.findings)
 find_outliers = _on_fit(outliers.find_outliers)
 find_shifts = _on_fit(change_points.find_shifts)

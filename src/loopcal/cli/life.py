@@ -1,0 +1,81 @@
+"""The commands of a machine's life: update, history, fleet."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from loopcal.cli.application import FunctionOption, JsonOption, app
+from loopcal.cli.output import log, print_json, print_out
+from loopcal.errors import NoTrustworthyResult
+
+
+@app.command()
+def update(
+    result: Annotated[
+        str, typer.Argument(metavar="RESULT", help="Folder of a calibration, or its result.json.")
+    ],
+    file: Annotated[
+        str,
+        typer.Argument(
+            metavar="FILE",
+            help="Readings of another day in the columns of the project, or another result.",
+        ),
+    ],
+    out: Annotated[
+        str | None,
+        typer.Option(metavar="FOLDER", help="Folder for the new result [default: RESULT-updated]."),
+    ] = None,
+    drift: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KIND=SD",
+            help="Allow this drift since: length=0.01mm, angle=20urad, mounting, gain, effect or "
+            "a parameter; repeatable [default: none].",
+        ),
+    ] = None,
+    same_place: Annotated[
+        bool,
+        typer.Option("--same-place", help="Keep the placement: the instrument was not moved."),
+    ] = False,
+    remounted: Annotated[
+        bool,
+        typer.Option(
+            "--remounted", help="Estimate everything that is mounted on the machine anew."
+        ),
+    ] = False,
+    anew: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Estimate this instrument's target, target or parameter anew; repeatable "
+            "[default: none].",
+        ),
+    ] = None,
+    no_report: Annotated[
+        bool, typer.Option("--no-report", help="Skip report.html and delete an existing one.")
+    ] = False,
+    as_json: JsonOption = False,
+    mechanism: FunctionOption = None,
+) -> None:
+    """Update a calibration with readings of another day, beginning from what it knows."""
+    from loopcal.workflow.updating import Mounted, run_update
+
+    done = run_update(
+        result,
+        file,
+        out=out,
+        mounting=Mounted(not same_place, remounted, anew or ()),
+        drift=drift or (),
+        report=not no_report,
+        function=mechanism,
+    )
+    where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
+    if as_json:
+        print_json(done.written.document)
+        log(where)
+    else:
+        print_out(f"{done.written.document}\n\n{where}")
+    if done.objection is not None:
+        raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
