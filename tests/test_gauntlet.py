@@ -75,5 +75,5 @@ def test_the_table_counts_alarms_misses_and_names() -> None:
 
 
 def test_a_rate_has_the_interval_of_its_number_of_draws() -> None:
-    assert interval(0, 60) == (0.0, pytest.approx(1.0 - 0.025 ** (1 / 60)))
-    assert interval(10, 10) == (pytest.approx(0.025**0.1), 1.0)
+    assert interval(0, 60) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 60)))
+    assert interval(10, 10) == pytest.approx((0.025**0.1, 1.0))
