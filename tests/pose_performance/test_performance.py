@@ -75,6 +75,20 @@ def test_drift_by_hand() -> None:
     assert found.repeatability.value == pytest.approx(1e-6)
 
 
+def test_a_slow_drift_is_noticed_and_independent_cycles_are_not() -> None:
+    """At a level of 1 %: at most 5 of 100 sets of independent cycles (0.05 % by chance)."""
+
+    def noticed(seed: int, warming: float) -> bool:
+        rng = np.random.default_rng(seed)
+        slow = warming * np.linspace(0.0, 1.0, 10)[:, None] * [0.0, 0.0, 1.0]
+        clouds = [rng.normal(0.0, 1e-5, (10, 3)) + slow for _ in range(3)]
+        part = pose_performance(attained(*clouds)).conditions[0]
+        return any("drifts" in note for note in part.notes)
+
+    assert sum(noticed(seed, 0.0) for seed in range(100)) <= 5
+    assert sum(noticed(seed, 6e-5) for seed in range(10)) >= 9
+
+
 def test_orientation_by_hand() -> None:
     """Turns about the base's x of 10, 20 and 30 µrad, whatever orientation was commanded."""
     asked = np.repeat(Rotation.from_euler("ZYX", [0.3, 0.7, 2.0]).as_matrix()[None], 3, axis=0)

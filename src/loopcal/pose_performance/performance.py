@@ -44,6 +44,7 @@ from loopcal.pose_performance.parts import (
 )
 from loopcal.pose_performance.result import Performance
 from loopcal.small_samples import t_quantile
+from loopcal.statistics.repeats import CLEAR, FEWEST, slow_p_value
 
 Array = NDArray[np.float64]
 AXES = ("x", "y", "z")
@@ -137,8 +138,35 @@ class _Part:
             tuple(self._distances(distances)),
             tuple(self._drifts(means, fitted)),
             tuple(self.missing),
-            tuple(_remarks(poses, fitted is not None and _other_frame(means, fitted))),
+            (
+                *_remarks(poses, fitted is not None and _other_frame(means, fitted)),
+                *self._dependence(),
+            ),
         )
+
+    def _dependence(self) -> Iterable[str]:
+        """Whether successive cycles resemble each other, by von Neumann's ratio of all groups."""
+        series = []
+        for group in self.groups:
+            rows = group.rows
+            if self.all.time is not None:
+                rows = rows[np.argsort(self.all.time[rows], kind="stable")]
+            if len(rows) >= FEWEST:
+                series.append(self.all.measured[rows])
+        if not series:
+            return
+        counts = np.array([len(part) for part in series])
+        square = sum(np.square(part - part.mean(axis=0)).sum(axis=0) for part in series)
+        steps = sum(np.square(np.diff(part, axis=0)).sum(axis=0) for part in series)
+        found = [
+            slow_p_value(float(a), float(b), counts) for a, b in zip(square, steps, strict=True)
+        ]
+        least = min((p for p in found if p is not None), default=1.0)
+        if least < CLEAR / 3.0:
+            yield (
+                f"Successive cycles resemble each other (p = {least:.2g}): robot or instrument "
+                "drifts. The drift is part of RP, and the intervals take cycles as independent."
+            )
 
     def _pose(self, i: int, means: Means, base: FittedBase | None) -> PosePerformance:
         group = self.groups[i]
