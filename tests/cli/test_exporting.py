@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.cli.export import _counts
 from loopcal.files.exports.registry import EXPORTS
 from tests.command_line import run
 from tests.refusals import refused
@@ -42,11 +43,12 @@ def test_a_second_export_changes_nothing(folder):
     assert [one["model"] for one in stated["accuracy"]] == [
         "nominal", "zeros and tool", "geometry", "full",
     ]  # fmt: skip
-    other = run(*urdf, "--offsets", "file", cwd=folder)
-    assert other.returncode == 3
-    assert "--force" in other.stderr
-    forced = run(*urdf, "--offsets", "file", "--force", cwd=folder)
-    assert "backup: robot-result/export/robot.urdf.bak" in forced.stdout
+    there = {"source": folder / "robot/robot.urdf", "out": folder / "robot-result/export"}
+    with refused("unwritable-file", "--force"):
+        lc.export(folder / "robot-result", "urdf", offsets="file", **there)
+    forced = lc.export(folder / "robot-result", "urdf", offsets="file", force=True, **there)
+    assert forced.placed is not None
+    assert forced.placed.backups == ("robot.urdf.bak",)
     assert (folder / "robot-result/export/robot.urdf.bak").read_bytes() == patched
 
 
@@ -96,12 +98,15 @@ def test_what_does_not_go_together_is_refused(folder, options, code):
 
 
 def test_counts_are_read_from_the_command_line(folder):
-    bad = run("export", "robot-result", "--to", "zeros", "--counts", "joint_2", cwd=folder)
-    assert bad.returncode == 3
-    assert "JOINT=N" in bad.stderr
     out = ("--out", "zeros", "--counts", "joint_2=1000")
     done = run("export", "robot-result", "--to", "zeros", *out, cwd=folder)
     assert done.returncode == 0, done.stderr
     table = np.genfromtxt(folder / "zeros/zeros.csv", delimiter=",", names=True, dtype=None,
                           encoding="utf-8")  # fmt: skip
     assert table["counts"][1] == pytest.approx(1000 * table["correction"][1], abs=0.5)
+
+
+def test_counts_without_a_number_are_refused():
+    for text in ("joint_2", "joint_2=", "joint_2=x", "=5", "joint_2=0", "joint_2=inf"):
+        with refused("invalid-value", "JOINT=N"):
+            _counts(text)

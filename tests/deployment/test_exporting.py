@@ -194,3 +194,22 @@ def test_an_arm_on_a_wire_is_exported_too():
         if zero.determined:
             true = ZEROS[f"offset_{zero.joint[1]}"]
             assert abs(zero.offset - true) < 2.0 * zero.u95
+
+
+def test_transitions_hold_their_base_themselves():
+    """The zero of joint 1 turns the base; a model error beside the sensors is no geometry."""
+    arm = lc.motoman_ma1400(before={"rz": QUARTER})
+    names = [f"theta_{i}" for i in range(1, 7)]
+    poses = lc.random_poses(dict.fromkeys(names, (-1.0, 1.0)), 60, seed=5)
+    noise = lc.Noise({"theta_*": 2e-5, **dict.fromkeys("xyz", 2e-5)})
+    wrong = {p.name: p.nominal for p in arm.parameters}
+    made = lc.simulate(arm, poses, noise=noise, seed=5, truth=wrong | {"z2": 0.615})
+    learnt = lc.Noise({"theta_*": 2e-5, **dict.fromkeys("xyz", 2e-5), "model": 1e-4})
+    result = lc.calibrate(arm, made.dataset, noise=learnt, method="implicit-loop")
+    machine = of(result)
+    assert [z.joint for z in machine.zeros if not z.determined] == ["theta_1", "theta_6"]
+    assert machine.of("geometry").figures[3] == 0.0
+    axes = {f.model: f for f in machine.frames if f.name == "axis of theta_1 (z)"}
+    chain = machine.chain.along_z
+    np.testing.assert_allclose(axes["geometry"].T, chain.joints[0].before, atol=1e-12)
+    assert "zeros and tool" in axes

@@ -28,7 +28,7 @@ from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.origins import LinkJoint
 from loopcal.mechanisms.outputs import points
-from loopcal.mechanisms.placement import rigid
+from loopcal.mechanisms.placement import ChainPlacement, rigid
 from loopcal.mechanisms.rest import rest_chain
 from loopcal.mechanisms.station import Station
 from loopcal.mechanisms.structure.structured import EFFECT
@@ -106,8 +106,8 @@ def exported(
 class _Full:
     """The full model in the working region: what it predicts there, and from which readings.
 
-    floating: parameters of where the base stands, 0 in the full model, of an arm of which lengths
-    alone are measured: they do not tell where it stands.
+    floating: parameters of where the base stands, 0 in the full model, of an arm that has none:
+    lengths alone are measured, which do not tell, or its own transitions hold it.
     """
 
     known: Predictor
@@ -127,9 +127,10 @@ class _Full:
             floating = Station("base:")
             machine = _looked_at(machine)
             known = replace(known, mechanism=machine)
-            seen = tuple(
-                replace(one, steps=(*floating.steps, *one.steps)) for one in seen_points(machine)
-            )
+            seen = seen_points(machine)
+        elif isinstance(machine.placement, ChainPlacement):
+            floating = Station("base:")
+        seen = tuple(replace(one, steps=(*floating.steps, *one.steps)) for one in seen)
         names = machine.tape.quantities
         stored = document.prediction
         ranges = {}
@@ -142,7 +143,8 @@ class _Full:
         if not set(joints) <= ranges.keys():
             return None
         rng = np.random.default_rng(0)
-        x = np.repeat([[known.typical.get(q, 0.0)] for q in names], _POSES, axis=1)
+        home = {q: v for q, v in known.typical.items() if q not in machine.disturbances}
+        x = np.repeat([[home.get(q, 0.0)] for q in names], _POSES, axis=1)
         for q, (low, high) in ranges.items():
             if q in names:
                 x[names.index(q)] = rng.uniform(low, high, _POSES)
@@ -230,16 +232,11 @@ def _zeros(
     """Zeros, tool and base alone: the drawing's geometry refitted by these to the full model."""
     kinds = mechanism.kinds
     nominal = {p.name: p.nominal for p in document.parameters}
-    start = {
-        n: nominal[n] if kinds[n] in ("length", "angle", "gain") else v for n, v in bare.items()
-    }
+    placed = ("mounting",) if full.floating else ("placement", "mounting")
+    start = {n: v if kinds[n] in placed else nominal[n] for n, v in bare.items()}
     start |= {n: 0.0 for its in mechanism.effects.values() for n in its}
     start |= full.standing
-    names = [
-        p.name
-        for p in mechanism.parameters
-        if not p.fixed and kinds[p.name] in ("placement", "mounting")
-    ]
+    names = [p.name for p in mechanism.parameters if not p.fixed and kinds[p.name] in placed]
     names += full.floating
     joints = {s.joint: s.unit for s in mechanism.chain if s.joint}
     determined = separable(full.goals, start, names, list(joints))
@@ -303,14 +300,14 @@ def _distances(d: Array) -> Distances | None:
 
 
 def _frames(mechanism: Mechanism, values: Mapping[str, float], model: str) -> tuple[Placed, ...]:
-    """Tools on the flange, and stations beside the base; each once."""
+    """Tools on the flange, stations beside the base; of transitions, which have none, axis 1."""
     found: dict[str, Placed] = {}
     for family in mechanism.families:
         units = [(n, mechanism.parameters[n].unit) for n in family.mounted]
         shift = [n for n, unit in units if unit == "m"][:3]
         turns = [n for n, unit in units if unit == "rad"]
         if len(shift) == 3 and len(turns) in (0, 3):
-            tool = shift[0].removesuffix("_x")
+            tool = shift[0].removesuffix("_x") if shift[0].endswith("_x") else "tool"
             steps = _frame_steps([*shift, *turns])
             T = product(steps, {}, values)
             found.setdefault(tool, Placed(tool, "flange", T, bool(turns), model))
@@ -321,6 +318,11 @@ def _frames(mechanism: Mechanism, values: Mapping[str, float], model: str) -> tu
             found.setdefault(f"base in {name}", Placed("base", name, T, True, model))
             back = rigid(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])
             found.setdefault(f"{name} in base", Placed(name, "base", back, True, model))
+    if isinstance(mechanism.placement, ChainPlacement):
+        ahead = Station("base:").steps if "base:_x" in values else ()
+        first = rest_chain((*ahead, *mechanism.chain), values).along_z.joints[0]
+        name = f"axis of {first.name} (z)"
+        found[name] = Placed(name, "instrument", first.before, True, model)
     return tuple(found.values())
 
 
