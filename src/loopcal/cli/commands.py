@@ -485,6 +485,14 @@ def init(
     out: Annotated[
         str, typer.Option(metavar="DIR", help="Write the project to this folder.")
     ] = "calibration",
+    sheet: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Sheet of a workbook, or variable of a MATLAB file [default: the one with by far "
+            "the most numbers].",
+        ),
+    ] = None,
     run: Annotated[
         bool, typer.Option("--run", help="Calibrate at once and open the report.")
     ] = False,
@@ -494,7 +502,7 @@ def init(
     from loopcal.workflow.beginning.initial import RobotFile, initial_project
 
     robot = RobotFile(urdf, dh, machine, base, tip)
-    done = initial_project(files, robot, out=out, ask=ask_on_terminal())
+    done = initial_project(files, robot, out=out, sheet=sheet, ask=ask_on_terminal())
     print_out(str(done))
     if run:
         try:

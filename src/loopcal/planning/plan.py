@@ -64,7 +64,7 @@ def plan(
     settings: PlanSettings | None = None,
     progress: Progress | None = None,
 ) -> Plan:
-    """The poses that tell most of the machine, with what they promise.
+    """The poses that show most of the machine, with what they promise.
 
     candidates: poses to choose among [SI], by default random ones (`PlanSettings`); existing: poses
     already measured, which the plan adds to. criterion: "I", the mean variance of the predicted end

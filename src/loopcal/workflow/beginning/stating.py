@@ -398,7 +398,8 @@ def _data(
             continue
         entry: dict[str, Any] = {"file": relative(source.path, folder)}
         if source.sheet is not None:
-            entry["sheet"] = source.sheet
+            matlab = source.path.suffix.lower() == ".mat"
+            entry["variable" if matlab else "sheet"] = source.sheet
         several = len(used) > 1
         if several and fields.by_order:
             entry["pose"] = 0
