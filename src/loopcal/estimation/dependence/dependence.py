@@ -14,6 +14,7 @@ from loopcal.estimation.dependence.seen import instruments, seen
 from loopcal.estimation.dependence.serial import Drift, Whole, learnt_drift
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.products import rows_times
 from loopcal.estimation.solve.solution import Solution
 
 Array = NDArray[np.float64]
@@ -109,7 +110,7 @@ def _whole(
     k = root.shape[1]
     DD, DE, EE, count = np.zeros((k, k)), np.zeros(k), 0.0, 0
     for block in equations:
-        D, E = (block.D @ root).reshape(-1, k), block.E.ravel()
+        D, E = rows_times(block.D, root).reshape(-1, k), block.E.ravel()
         DD, DE, EE, count = DD + D.T @ D, DE + D.T @ E, EE + float(E @ E), count + len(E)
     precision = np.zeros(len(root)) if exact else 1.0 / np.square(problem.prior_sd)
     away = problem.nominal - solution.parameters[problem.free]

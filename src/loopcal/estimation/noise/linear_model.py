@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.products import rows_times
 from loopcal.estimation.solve.kernel import eliminate, loadings
 from loopcal.estimation.solve.reduction import WELL_CONDITIONED, inverse_of_upper
 from loopcal.estimation.solve.sweep import Sweeper
@@ -272,9 +273,8 @@ def _slopes(model: LinearModel, joined: Joined, root: Array, dp: Array) -> tuple
     score, pairs = np.zeros(count), np.zeros((count, count))
     inner = np.zeros((count, rank, rank))
     for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
-        poses, _, K = W.shape
         turned = W.transpose(0, 2, 1)
-        Y = ((turned @ rows[:, :, :n]).reshape(-1, n) @ root).reshape(poses, K, rank)
+        Y = rows_times(turned @ rows[:, :, :n], root)
         C, Q = turned @ W, Y @ Y.transpose(0, 2, 1)
         r = rows[:, :, n] - rows[:, :, :n] @ dp
         misfit = np.square(turned @ r[:, :, None])[:, :, 0].sum(axis=0)
