@@ -87,7 +87,7 @@ def exported(
     accuracy: tuple[ModelAccuracy, ...] = ()
     if full is not None and zeros is not None:
         frames += _frames(mechanism, zeros.refit.values, "zeros and tool")
-        accuracy = _accuracy(document, full, zeros.refit, geometry)
+        accuracy = _accuracy(document, full, zeros, geometry)
     return Exported(
         name,
         rest_chain(mechanism.chain, geometry),
@@ -222,8 +222,11 @@ def _cartesian_by_output(seen: SeenPoint, at: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Zeros:
+    """rows; refit: of zeros, tool and base; nominal: of tool and base alone."""
+
     rows: tuple[ZeroOffset, ...]
     refit: Refit
+    nominal: Refit
 
 
 def _zeros(
@@ -251,11 +254,11 @@ def _zeros(
         ZeroOffset(q, unit, found.offsets.get(q, 0.0), half.get(q), q in determined)
         for q, unit in joints.items()
     )
-    return _Zeros(rows, found)
+    return _Zeros(rows, found, refit(full.goals, start, names))
 
 
 def _accuracy(
-    document: ResultDocument, full: _Full, zeros: Refit, geometry: Mapping[str, float]
+    document: ResultDocument, full: _Full, zeros: _Zeros, geometry: Mapping[str, float]
 ) -> tuple[ModelAccuracy, ...]:
     """The four models beside the measured poses and the full model."""
     stated = document.accuracy
@@ -264,8 +267,10 @@ def _accuracy(
         nominal, calibrated = stated.nominal, stated.after
     alone = Refit({**geometry, **full.standing}, {}, (), np.empty((0, 0)))
     return (
-        ModelAccuracy("nominal", nominal, None),
-        ModelAccuracy("zeros and tool", _measured(full, zeros), _away(full, zeros)),
+        ModelAccuracy(
+            "nominal", nominal or _measured(full, zeros.nominal), _away(full, zeros.nominal)
+        ),
+        ModelAccuracy("zeros and tool", _measured(full, zeros.refit), _away(full, zeros.refit)),
         ModelAccuracy("geometry", _measured(full, alone), _away(full, alone)),
         ModelAccuracy("full", calibrated, None),
     )

@@ -57,7 +57,7 @@ class ModelAccuracy:
 
     model: "nominal", "zeros and tool", "geometry" or "full"; measured: computed minus measured at
     the poses of the calibration, None where unknown; from_full: distance [m] from what the full
-    model predicts in the working region, None for nominal and where unknown.
+    model predicts in the working region, None for the full model. Each has its own place and tool.
     """
 
     model: str
