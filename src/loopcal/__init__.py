@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from loopcal.files.project.project_file import Project, read_project
     from loopcal.files.result.record_file import RecordCheck
     from loopcal.files.tables.readers import read_dataset
+    from loopcal.life.history import History
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
     from loopcal.measurements.noise import Noise
@@ -76,6 +77,7 @@ if TYPE_CHECKING:
     from loopcal.workflow.calibration import write_result
     from loopcal.workflow.correcting import correct
     from loopcal.workflow.exporting import Export, export
+    from loopcal.workflow.history import history
     from loopcal.workflow.performance import performance
     from loopcal.workflow.public import (
         calibrate,
@@ -176,6 +178,8 @@ _HOME = {
         "verify",
     ),
     "workflow.record": ("Record", "record", "verify_record"),
+    "workflow.history": ("history",),
+    "life.history": ("History",),
     "workflow.saved_result": ("SavedResult", "read_result"),
 }
 _NAMESPACES = ("effects", "instruments", "machines")
@@ -200,6 +204,7 @@ __all__ = [
     "Export",
     "Findings",
     "Fit",
+    "History",
     "Identifiability",
     "InitialProject",
     "InputError",
@@ -268,6 +273,7 @@ __all__ = [
     "findings",
     "fix_redundant",
     "grid_poses",
+    "history",
     "init",
     "instruments",
     "intervals",

@@ -10,6 +10,7 @@ import typer
 from loopcal.cli.application import (
     ClusterOption,
     FunctionOption,
+    HistoryOption,
     JsonOption,
     ProjectArgument,
     WorkersOption,
@@ -91,6 +92,7 @@ def calibrate(
     ] = False,
     workers: WorkersOption = None,
     cluster: ClusterOption = None,
+    machine_history: HistoryOption = None,
 ) -> None:
     """Fit; write result.json, residuals.csv, mechanism.toml and report.html; print a summary."""
     from loopcal.cli.progress import Progress
@@ -129,6 +131,10 @@ def calibrate(
     else:
         document = done.written.document
         print_out(f"{document.title}\n{document}\n\n{done.findings.words()}\n\n{where}")
+    if machine_history is not None:
+        from loopcal.workflow.history import add_result
+
+        add_result(machine_history, done.written.folder)
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
 
@@ -251,6 +257,7 @@ def verify(
             help="Require that 95 % of poses lie within this distance [default: none].",
         ),
     ] = None,
+    machine_history: HistoryOption = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
@@ -269,6 +276,10 @@ def verify(
         print_json(done.document())
     else:
         print_out(str(done))
+    if machine_history is not None:
+        from loopcal.workflow.history import add_verification
+
+        add_verification(machine_history, done, result, file)
     if done.failed:
         told = " ".join(answer.words for answer in done.failed)
         raise NoTrustworthyResult(

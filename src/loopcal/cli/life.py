@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from loopcal.cli.application import FunctionOption, JsonOption, app
+from loopcal.cli.application import FunctionOption, HistoryOption, JsonOption, app
 from loopcal.cli.output import log, print_json, print_out
 from loopcal.errors import NoTrustworthyResult
 
@@ -56,6 +56,7 @@ def update(
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Skip report.html and delete an existing one.")
     ] = False,
+    machine_history: HistoryOption = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
@@ -77,5 +78,39 @@ def update(
         log(where)
     else:
         print_out(f"{done.written.document}\n\n{where}")
+    if machine_history is not None:
+        from loopcal.workflow.history import add_result
+
+        add_result(machine_history, done.written.folder)
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
+
+
+@app.command()
+def history(
+    folder: Annotated[
+        str, typer.Argument(metavar="FOLDER", help="Folder of the history.")
+    ] = "machine.history",
+    add: Annotated[
+        list[str] | None,
+        typer.Option(metavar="RESULT", help="Add this calibration; repeatable [default: none]."),
+    ] = None,
+    event: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TEXT", help="Add this event; repeatable [default: none]."),
+    ] = None,
+    out: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Write the page to this file [default: FOLDER.html]."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Print and draw a machine's history, or add a calibration or an event to it."""
+    from loopcal.workflow.history import run_history
+
+    done = run_history(folder, add=add or (), events=event or (), out=out)
+    if as_json:
+        print_json(done.history.document())
+        log(f"written to {done.page}")
+    else:
+        print_out(f"{done.history}\n\nwritten to {done.page}")
