@@ -71,9 +71,8 @@ def ranges_of(
     outputs = {*mechanism.outputs, *mechanism.turns, *mechanism.implied, *mechanism.home}
     outputs |= {column for o in mechanism.orientations for column in o.columns}
     units = {**mechanism.quantities, **mechanism.known}
-    found = dict(stated)
-    if not stated:
-        found = {q: (one.low, one.high) for q, one in joint_limits(mechanism).items()}
+    limits = {q: (one.low, one.high) for q, one in joint_limits(mechanism).items()}
+    found = {**limits, **stated}
     driven = [q for q in units if q not in outputs and q not in mechanism.disturbances]
     missing = [q for q in driven if q not in found]
     turning = {s.joint for s in mechanism.chain if s.joint and s.motion[0] == "r"}

@@ -88,7 +88,11 @@ def end_point_rows(problem: Problem, parameters: Array, x: Array, known: Array) 
     Lengths where any instrument sees a point, its range and angles as coordinates; else angles.
     """
     mechanism = problem.mechanism
-    S = output_sensitivity(mechanism, parameters, problem.names, x, known).by_parameter
+    names = mechanism.tape.quantities
+    still = (*mechanism.disturbances, *mechanism.unused)
+    sds = np.broadcast_to(problem.uncertainty.sd, (len(names), problem.count))
+    unread = [i for i, sd in enumerate(sds) if np.isinf(sd).all() and names[i] not in still]
+    S = output_sensitivity(mechanism, parameters, problem.names, x, known, unread).by_parameter
     seen = [one for one in seen_outputs(mechanism) if one.position or one.turns]
     lengths = [one for one in seen if one.position]
     found = []
@@ -102,6 +106,24 @@ def end_point_rows(problem: Problem, parameters: Array, x: Array, known: Array) 
     rows = np.concatenate(found, axis=1) / np.sqrt(len(found))
     finite: Array = rows[np.isfinite(rows).all(axis=(1, 2))]
     return finite
+
+
+def placed_anew(tests: Array, stands: NDArray[np.bool_]) -> Array:
+    """How the end point moves (T, o, n) beside what placing the instruments anew makes up for.
+
+    The machine's own parameters may trade against the placement without harm to its accuracy; what
+    is left depends on no choice of the base frame. stands: (n,) the parameters of placements.
+    """
+    flat = tests.reshape(-1, tests.shape[2])
+    P = flat[:, stands]
+    length = np.linalg.norm(P, axis=0)
+    P = P[:, length > 0.0] / length[length > 0.0]
+    if P.size:
+        U, s, _ = np.linalg.svd(P, full_matrices=False)
+        U = U[:, s > _NULL * s.max()]
+        flat = flat - U @ (U.T @ flat)
+    found: Array = np.where(stands, 0.0, flat).reshape(tests.shape)
+    return found
 
 
 def cartesian_slopes(polar: Array) -> Array:
@@ -139,8 +161,7 @@ def information(
     prior = root / problem.prior_sd[:, None]
     ridge = RIDGE / max(len(rows), 1)
     start = before.T @ before + prior.T @ prior + ridge * np.eye(k)
-    T = np.where(counts, tests, 0.0) @ root
-    return Information(Z, start, T, root, _unmoved(root[counts]), counts, ridge)
+    return Information(Z, start, tests @ root, root, _unmoved(root[counts]), counts, ridge)
 
 
 def _parts(rows: Array) -> list[Array]:

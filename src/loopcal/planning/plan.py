@@ -38,6 +38,7 @@ from loopcal.planning.information import (
     closed_corrections,
     end_point_rows,
     information,
+    placed_anew,
     rows_of,
 )
 from loopcal.planning.planned import CALIBRATE, CRITERIA, VALIDATE, Plan
@@ -200,7 +201,7 @@ class _Drawn:
 def _tests(mechanism: Mechanism, pool: Candidates, settings: PlanSettings) -> Dataset:
     """Driven readings of the poses whose end point counts."""
     if settings.region:
-        ranges = ranges_of(mechanism, {**settings.ranges, **settings.region}, pool.driven)
+        ranges = ranges_of(mechanism, {**settings.ranges, **settings.region}, None)
         return drawn(mechanism, ranges, PlanSettings(number=TESTS, seed=settings.seed + 1)).driven
     index = np.unique(np.linspace(0, len(pool.even) - 1, TESTS).astype(np.intp))
     return pool.driven.take(pool.even[index])
@@ -242,8 +243,8 @@ def _at(
     counts = np.array(
         [kinds.get(n, "placement") != "placement" and n not in beyond for n in problem.names]
     )
-    moves = np.array([kinds.get(n, "placement") != "placement" for n in problem.names])
-    made = information(problem, rows, before, np.where(moves, T, 0.0), counts)
+    stands = np.array([kinds.get(n, "placement") == "placement" for n in problem.names])
+    made = information(problem, rows, before, placed_anew(T, stands), counts)
     return _Drawn(made, problem, rows)
 
 

@@ -481,6 +481,7 @@ def test_two_trackers_of_one_reflector_are_two_stations(tmp_path: Path, arm: Any
     made = lc.init({**of(joints, NAMES), **columns}, dh=dh(tmp_path))
     names = made.mechanism.parameters.names
     assert "station_2_x" in names
+    assert any("x_2, y_2, z_2: target tool, station station_2" in w for w in made.remarks)
     assert [n for n in names if n.startswith("tool")] == ["tool_x", "tool_y", "tool_z"]
     result = lc.calibrate(made, method="least-squares")
     assert result.accuracy_after is not None

@@ -26,9 +26,9 @@ def plan_settings(
     """
     units = {**mechanism.quantities, **mechanism.known}
     driven = {q: u for q, u in units.items() if q not in mechanism.outputs}
-    ranges = spans(entry.ranges, driven, place.at("ranges"))
-    if not ranges and not joint_limits(mechanism):
-        ranges = dict(verdict.region)
+    stated = spans(entry.ranges, driven, place.at("ranges"))
+    limits = joint_limits(mechanism)
+    ranges = stated | {q: r for q, r in verdict.region.items() if q not in {*stated, *limits}}
     boxes = [_box(box, place.at("keep_out", str(i))) for i, box in enumerate(entry.keep_out, 1)]
     return PlanSettings(
         ranges,
