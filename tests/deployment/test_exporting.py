@@ -213,3 +213,18 @@ def test_transitions_hold_their_base_themselves():
     chain = machine.chain.along_z
     np.testing.assert_allclose(axes["geometry"].T, chain.joints[0].before, atol=1e-12)
     assert "zeros and tool" in axes
+
+
+def test_poses_before_a_slip_are_compared_as_after_it():
+    """The tool slipped by 2 mm half-way; an export holds the machine as it is now."""
+    poses = lc.random_poses(RANGES, 60, seed=4)
+    poses = poses | {"number": np.arange(1.0, 61.0)}
+    slip = lc.effects.Shift(("tool_x",), (31.0,), "number")
+    mechanism = lc.with_effects(arm(), [slip])
+    moved = next(n for n in mechanism.parameters.names if n not in arm().parameters.names)
+    truth = {p.name: p.nominal for p in mechanism.parameters} | PLACED | {moved: 2e-3}
+    made = lc.simulate(mechanism, poses, noise=NOISE, seed=4, truth=truth)
+    machine = of(lc.calibrate(mechanism, made.dataset, noise=NOISE, method="implicit-loop"))
+    assert machine.of("geometry").measured.rms == pytest.approx(
+        machine.of("full").measured.rms, rel=0.05
+    )

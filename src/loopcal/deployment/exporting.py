@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.deployment.last_change import after_last_change
 from loopcal.deployment.refit import Goal, Refit, refit, separable
 from loopcal.deployment.seen_points import SeenPoint, seen_points, traced
 from loopcal.document.accuracy import Distances
@@ -60,6 +61,9 @@ def exported(
     if not mechanism.chain:
         return Exported(name, None, (), document.parameters, values)
     beyond = {n: v for its in mechanism.effects.values() for n in its if (v := values[n]) != 0.0}
+    if known is not None and poses is not None:
+        kept = [i for i, pose in enumerate(poses.poses) if pose not in document.data.discarded]
+        poses = after_last_change(known.mechanism, poses.take(kept))
     full = None if known is None else _Full.of(document, known, poses)
     bare = {n: 0.0 if n in beyond else v for n, v in values.items()}
     geometry, warnings = bare, list[str]()
@@ -265,6 +269,8 @@ def _accuracy(
     nominal = calibrated = None
     if stated is not None and stated.unit == "m":
         nominal, calibrated = stated.nominal, stated.after
+    if full.known.mechanism.latest:  # the stated one is of the machine before its changes too
+        nominal = None
     alone = Refit({**geometry, **full.standing}, {}, (), np.empty((0, 0)))
     return (
         ModelAccuracy(
