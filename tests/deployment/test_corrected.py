@@ -11,7 +11,8 @@ import loopcal as lc
 from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
 from loopcal.deployment.inverse import solve
-from loopcal.deployment.rigid import between
+from loopcal.deployment.rigid import between, of_quaternion, turn_of, turned
+from loopcal.mechanisms.serial import serial_machine
 from tests.refusals import refused
 
 NAMES = [f"q{i}" for i in range(1, 7)]
@@ -58,8 +59,8 @@ def test_the_machine_that_is_inverted_is_the_one_that_predict_computes(sagging: 
     wanted = (base @ done.corrected.targets.poses)[:, :3, 3]
     reached = np.array([seen.outputs[c] for c in "xyz"]).T
     assert reached == pytest.approx(wanted, abs=1e-9)
-    turned = base[:3, :3]
-    stated = turned @ done.corrected.reached.covariance.matrix[:, :3, :3] @ turned.T
+    R = base[:3, :3]
+    stated = R @ done.corrected.reached.covariance.matrix[:, :3, :3] @ R.T
     assert stated == pytest.approx(seen.covariance, rel=1e-6, abs=1e-6 * seen.covariance.max())
 
 
@@ -169,3 +170,53 @@ def test_what_cannot_be_corrected_is_refused_whole(sagging: lc.Result) -> None:
     result = lc.calibrate(planar, made.dataset, noise={"*": 1e-4}, method="least-squares")
     with refused("unsupported", "not a serial arm"):
         lc.correct(result, {"phi2": [0.1], "phi3": [1.0]})
+
+
+def test_an_arm_whose_own_parameters_place_it_is_based_where_its_drawing_fits_best() -> None:
+    arm = lc.motoman_ma1400()
+    names = [f"theta_{i}" for i in range(1, 7)]
+    q = lc.random_poses(dict.fromkeys(names, (-0.8, 0.8)), 60, seed=1)
+    truth = {p.name: p.nominal for p in arm.parameters}
+    assert arm.placement is not None
+    turn = turned(np.array([0.02, -0.03, 0.4]))
+    truth = arm.placement.moved(truth, turn, np.array([0.4, -0.2, 0.3]))  # where it stands
+    truth |= {n: truth[n] + 8e-4 for n in ("phix3", "phiz2", "x4", "z3") if n in truth}
+    noise = lc.Noise({"theta_*": 2e-5, **dict.fromkeys("xyz", 2e-5)})
+    made = lc.simulate(arm, q, noise=noise, seed=2, truth=truth)
+    result = lc.calibrate(arm, made.dataset, noise=noise, method="implicit-loop")
+    wanted = lc.random_poses(dict.fromkeys(names, (0.2, 0.7)), 5, seed=3)
+    done = lc.correct(result, wanted)
+    assert done.corrected.done.all(), str(done)
+    assert np.linalg.norm(done.corrected.before[:, :3], axis=1).max() < 5e-3
+    seen = lc.predict(result, done.joints)
+    base = done.arms.machine.base
+    aim = (base @ done.corrected.targets.poses)[:, :3, 3]
+    reached = np.array([seen.outputs[c] for c in "xyz"]).T
+    assert reached == pytest.approx(aim, abs=1e-9)
+
+
+def test_a_measured_pose_says_how_the_tool_is_turned() -> None:
+    arm = loops.drawing(loops.ARMS["six-axis"])
+    assert arm.description is not None
+    seen = lc.assemble(serial_machine(arm.description["joints"]), [lc.instruments.pose("camera")])
+    drawn_at = {p.name: p.nominal for p in arm.parameters if p.name in seen.parameters.names}
+    seen = seen.with_nominal(drawn_at | {"tool_rz": 0.3, "tool_ry": -0.2})
+    truth = {p.name: p.nominal + 3e-4 for p in seen.parameters}
+    q = drawn(loops.BOXES["six-axis"], 40, np.random.default_rng(1))
+    noise = lc.Noise(dict.fromkeys(seen.quantities, 2e-5))
+    joints = dict(zip(NAMES, q.T, strict=True))
+    made = lc.simulate(seen, joints, noise=noise, seed=1, truth=truth)
+    result = lc.calibrate(
+        seen, made.dataset, noise=noise, prior=loops.prior(seen), method="implicit-loop"
+    )
+    done = lc.correct(result, targets(6))
+    assert done.corrected.done.all()
+    assert "was not measured" not in str(done)
+    reached = done.corrected.reached
+    assert reached.radial(3).max() < 3e-4  # far below the prior of the last link's turn, 2 mrad
+    machine = seen.with_nominal(truth)
+    again = lc.simulate(machine, done.joints, noise={"*": 0.0}, seed=1).dataset
+    R = of_quaternion(np.array([again[c] for c in ("qw", "qx", "qy", "qz")]).T)
+    wanted = done.arms.machine.base @ done.corrected.targets.poses
+    off = np.linalg.norm(turn_of(np.swapaxes(R, 1, 2) @ wanted[:, :3, :3]), axis=1)
+    assert (off < 2.0 * reached.radial(3)).all()

@@ -110,7 +110,7 @@ def _machine(
         tape,
         np.array([p.nominal for p in looked_at.parameters]),
         tuple(joints),
-        _constants(looked_at, tape.known, at),
+        _constants(looked_at, tape, at),
         np.eye(4) if station is None else product(station.steps, {}, values),
         of_yaw_pitch_roll(tool.of_machine[3:]),
     )
@@ -119,13 +119,12 @@ def _machine(
     return bare
 
 
-def _constants(
-    mechanism: Mechanism, names: tuple[str, ...], at: Mapping[str, float]
-) -> dict[str, float]:
-    """The known constants of every target; those in no loop are 0."""
-    stated = {**mechanism.latest, **at}
+def _constants(mechanism: Mechanism, tape: Tape, at: Mapping[str, float]) -> dict[str, float]:
+    """The known constants of every target; those that the pose does not depend on are 0."""
+    stated, names = {**mechanism.latest, **at}, tape.known
+    used = frozenset().union(*tape.depends_on())
     unknown = [name for name in at if name not in mechanism.known]
-    missing = [n for n in names if n not in stated and n not in mechanism.unused]
+    missing = [n for n in names if n not in stated and n in used]
     if unknown or missing:
         words = (
             f"there is no constant {unknown[0]!r}"
