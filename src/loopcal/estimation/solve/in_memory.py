@@ -23,7 +23,7 @@ class InMemory:
         self.sweeper = sweeper
         own = sweeper.problem.unknowns
         self.unknowns = own.without_prior() if sweeper.exact else own
-        self.evaluate = sweeper.sweep
+        self.evaluate, self.nearer = sweeper.sweep, sweeper.nearer
 
     @property
     def evaluations(self) -> int:

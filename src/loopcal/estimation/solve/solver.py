@@ -204,8 +204,21 @@ class _Solver(Generic[State]):
         point = self._point(start, found)
         assert point.spectrum is not None
         if point.closed is None and not self._far(point, point.spectrum.decrement):
-            return self._evaluate(start, found.state, _NEAR)
-        return point
+            point = self._evaluate(start, found.state, _NEAR)
+        return self._nearer(point) or point
+
+    def _nearer(self, point: Point[State]) -> Point[State] | None:
+        """The same parameters with loops closed nearer to the readings; None where they are not.
+
+        It is tried where the steps that closed the loops did not shrink.
+        """
+        if point.closed is None or point.found.contraction < 1.0:
+            return None
+        state = self.merit.nearer(point.parameters, point.found.state)
+        if state is None:
+            return None
+        other = self._evaluate(point.parameters, state, _CLOSED)
+        return other if other.spectrum is not None and other.merit < point.merit else None
 
     def _checkpoint(self, current: Point[State]) -> Checkpoint[State]:
         return Checkpoint(
