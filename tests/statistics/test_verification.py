@@ -16,7 +16,7 @@ from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Innovation
 from loopcal.statistics.replacing import Freedom, mounted
 from loopcal.statistics.tolerance import Quantile, judged
-from loopcal.statistics.verification import verify
+from loopcal.statistics.verification import as_learnt, verify
 from tests.reference.machines import dh_arm
 from tests.reference.simulated import Simulated, ma1400, planar_arm
 from tests.refusals import refused
@@ -245,3 +245,18 @@ def test_what_was_remounted_and_what_is_named_anew_are_both_found() -> None:
     given = setup("six-axis spherical")
     both = Freedom.of(given.truth, (*mounted(given.truth), "d_6"))
     assert {"tool_x", "tool_y", "tool_z", "d_6", "T_x"} <= {*both.names}
+
+
+def test_readings_of_their_own_sd_are_judged_by_the_sd_that_was_learnt():
+    """A tracker states micrometres, the calibration has learnt a tenth of a millimetre."""
+    arm = lc.planar_two_link()
+    poses = lc.grid_poses({"phi2": (0.2, 1.8, 6), "phi3": (0.5, 1.5, 5)})
+    noise = lc.Noise({"phi*": 5e-5, "?P": 1e-4})
+    made = lc.simulate(arm, poses, noise=noise, seed=5)
+    learnt = lc.Noise({"phi*": 5e-5, "?P": 1e-4}, estimate={"?P": "group"})
+    known = Calibrated.of(lc.calibrate(arm, made.dataset, noise=learnt, method="implicit-loop"), "")
+    tiny = {q: np.full(len(made.dataset), 1e-6) for q in ("xP", "yP", "phi2")}
+    assert set(as_learnt(known, replace(made.dataset, sds=tiny)).sds) == {"phi2"}
+    del tiny["phi2"]
+    own, none = (replace(made.dataset, sds=sds) for sds in (tiny, {}))
+    assert verify(known, own).innovation == verify(known, none).innovation

@@ -40,7 +40,7 @@ from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import root_of
 from loopcal.statistics.replacing import Freedom, Replaced, replaced
-from loopcal.statistics.verification import day_problem, noise_of
+from loopcal.statistics.verification import as_learnt, day_problem, noise_of
 
 Array = NDArray[np.float64]
 KINDS = ("length", "angle", "mounting", "gain", "effect")
@@ -79,7 +79,8 @@ def update(
             remedy="give noise, or update a calibration by another method",
         )
     known = replace(known, residual=None)
-    stated = stated or noise_of(known)
+    if stated is None:
+        stated, data = noise_of(known), as_learnt(known, data)
     with one_blas_thread():
         problem = day_problem(known, data, stated)
         freedom = Freedom.of(known.mechanism, remounted)

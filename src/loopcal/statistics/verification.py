@@ -90,13 +90,19 @@ def day_problem(known: Calibrated, data: Dataset, noise: Noise | None) -> Proble
     noise: of these readings, else that of the calibration.
     """
     mechanism = known.mechanism
-    data = with_latest(mechanism, data)
+    data = with_latest(mechanism, data if noise else as_learnt(known, data))
     weighed = None if known.residual is not None else (noise or noise_of(known))
     if weighed is not None:
         mechanism, data = with_model(mechanism, data, weighed)
     # Nothing is estimated by it: with informative priors any number of poses will do.
     free = mechanism.parameters.with_prior({"*": 1.0}).with_fixed(["*"], fixed=False)
     return build_problem(mechanism.with_parameters(free), data, weighed)
+
+
+def as_learnt(known: Calibrated, data: Dataset) -> Dataset:
+    """The readings without sds of their own where the calibration has learnt better ones."""
+    learnt = {q for entry in known.noise if entry.source == "estimated" for q in entry.quantities}
+    return replace(data, sds={q: sd for q, sd in data.sds.items() if q not in learnt})
 
 
 def noise_of(known: Calibrated) -> Noise:
