@@ -13,7 +13,7 @@ import pytest
 import loopcal as lc
 from analyses.fleet import POSES, drawn, fleets
 from loopcal.life.fleet import learn
-from loopcal.life.measured_machine import MeasuredMachine
+from loopcal.life.measured_machine import MeasuredMachine, machine_parameters
 from loopcal.life.spread import Spread
 from loopcal.statistics.calibrated import Calibrated
 from tests.command_line import run
@@ -132,9 +132,16 @@ def test_results_that_cannot_be_compared_are_refused() -> None:
     with refused("duplicate-name", "m0"):
         learn((*machines[:2], replace(machines[2], data="data 0")))
     loose = replace(machines[2], determined=~held)
-    assert "left out: l2: not determined in 'm2'" in str(learn((*machines[:2], loose)))
+    assert "left out: l2 (not determined in 'm2')" in str(learn((*machines[:2], loose)))
     with refused("no-free-parameter"):
         learn((*machines[:2], replace(machines[2], determined=np.zeros(3, dtype=bool))))
+
+
+def test_a_structured_model_error_leaves_the_parameters_of_the_machine_the_same() -> None:
+    arm = lc.motoman_ma1400()
+    names = machine_parameters(arm)
+    assert machine_parameters(lc.structured(arm, discrepancy=True)) == names
+    assert set(names) < set(arm.parameters.names)
 
 
 def test_angles_a_turn_apart_are_the_same() -> None:

@@ -138,7 +138,7 @@ class Fleet:
         ]
         lines += columns(self._deviations())
         if self.left_out:
-            lines += ["", *(f"left out: {one.name}: {one.reason}" for one in self.left_out)]
+            lines += ["", *self._left_out()]
         return "\n".join([*lines, "", *wrapped(self._next())])
 
     def _spreads(self) -> list[list[str]]:
@@ -165,6 +165,16 @@ class Fleet:
             shown = [by_sd(d.value, d.sd, p.unit, sign=True) for d in its]
             rows.append([p.name, *shown, unit_shown(p.unit)])
         return rows
+
+    def _left_out(self) -> list[str]:
+        found: dict[str, list[str]] = {}
+        for one in self.left_out:
+            found.setdefault(one.reason, []).append(one.name)
+        return [
+            line
+            for reason, names in found.items()
+            for line in wrapped(f"left out: {', '.join(names)} ({reason})", then="  ")
+        ]
 
     def _next(self) -> str:
         return (

@@ -1,14 +1,15 @@
 """What the readings of one calibration say of the machine itself, without its prior.
 
-A calibration with prior sds s, P = diag(1 / s^2), found p with the covariance G. The readings alone
-have the information G^-1 - P. With G = R R^T and R^T P R = V diag(1 - f) V^T, f the shares of the
-readings, they say
+A calibration with prior sds s of the machine, P = diag(1 / s^2), found p with the covariance G. The
+readings alone have the information G^-1 - P. With G = R R^T, R^T P R = V diag(1 - f) V^T and f the
+shares of the readings, they say
 
     p + D P (p - nominal),   D = R V diag(1 / f) V^T R^T,
 
 with the covariance D. What the stated covariance C has beyond G becomes A (C - G) A^T, A = 1 + D P.
 Where f is nothing, the readings determine nothing. Machines of one type are compared by what their
-own readings say: priors that they share would make them alike.
+own readings say: priors that they share would make them alike. Priors of mounting and model error
+stay: what these leave open is part of the covariance.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.structure.structured import OWN_TERMS
+from loopcal.mechanisms.structure.structured import EFFECT
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import root_of
 
@@ -55,7 +56,11 @@ class MeasuredMachine:
         """From a calibration; updated: its prior is of this machine too, and stays."""
         mechanism, all_ = known.mechanism, known.mechanism.parameters
         found = np.array([p.nominal for p in all_])
-        P = np.zeros(len(found)) if updated else 1.0 / np.square(known.prior_sd)
+        names = machine_parameters(mechanism)
+        its = [all_.names.index(name) for name in names]
+        P = np.zeros(len(found))
+        if not updated:
+            P[its] = 1.0 / np.square(known.prior_sd[its])
         P = np.where([p.fixed for p in all_], 0.0, P)
         G = known.covariance.plain if known.gain is None else known.gain
         R = root_of(G)
@@ -71,14 +76,11 @@ class MeasuredMachine:
         scaled = open_ / np.where(sds > 0.0, sds, 1.0)[:, None]
         sizes = np.abs(scaled).max(axis=0, initial=1e-300)
         loose = (np.abs(scaled) / sizes).max(axis=1, initial=0.0) > _TOUCHED
-        learnt = {n for t in mechanism.terms if t.name not in OWN_TERMS for n in t.parameters}
-        loose |= np.array([p.name in learnt for p in all_])
-        its = _of_the_machine(mechanism)
         at, free = np.ix_(its, its), len(all_) - sum(p.fixed for p in all_)
         return cls(
             known.name,
             mechanism,
-            tuple(all_.names[i] for i in its),
+            names,
             values[its],
             covariance[at],
             ~loose[its],
@@ -89,12 +91,8 @@ class MeasuredMachine:
         )
 
 
-def _of_the_machine(mechanism: Mechanism) -> list[int]:
-    """Positions of the parameters that no instrument, mounting or model error brings."""
-    error = {n for t in mechanism.terms if t.name in OWN_TERMS for n in t.parameters}
-    kinds = mechanism.kinds
-    return [
-        i
-        for i, name in enumerate(mechanism.parameters.names)
-        if kinds[name] not in _ELSEWHERE and name not in error
-    ]
+def machine_parameters(mechanism: Mechanism) -> tuple[str, ...]:
+    """The parameters that no instrument, mounting or structured model error brings."""
+    kinds, added = mechanism.kinds, mechanism.effects.get(EFFECT, ())
+    names = mechanism.parameters.names
+    return tuple(n for n in names if kinds[n] not in _ELSEWHERE and n not in added)
