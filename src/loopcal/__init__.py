@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from loopcal.files.project.project_file import Project, read_project
     from loopcal.files.result.record_file import RecordCheck
     from loopcal.files.tables.readers import read_dataset
+    from loopcal.life.fleet import Fleet
     from loopcal.life.history import History
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
@@ -77,6 +78,7 @@ if TYPE_CHECKING:
     from loopcal.workflow.calibration import write_result
     from loopcal.workflow.correcting import correct
     from loopcal.workflow.exporting import Export, export
+    from loopcal.workflow.fleet import fleet
     from loopcal.workflow.history import history
     from loopcal.workflow.performance import performance
     from loopcal.workflow.public import (
@@ -178,6 +180,8 @@ _HOME = {
         "verify",
     ),
     "workflow.record": ("Record", "record", "verify_record"),
+    "workflow.fleet": ("fleet",),
+    "life.fleet": ("Fleet",),
     "workflow.history": ("history",),
     "life.history": ("History",),
     "workflow.saved_result": ("SavedResult", "read_result"),
@@ -204,6 +208,7 @@ __all__ = [
     "Export",
     "Findings",
     "Fit",
+    "Fleet",
     "History",
     "Identifiability",
     "InitialProject",
@@ -272,6 +277,7 @@ __all__ = [
     "find_shifts",
     "findings",
     "fix_redundant",
+    "fleet",
     "grid_poses",
     "history",
     "init",

@@ -114,3 +114,32 @@ def history(
         log(f"written to {done.page}")
     else:
         print_out(f"{done.history}\n\nwritten to {done.page}")
+
+
+@app.command()
+def fleet(
+    results: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="RESULT...", help="Folders of calibrations, one of each machine, at least 3."
+        ),
+    ],
+    out: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE",
+            help="Write where the next machine begins to this file [default: fleet.toml].",
+        ),
+    ] = "fleet.toml",
+    as_json: JsonOption = False,
+    mechanism: FunctionOption = None,
+) -> None:
+    """Compare machines of one type: mean and spread, unusual machines, poses for the next one."""
+    from loopcal.workflow.fleet import run_fleet
+
+    done = run_fleet(results, out=out, function=mechanism)
+    if as_json:
+        print_json(done.fleet.document())
+        log(f"written to {done.written}")
+    else:
+        print_out(f"{done.fleet}\n\nwritten to {done.written}")

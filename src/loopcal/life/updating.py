@@ -45,6 +45,8 @@ from loopcal.statistics.verification import as_learnt, day_problem, noise_of
 Array = NDArray[np.float64]
 KINDS = ("length", "angle", "mounting", "gain", "effect")
 """Kinds of parameters that may drift."""
+LABEL = "implicit loop, updated"
+"""Of the method, in the result of an update."""
 _RANK = 1e-12
 
 
@@ -89,7 +91,7 @@ def update(
         prior = _Prior.of(known, here, np.array(free), _drifts(known, drift or {}))
     method = Method(
         name="implicit-loop",
-        label="implicit loop, updated",
+        label=LABEL,
         description="Implicit loop: every sensor is uncertain, and an earlier calibration is the "
         "prior.",
         solve=partial(_solved, prior=prior),

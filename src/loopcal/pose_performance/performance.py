@@ -80,6 +80,7 @@ def pose_performance(
         if one == other:
             raise InputError(
                 f"the pose {one!r} has no distance from itself",
+                code="invalid-value",
                 place=attained.file,
                 remedy="name two poses",
             )
