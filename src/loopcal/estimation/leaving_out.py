@@ -22,6 +22,10 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.mechanisms.mechanism import Mechanism
 
+_LITTLE = 1e-9
+"""Share of a parameter's information that rounding may leave where only the poses left out have
+any: those of a station, of where it stands."""
+
 
 @dataclass(frozen=True)
 class Beginning:
@@ -37,7 +41,7 @@ class Beginning:
 
 
 def leaving_out(whole: Result, index: NDArray[np.intp]) -> Beginning | None:
-    """Where the fit of all other poses begins; None where these say nothing.
+    """Where the fit of all other poses begins; None where these say nothing of a parameter.
 
     whole: the fit of all poses; index: positions of those left out.
     """
@@ -50,6 +54,11 @@ def leaving_out(whole: Result, index: NDArray[np.intp]) -> Beginning | None:
             return None
         rest = Accumulator(len(problem.free), False, problem.units)
         rest.add_total(end.data.products - gone.data.total)
+        left, all_ = (
+            np.diag(sums)[: len(problem.free)] for sums in (rest.total, end.data.products)
+        )
+        if (left < _LITTLE * all_).any():
+            return None
         factor = 1.0
         if problem.mechanism.learnt_terms:
             from loopcal.estimation.noise.term_scales import Sums

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from loopcal.presentation.shown import by_sd, chance, size, unit_shown, with_unit
+from loopcal.presentation.shown import by_sd, chance, percent, size, unit_shown, with_unit
 from loopcal.statistics.innovation import Innovation
 
 LEVEL = 0.025
@@ -180,7 +180,7 @@ class WhatChanged:
         for one in self.candidates:
             if one.smallest is not None:
                 seen.setdefault(f"{one.kind} {one.unit}", []).append(one)
-        lines = [f"smaller changes are not always seen (seen with {POWER:.0%})"]
+        lines = [f"smaller changes are not always seen (seen with {percent(POWER)})"]
         for its in seen.values():
             its = sorted(its, key=lambda one: one.smallest or 0.0)
             kind, unit = _WORDS.get(its[0].kind, its[0].kind), its[0].unit

@@ -97,10 +97,11 @@ class Verification:
             return Answer(True, "unchanged", its.p_value, words, None)
         found = changes.found
         told = "; ".join(change.words for change in found) if found else self._statistic()
-        code = "re-master" if changes.verdict == "re-master" else "changed"
         words = f"The machine is not as calibrated: {told}."
         p_value = min(its.p_value, *(change.p_value for change in found), 1.0)
-        return Answer(False, code, p_value, words, changes.next)
+        if changes.verdict == "re-master":
+            return Answer(False, "re-master", p_value, words, changes.next)
+        return Answer(False, "changed", p_value, words, changes.next)
 
     def _statistic(self) -> str:
         its = self.innovation
