@@ -131,6 +131,8 @@ def test_results_that_cannot_be_compared_are_refused() -> None:
         learn(tuple(replace(one, fixed=held) for one in machines))
     with refused("duplicate-name", "m0"):
         learn((*machines[:2], replace(machines[2], data="data 0")))
+    with refused("duplicate-name", "m1"):
+        learn((*machines[:2], replace(machines[1], data=None)))
     loose = replace(machines[2], determined=~held)
     assert "left out: l2 (not determined in 'm2')" in str(learn((*machines[:2], loose)))
     with refused("no-free-parameter"):
