@@ -23,6 +23,8 @@ MOST_NEIGHBOURS = 2000
 """Poses among which neighbours in joint space are sought; of more, every second, third, ..."""
 _APART = 0.1
 """Poses closer in order than this share of all are no neighbours in joint space."""
+_ROUNDING = 1e-14
+"""Chi-squared per degree of freedom up to which residuals are rounding: readings without noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +57,12 @@ def dependence(
     informed = 0 if exact else int(np.isfinite(problem.prior_sd).sum())
     freedom = whole.equations + informed - root.shape[1]
     square = whole.EE + whole.square
+    families = instruments(problem)
+    if not square > _ROUNDING * freedom:
+        untested = tuple(InstrumentDependence(f.name, None, None) for f in families)
+        return Depending(Dependence(untested, LEVEL))
     order = pose_order(problem)
     pairs = _spatial(problem, order)
-    families = instruments(problem)
     rows = []
     for family in families:
         own = seen(problem, equations, root, family.readings)
