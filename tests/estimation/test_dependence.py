@@ -290,6 +290,7 @@ def test_residuals_that_are_rounding_are_not_tested() -> None:
     exact = lc.simulate(arm, poses, noise={"phi?": 0.0, "?P": 0.0}, seed=1)
     sds = {"phi?": 1e-3, "?P": 1e-4}
     result = lc.calibrate(arm, exact.dataset, noise=sds, method="implicit-loop")
+    assert result.chi_squared is not None
     assert result.chi_squared.value < 1e-12
     tested = result.dependence.instruments if result.dependence is not None else ()
     assert all(one.serial is None and one.spatial is None for one in tested)
