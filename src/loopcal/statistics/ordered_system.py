@@ -28,6 +28,8 @@ from loopcal.mechanisms.structure.structured import DISCREPANCY
 Array = NDArray[np.float64]
 _HUBER, _ROUNDS = 2.0, 3
 _RATIOS, _BESIDE = 10.0 ** np.arange(-4.0, 5.0), 10.0 ** np.arange(-1.0, 2.0)
+_ENOUGH = 10
+"""Poses for each equation of a pose, from which their scatter is taken as it is."""
 _ABSORBED = 1e-6
 """What else the fit determines to less than this share cannot be told from a step."""
 
@@ -101,9 +103,12 @@ class OrderedSystem:
             here = self.patterns == pattern
             there = np.flatnonzero(self.rows[here][0])
             S = alone * np.eye(len(there))
-            if here.sum() > 10 * len(there):
+            poses, few = int(here.sum()), _ENOUGH * len(there)
+            if poses > 2 * len(there):
                 own = weights[here, None] * left[np.ix_(here, there)]
-                S = own.T @ own / here.sum() / freedom
+                # of few poses partly as if the rows were alike: their scatter is unsure itself
+                share = min(1.0, poses / few)
+                S = share * own.T @ own / poses / freedom + (1.0 - share) * S
             values, vectors = np.linalg.eigh(S)
             values = np.maximum(values, 1e-12 * max(float(values.max(initial=0.0)), 1e-300))
             root = (vectors / np.sqrt(values)) @ vectors.T
