@@ -238,6 +238,7 @@ def test_noise_that_targets_share_is_no_step() -> None:
 
     kind = KINDS["three reflectors"]
     trial = kind.world.made(np.random.default_rng([crc32(kind.name.encode()), 6]))
-    how = {"method": "least-squares", "model_error": "structured"}
-    result = lc.calibrate(trial.mechanism, trial.readings, **how)
+    result = lc.calibrate(
+        trial.mechanism, trial.readings, method="least-squares", model_error="structured"
+    )
     assert len(lc.find_shifts(result)) == 0
