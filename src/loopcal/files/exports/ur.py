@@ -34,8 +34,8 @@ from loopcal.mechanisms.universal_robots import (
 MOST_BYTES = 100_000
 _HASH = re.compile(r"^\s*hash\s*:\s*['\"]?(calib_\d+)", re.MULTILINE)
 _REMEDY = (
-    "name calibration.conf of the controller (/root/.urcontrol), or the kinematics file of the "
-    "robot, which has its hash"
+    "copy calibration.conf from the controller and name it, or name the kinematics file of the "
+    "robot; both state the hash"
 )
 
 
