@@ -109,8 +109,9 @@ class ProjectFolder:
 
     def inside(self, name: str) -> Path:
         """The path of a file of the folder. Raises InputError for any other."""
-        path = Path(os.path.realpath(self.path / name))
-        if not path.is_relative_to(Path(os.path.realpath(self.path))) or "\0" in name:
+        root = Path(os.path.realpath(self.path))
+        path = root if "\0" in name else Path(os.path.realpath(root / name))
+        if path == root or not path.is_relative_to(root):
             raise InputError(
                 "the file is not in the project's folder",
                 code="missing-file",
