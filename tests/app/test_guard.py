@@ -115,7 +115,9 @@ def test_the_token_becomes_a_cookie_that_scripts_cannot_read() -> None:
     asked = scope(host="h:8765", query=f"token={rules.token}")
     begin = answered(Guard(page("<p>"), rules), asked)[0]
     cookie = dict(begin["headers"])[b"set-cookie"].decode()
-    assert str(rules.token) in cookie and "HttpOnly" in cookie and "SameSite=Strict" in cookie
+    assert str(rules.token) in cookie
+    assert "HttpOnly" in cookie
+    assert "SameSite=Strict" in cookie
 
 
 def test_what_is_refused_is_told_and_goes_no_further() -> None:
@@ -124,6 +126,7 @@ def test_what_is_refused_is_told_and_goes_no_further() -> None:
 
     guard = Guard(never, Rules.of("127.0.0.1", 8765))
     begin, body = answered(guard, scope(host="evil.example"))
-    assert begin["status"] == 403 and body["body"].startswith(b"refused: ")
+    assert begin["status"] == 403
+    assert body["body"].startswith(b"refused: ")
     closed = answered(guard, scope("websocket", host="evil.example"))
     assert closed == [{"type": "websocket.close", "code": 1008}]

@@ -30,14 +30,16 @@ def test_all_but_the_value_stays() -> None:
 def test_poses_are_added_to_those_left_out() -> None:
     changed = without_poses(TEXT, ["7", "4"])
     assert tomllib.loads(changed)["data"]["exclude"] == ["4", "7"]
-    assert changed.startswith("# my notes\n") and "# the old one" in changed
+    assert changed.startswith("# my notes\n")
+    assert "# the old one" in changed
 
 
 def test_a_shift_is_added_once_and_gets_further_steps() -> None:
     once = with_shift(TEXT, ["x", "y"], [14.0], "pose")
     twice = with_shift(once, ["x", "y"], [3.0, 14.0], "pose")
     effects = tomllib.loads(twice)["mechanism"]["effect"]
-    assert len(effects) == 1 and effects[0]["at"] == [3.0, 14.0]
+    assert len(effects) == 1
+    assert effects[0]["at"] == [3.0, 14.0]
     other = tomllib.loads(with_shift(twice, ["z"], [5.0], "pose"))["mechanism"]["effect"]
     assert [e["changing"] for e in other] == [["x", "y"], ["z"]]
 

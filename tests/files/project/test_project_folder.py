@@ -42,7 +42,8 @@ def test_a_broken_line_of_the_log_is_named_and_the_next_one_is_whole(tmp_path: P
     path.write_bytes(path.read_bytes() + b'{"at": "2026-01-01T00:00')  # killed while it wrote
     folder.noted("ended", "two", {"code": 0})
     log = folder.log()
-    assert [e.what for e in log.entries] == ["one", "two"] and log.broken == (2,)
+    assert [e.what for e in log.entries] == ["one", "two"]
+    assert log.broken == (2,)
 
 
 def test_a_run_that_did_not_end_is_known(tmp_path: Path) -> None:
@@ -50,7 +51,8 @@ def test_a_run_that_did_not_end_is_known(tmp_path: Path) -> None:
     assert folder.log().unfinished() is None
     folder.noted("begun", "Calibrate", {"command": "loopcal calibrate project.toml"})
     unfinished = folder.log().unfinished()
-    assert unfinished is not None and unfinished.what == "Calibrate"
+    assert unfinished is not None
+    assert unfinished.what == "Calibrate"
     folder.noted("ended", "Calibrate", {"code": 0})
     assert folder.log().unfinished() is None
 
