@@ -22,7 +22,7 @@ LAYERS = (
     ("document",),
     ("estimation", "simulation"),
     ("statistics", "files"),
-    ("studies", "planning", "life", "deployment", "performance"),
+    ("studies", "planning", "life", "deployment", "pose_performance"),
     ("figures",),
     ("report",),
     ("workflow",),

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.serial import Joint, serial_arm
     from loopcal.mechanisms.structure.structured import structured
     from loopcal.mechanisms.terms import Term
+    from loopcal.pose_performance.result import Performance
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
     from loopcal.statistics.change_points import Shifts
@@ -67,6 +68,7 @@ if TYPE_CHECKING:
     from loopcal.statistics.verified import Verification
     from loopcal.workflow.beginning.initial import InitialProject, init
     from loopcal.workflow.calibration import write_result
+    from loopcal.workflow.performance import performance
     from loopcal.workflow.public import (
         calibrate,
         check,
@@ -127,6 +129,7 @@ _HOME = {
     "mechanisms.serial": ("Joint", "serial_arm"),
     "mechanisms.structure.structured": ("structured",),
     "mechanisms.terms": ("Term",),
+    "pose_performance.result": ("Performance",),
     "simulation.poses": ("grid_poses", "random_poses"),
     "simulation.simulate": ("Simulation",),
     "statistics.check": ("Check",),
@@ -146,6 +149,7 @@ _HOME = {
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
     "workflow.calibration": ("write_result",),
+    "workflow.performance": ("performance",),
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
         *("find_shifts", "findings", "intervals", "load_dataset", "predict", "reliability"),
@@ -192,6 +196,7 @@ __all__ = [
     "Parameter",
     "ParameterTable",
     "Parameters",
+    "Performance",
     "Prediction",
     "Prior",
     "Processes",
@@ -237,6 +242,7 @@ __all__ = [
     "machines",
     "motoman_ma1400",
     "norm",
+    "performance",
     "planar_two_link",
     "predict",
     "random_poses",

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from analyses.gauntlet_worlds import Parallel
 from loopcal.document.accuracy import Coverage
 from loopcal.document.change_points import Change, ChangePoint, ChangePoints
 from loopcal.document.choice import Candidate, Chosen
@@ -142,6 +143,17 @@ def test_an_outlier_of_the_kind_that_good_data_have_is_no_finding() -> None:
     assert verdict_of(replace(document, outlier_tests=None)).sound.code == "outliers"
 
 
+def test_a_single_reading_is_remarkable_among_all_readings_of_all_poses() -> None:
+    document = clean()
+    readings = len(document.data.quantities)
+    assert document.outlier_tests is not None
+    limit = 0.005 / document.outlier_tests.poses
+    for quantity, most in ((None, limit), ("phi2", limit / readings)):
+        for p, code in ((0.9 * most, "outliers"), (1.1 * most, "sound")):
+            one = replace(OUTLIER, quantity=quantity, p_value=p)
+            assert verdict_of(replace(document, outliers=(one,))).sound.code == code
+
+
 def test_an_error_of_the_machine_model_leaves_the_question_open() -> None:
     document = clean()
     sensor = replace(document.noise[0], quantities=("model_x",), unit="m", sd=1.37e-3)
@@ -169,6 +181,13 @@ def test_a_plain_model_that_lacks_sag_is_wrong() -> None:
         assert verdict_of(replace(clean(), chosen=replace(lacking, over=over))).sound.passed
     modelled = replace(lacking, terms=("sag",))
     assert verdict_of(replace(clean(), chosen=modelled)).sound.passed
+
+
+def test_a_term_that_a_better_weighted_fit_does_not_need_is_no_finding() -> None:
+    first, second, third = candidates(1e-6).over
+    needless = replace(second, terms=(replace(SAG, gain=-4.0),))
+    chosen = replace(candidates(1e-6), over=(first, needless, replace(third, terms=(SAG,))))
+    assert verdict_of(replace(clean(), chosen=chosen)).sound.passed
 
 
 def test_an_sd_at_its_bound_leaves_the_question_open() -> None:
@@ -226,6 +245,25 @@ def test_a_joint_without_limits_turns_a_quarter_turn_about_the_middle_of_its_rea
         assert one.source == "turn"
         assert one.high - one.low == pytest.approx(np.pi)
         assert one.low < read.min() < read.max() < one.high
+
+
+def test_a_machine_that_nothing_limits_works_between_its_measured_poses() -> None:
+    """A five-bar: no sensor reads its platform, and the corners of its drives' box are singular."""
+    trial = Parallel("five-bar", poses=40).made(np.random.default_rng(1))
+    result = lc.calibrate(
+        trial.mechanism, trial.readings, noise=trial.noise, method="least-squares"
+    )
+    known = predictor(result)
+    assert known is not None
+    region = region_of(result, known)
+    assert region is not None
+    assert {one.source for one in region.ranges} == {"readings"}
+    assert region.worst.ratio is not None
+    assert 0.5 < region.worst.ratio < 1.5
+    limited = region_of(result, known, {"theta_1": (1.6, 2.6)})
+    assert limited is not None
+    assert limited.worst.ratio is not None
+    assert limited.worst.ratio > region.worst.ratio
 
 
 def test_a_tolerance_is_judged_with_its_guard_band() -> None:

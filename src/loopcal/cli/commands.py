@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from shlex import quote
 from typing import Annotated
 
 import typer
@@ -15,7 +16,7 @@ from loopcal.cli.application import (
     app,
 )
 from loopcal.cli.output import log, print_data, print_json, print_out
-from loopcal.errors import NoTrustworthyResult
+from loopcal.errors import NoTrustworthyResult, UsageError
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.files.project.templates import TEMPLATES
 
@@ -413,9 +414,31 @@ def new(
     name: Annotated[
         str, typer.Argument(metavar="NAME", help="Folder of the project, NAME/project.toml.")
     ],
-    mechanism: Annotated[str, typer.Option(metavar="TYPE", help=f"One of {', '.join(TEMPLATES)}.")],
+    mechanism: Annotated[
+        str | None, typer.Option(metavar="TYPE", help=f"One of {', '.join(TEMPLATES)}.")
+    ] = None,
+    performance: Annotated[
+        bool,
+        typer.Option(
+            "--performance", help="Write a table to fill in for `loopcal performance` instead."
+        ),
+    ] = False,
 ) -> None:
-    """Write a commented project to start from."""
+    """Write a commented project to start from, or a table for measurements of pose performance."""
+    if performance == (mechanism is not None):
+        raise UsageError(
+            "one of --mechanism TYPE and --performance is needed",
+            remedy="loopcal new NAME --mechanism serial, or loopcal new NAME --performance",
+        )
+    if mechanism is None:
+        from loopcal.workflow.performance import new_performance
+
+        (table,) = new_performance(name)
+        print_out(
+            f"written: {table}\n\nFill in the measured x, y, z, then:\n"
+            f"  loopcal performance {quote(str(table))}"
+        )
+        return
     from loopcal.workflow.projects import new_project
 
     made = new_project(name, mechanism)

@@ -14,6 +14,7 @@ from loopcal.cli.app import serve_app
 from loopcal.cli.application import app
 from loopcal.cli.commands import calibrate
 from loopcal.cli.output import log, print_error
+from loopcal.cli.performance import performance
 from loopcal.errors import LONGEST_TEXT, LoopcalError, short
 
 try:
@@ -22,7 +23,7 @@ except ModuleNotFoundError:  # typer before 0.26 raises the exceptions of click
     from click.exceptions import Abort  # type: ignore[assignment]
     from click.exceptions import ClickException as TyperException  # type: ignore[assignment]
 
-LOADED = (calibrate, serve_app)
+LOADED = (calibrate, performance, serve_app)
 """A command of each module: all commands of a module join as it is imported."""
 INTERRUPTED = 130
 

@@ -14,7 +14,7 @@ from loopcal.document.accuracy import (
     ValidationEntry,
 )
 from loopcal.document.fit import NoiseEntry, ParameterEntry
-from loopcal.document.terms import TermEntry
+from loopcal.document.terms import DECISIVE, TermEntry
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import by_sd, size, unit_shown
 from loopcal.presentation.text_table import columns
@@ -203,8 +203,8 @@ def term_table(terms: Sequence[TermEntry]) -> list[str]:
     rows = [TERM_HEAD, *term_rows(terms)]
     numbers = columns([list(row[:-1]) for row in rows])
     lines = [f"{line}  {row[-1]}" for line, row in zip(numbers, rows, strict=True)]
-    lines.append("(gain above 10: the machine model is wrong without this term)")
-    return lines
+    lines.append(f"(gain above {DECISIVE:g}: the machine model is wrong without this term)")
+    return lines + [f"  {words}" for term in terms for words in term.told]
 
 
 def shown_parameters(

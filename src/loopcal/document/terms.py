@@ -6,6 +6,34 @@ from dataclasses import dataclass
 
 from loopcal.document.bounds import Count, Size
 
+DECISIVE = 10.0
+"""Gain in -2 log restricted likelihood from which a model without the term is wrong."""
+_CLEAR, _MOST = 3.0, 3
+"""Sds from which a part is told, and how many of a term."""
+
+
+@dataclass(frozen=True)
+class TermPart:
+    """What a term does at one joint; of a smooth discrepancy: at all of them."""
+
+    joints: tuple[str, ...]
+    """The joints concerned, or "base"."""
+    unit: str
+    """SI unit of size and sd."""
+    size: Size
+    """The largest over the measured poses; of a smooth discrepancy the rms over them."""
+    sd: Size | None
+    """Of the size; null: unknown."""
+    pose: str | None
+    """The pose where it is so large; null: an rms."""
+    words: str
+    """In a sentence."""
+
+    @property
+    def clear(self) -> bool:
+        """Whether it is more than its uncertainty."""
+        return self.sd is not None and self.size > _CLEAR * self.sd
+
 
 @dataclass(frozen=True)
 class TermEntry:
@@ -30,3 +58,12 @@ class TermEntry:
     """What it means for the machine, in a sentence."""
     effects: tuple[str, ...] = ()
     """Those of its parameters that are no dimension of the drawing: single ones say little."""
+    parts: tuple[TermPart, ...] = ()
+    """What it does joint by joint, the largest first."""
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """What the term does to the machine, a sentence per joint, where the data need it."""
+        if self.gain is None or self.gain < DECISIVE:
+            return ()
+        return tuple(part.words for part in self.parts if part.clear)[:_MOST]

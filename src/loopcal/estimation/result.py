@@ -24,6 +24,7 @@ from loopcal.document.verdict import Verdict
 from loopcal.document.views import Views
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, accuracy_entry, deviations
+from loopcal.estimation.all_poses import AllPoses
 from loopcal.estimation.dependence.dependence import (
     Depending,
     Drifting,
@@ -44,7 +45,7 @@ from loopcal.estimation.noise.learning import entries, joint_covariances, words
 from loopcal.estimation.noise.terms import term_entries
 from loopcal.estimation.noise.variances import all_learnt
 from loopcal.estimation.prediction import output_differences
-from loopcal.estimation.problem.pose_equations import pose_equations
+from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.redundancy import Redundancy, redundancy
 from loopcal.estimation.residuals import Closure, by_name, residuals
@@ -65,20 +66,6 @@ Array = NDArray[np.float64]
 T = TypeVar("T")
 Addition = Callable[[ResultDocument], ResultDocument]
 """Adds to the document of a result what was found beside the fit."""
-
-
-@dataclass(frozen=True)
-class AllPoses:
-    """What all poses of a stream say, where the arrays of its result show only some of them.
-
-    poses: how many there are.
-    """
-
-    poses: int
-    accuracy_before: Accuracy | None
-    accuracy_after: Accuracy | None
-    model_discrepancy: float | None
-    robust: RobustSums
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +149,17 @@ class Result(Views):
         informed = 0 if self.fit.solver.exact else int(np.isfinite(self.problem.prior_sd).sum())
         return self.solution.equations + informed - self.spectrum.rank
 
+    def pose_equations(self) -> tuple[PoseEquations, ...]:
+        """The equations of every pose where the fit ended, whitened as its method does."""
+        method, at = self.fit.solver, self.solution
+        return pose_equations(
+            self.problem,
+            at.parameters,
+            at.corrections,
+            exact=method.exact,
+            at_readings=method.at_readings,
+        )
+
     @cached_property
     def value(self) -> Mapping[str, float]:
         """Every parameter."""
@@ -186,13 +184,12 @@ class Result(Views):
         """Covariance of S times the estimated parameters, S (N, m, n), under a known drift, or were
         no residuals dependent. It tests nothing."""
         if drifting is not None:
-            method = self.fit.solver
             known = covariance_under(
                 drifting,
                 self.problem,
                 self.solution,
-                exact=method.exact,
-                at_readings=method.at_readings,
+                self.pose_equations(),
+                exact=self.fit.solver.exact,
             )
             return LearntCovariance.known(known).through(S)
         if self._learnt is not None and not self.variance_factor_applied:
@@ -268,11 +265,9 @@ class Result(Views):
         tested = self.all_poses is None and self.fit.robust_loss is None
         if not tested or not self.status.converged or self.taken_as_independent:
             return None
-        method = self.fit.solver
         with one_blas_thread():
-            return dependence(
-                self.problem, self.solution, exact=method.exact, at_readings=method.at_readings
-            )
+            equations, exact = self.pose_equations(), self.fit.solver.exact
+            return dependence(self.problem, self.solution, equations, exact=exact)
 
     @property
     def robust_sums(self) -> RobustSums:
@@ -324,6 +319,16 @@ class Result(Views):
     def terms(self) -> tuple[TermEntry, ...]:
         """What was learnt of each term of the mechanism; empty where nothing was."""
         return () if self.estimate is None else term_entries(self.mechanism, self.estimate.terms)
+
+    def _told_terms(self) -> tuple[TermEntry, ...]:
+        """With what each term does joint by joint."""
+        if not self.terms or not self.problem.count:
+            return self.terms
+        from loopcal.estimation.noise.term_parts import term_parts
+
+        at = self.solution
+        parts = term_parts(self.problem, at.parameters, at.corrections, self.covariance)
+        return tuple(replace(term, parts=parts.get(term.name, ())) for term in self.terms)
 
     @cached_property
     def corrections(self) -> Mapping[str, Array]:
@@ -492,16 +497,10 @@ class Result(Views):
     @property
     def _redundancy(self) -> Redundancy | None:
         """What readings control of each other; None of a stream, a robust loss, exact readings."""
-        method = self.fit.solver
-        if self.all_poses is not None or self.fit.robust_loss is not None or method.exact:
+        exact = self.fit.solver.exact
+        if self.all_poses is not None or self.fit.robust_loss is not None or exact:
             return None
-        equations = pose_equations(
-            self.problem,
-            self.solution.parameters,
-            self.solution.corrections,
-            at_readings=method.at_readings,
-        )
-        return redundancy(self.problem, equations, self.spectrum.covariance())
+        return redundancy(self.problem, self.pose_equations(), self.spectrum.covariance())
 
     @property
     def calibrated(self) -> Mechanism:
@@ -571,7 +570,7 @@ class Result(Views):
             covariance=covariance_entry(self.estimated, self.learnt_covariance, loose),
             noise=noise,
             noise_covariances=() if self.fit.solver.exact else joint_covariances(self.problem),
-            terms=self.terms,
+            terms=self._told_terms(),
             sds_settled=None if self.estimate is None else self.estimate.settled,
             model_discrepancy=self.model_discrepancy,
             variance_factor_applied=self.variance_factor_applied,

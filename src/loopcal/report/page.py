@@ -105,6 +105,7 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "sensors": tables.sensor_table(source),
         "reliability": tables.reliability_table(document),
         "terms": tables.term_table(document),
+        "learnt": [words for term in document.terms for words in term.told],
         "parameters": parameter_groups(source),
         "outliers": tables.outlier_table(document),
         "facts": tables.facts_table(document),

@@ -34,7 +34,7 @@ def valid(document: ResultDocument) -> Answer:
     sources = {one.source for one in region.ranges}
     where = "the working region"
     if sources == {"readings"}:
-        where = "the box of the measured readings (no limits are known)"
+        where = "the region between the measured poses (no limits are known)"
     elif "turn" in sources:
         where = "the working region (joints without stated limits turn a quarter turn either way)"
     worst = region.worst

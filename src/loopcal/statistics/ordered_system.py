@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from loopcal.chi_squared import tail
 from loopcal.estimation.dependence.dependence import joint_rows, pose_order
 from loopcal.estimation.dependence.seen import instruments, units_of
-from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.mechanisms.structure.smooth import Smooth
@@ -263,10 +262,7 @@ class _Factor:
 def ordered_system(result: Result) -> OrderedSystem:
     """The system of a calibration in memory."""
     problem, solution = result.problem, result.solution
-    exact, at_readings = result.fit.solver.exact, result.fit.solver.at_readings
-    equations = pose_equations(
-        problem, solution.parameters, solution.corrections, exact=exact, at_readings=at_readings
-    )
+    exact, equations = result.fit.solver.exact, result.pose_equations()
     N, n, k = len(problem.poses), len(problem.free), len(problem.readings)
     R = max((block.E.shape[1] for block in equations), default=0)
     E, D, X = np.zeros((N, R)), np.zeros((N, R, n)), np.zeros((N, R, k))

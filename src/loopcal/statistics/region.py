@@ -2,7 +2,9 @@
 
 The working region is a box of joint readings: as the user states it, else the joints' limits. A
 turning joint of an arm without limits turns a quarter turn either way of the middle of its readings
-at least; what has none of these stays within its readings. The
+at least; what has none of these stays within its readings. A machine of which nothing at all is
+known works on the ways between its measured poses: drives of closed loops depend on each other, and
+the corners of their box are poses that nobody uses. The
 sd that the parameters cause (`predictor`) is averaged (rms) over random poses of the box, and over
 the measured ones; what the fit leaves unexplained at its poses adds to both. A ratio far above 1
 says that the data hold the machine near their own poses only, whatever a cross-validation inside
@@ -13,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,8 +75,13 @@ def region_of(
     x = np.repeat(home[:, None], _POSES, axis=1)
     for one in ranges:
         x[names.index(one.quantity)] = rng.uniform(one.low, one.high, _POSES)
+    if {one.source for one in ranges} == {"readings"}:
+        rows = [names.index(q) for q in driven]
+        first, last = rng.integers(0, problem.count, (2, _POSES))
+        x[rows] = corrected[rows][:, first]
+        x[rows] += rng.random(_POSES) * (corrected[rows][:, last] - x[rows])
     constants = problem.known[:, rng.integers(0, problem.known.shape[1] or 1, _POSES)]
-    also = [i for i, q in enumerate(names) if unread[i] and q not in still]
+    also = [i for i, q in enumerate(names) if unread[i] and q not in {*still, *outputs}]
     there = _sds(known, x, constants, also)
     some = slice(None, None, max(1, -(-problem.count // _MOST)))
     here = _sds(known, corrected[:, some], problem.known[:, some], also)
@@ -102,15 +110,19 @@ def _unexplained(result: Result, group: OutputGroup) -> float:
 
 
 def _sds(known: Predictor, x: Array, constants: Array, also: list[int]) -> list[Array]:
-    """By group of outputs, the sd (N,) that the parameters cause; NaN where loops stay open."""
+    """By group of outputs, the sd (N,) that the parameters cause; NaN where loops stay open.
+
+    also: positions of what no sensor reads: the loops find it with the outputs.
+    """
     machine = known.mechanism.predicting()
-    values = np.array([p.nominal for p in machine.parameters])
+    names, values = machine.tape.quantities, np.array([p.nominal for p in machine.parameters])
+    solved = replace(machine, outputs=(*machine.outputs, *(names[i] for i in also)))
     x = x.copy()
-    rows = [machine.tape.quantities.index(q) for q in machine.outputs]
-    x[rows] = predict_outputs(machine, values, np.nan_to_num(x), constants)
+    rows = [names.index(q) for q in solved.outputs]
+    x[rows] = predict_outputs(solved, values, np.nan_to_num(x), constants)
     good = np.isfinite(x).all(axis=0)
-    S = output_sensitivity(machine, values, known.names, x[:, good], constants[:, good], also)
-    covariance = by_parameters(known, S.by_parameter)
+    S = output_sensitivity(solved, values, known.names, x[:, good], constants[:, good])
+    covariance = by_parameters(known, S.by_parameter[:, : len(machine.outputs)])
     found = []
     for group in output_groups(known.mechanism):
         sd = np.full(x.shape[1], np.nan)

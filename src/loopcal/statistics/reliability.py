@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from loopcal.document.plain import known
 from loopcal.document.reliability import Reliability, SensorReliability
-from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
+from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.redundancy import UNCONTROLLED, redundancy
 from loopcal.estimation.result import Result
@@ -101,13 +101,7 @@ def reliability(
         return None
     with one_blas_thread():
         problem, solution, method = result.problem, result.solution, result.fit.solver
-        equations = pose_equations(
-            problem,
-            solution.parameters,
-            solution.corrections,
-            exact=method.exact,
-            at_readings=method.at_readings,
-        )
+        equations = result.pose_equations()
         covariance = solution.spectrum.covariance()
         variance = method.unit_variance(result.information.chi_squared, result.freedom)
         scale = np.sqrt(1.0 if variance is None else variance)

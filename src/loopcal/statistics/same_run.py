@@ -70,20 +70,15 @@ class SameRun:
         cls, fit: Result, held: Problem, corrections: Array, drifting: Drifting, run: Run
     ) -> SameRun | None:
         """Of poses that a fit has not seen; None where they are too many."""
-        problem, solution, method = fit.problem, fit.solution, fit.fit.solver
+        problem, solution = fit.problem, fit.solution
         if len(run.fitted) != len(problem.poses) or len(run.fitted) > _MOST:
             return None
         run, drift, root = run.ordered(problem, held), drifting.drift, solution.spectrum.root
-        equations = pose_equations(
-            problem,
-            solution.parameters,
-            solution.corrections,
-            exact=method.exact,
-            at_readings=method.at_readings,
-        )
-        A = seen(problem, equations, root, drifting.readings).A
+        A = seen(problem, fit.pose_equations(), root, drifting.readings).A
         N, q, k = A.shape
-        precision = np.zeros(len(root)) if method.exact else 1.0 / np.square(problem.prior_sd)
+        precision = (
+            np.zeros(len(root)) if fit.fit.solver.exact else 1.0 / np.square(problem.prior_sd)
+        )
         P = root.T @ (precision[:, None] * root)
         flat = A.reshape(N, q * k)
         along = (_kernel(drift.lengths, drift.sizes, run.fitted, run.fitted) @ flat).reshape(-1, k)

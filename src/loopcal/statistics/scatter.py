@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from loopcal.document.fit import CovarianceEntry
 from loopcal.document.triangle import lower, symmetric
-from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.result import Result
 
 Array = NDArray[np.float64]
@@ -61,13 +60,7 @@ def scatter(result: Result) -> Scatter | None:
     covariance, rank = result.spectrum.covariance(), result.spectrum.rank
     precision = np.zeros(len(covariance)) if method.exact else 1.0 / np.square(problem.prior_sd)
     found = covariance @ (precision[:, None] * covariance)
-    for block in pose_equations(
-        problem,
-        solution.parameters,
-        solution.corrections,
-        exact=method.exact,
-        at_readings=method.at_readings,
-    ):
+    for block in result.pose_equations():
         turned = block.D @ covariance
         own = np.eye(block.E.shape[1]) - turned @ block.D.transpose(0, 2, 1)
         values, vectors = np.linalg.eigh(own)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
+from loopcal.document.terms import DECISIVE, TermEntry
 from loopcal.document.verdict import Answer, Verdict
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import chance, with_unit
@@ -40,8 +41,8 @@ BEYOND = 100.0
 """The same of prior sds."""
 SHRUNK = 0.1
 """A fit whose lengths add up to less than this share of the nominal ones has collapsed."""
-DECISIVE = 10.0
-"""Gain in -2 log restricted likelihood from which a model without the term is wrong."""
+_MODELLED = 2
+"""Learnt effects that a sound result names."""
 _GEOMETRY = ("lengths", "angles")
 """Terms that give a plain model nothing but priors."""
 
@@ -87,8 +88,12 @@ def _plain_model(document: ResultDocument) -> Said | None:
     if chosen is None:
         return None
     known = {*chosen.terms, *_GEOMETRY}
-    lacking = [t for one in chosen.over for t in one.terms if t.name not in known and t.gain]
-    worst = max(lacking, key=lambda t: t.gain or 0.0, default=None)
+    by: dict[str, list[TermEntry]] = {}
+    for term in (t for one in chosen.over for t in one.terms if t.name not in known):
+        by.setdefault(term.name, []).append(term)
+    # a fit that weighs readings wrongly takes their noise for a term; another one does not
+    agreed = [min(terms, key=lambda t: t.gain or 0.0) for terms in by.values()]
+    worst = max(agreed, key=lambda t: t.gain or 0.0, default=None)
     if worst is None or worst.gain is None or worst.gain < DECISIVE:
         return None
     return Said(
@@ -259,15 +264,22 @@ def _overfitted(document: ResultDocument) -> Said | None:
 
 
 def _outliers(document: ResultDocument) -> Said | None:
+    """As in `find_outliers`, half of the level goes to the poses and half to their readings."""
     tests = document.outlier_tests
-    limit = 1.0 if tests is None else _CHANCE / max(tests.poses, 1)
-    found = [entry for entry in document.outliers or () if entry.p_value <= limit]
-    poses = list(dict.fromkeys(entry.pose for entry in found))
-    if not poses:
+    poses = 0 if tests is None else tests.poses
+    whole = 0.5 * _CHANCE / poses if poses else 1.0
+    single = whole / max(len(document.data.quantities), 1) if poses else 1.0
+    found = [
+        entry
+        for entry in document.outliers or ()
+        if entry.p_value <= (whole if entry.quantity is None else single)
+    ]
+    bad = list(dict.fromkeys(entry.pose for entry in found))
+    if not bad:
         return None
-    named = ", ".join(poses[:5]) + (", ..." if len(poses) > 5 else "")
-    count = f"{len(poses)} poses do" if len(poses) > 1 else "1 pose does"
-    return Said(f"{count} not fit the others ({named}).", float(len(poses)))
+    named = ", ".join(bad[:5]) + (", ..." if len(bad) > 5 else "")
+    count = f"{len(bad)} poses do" if len(bad) > 1 else "1 pose does"
+    return Said(f"{count} not fit the others ({named}).", float(len(bad)))
 
 
 def _mounting(document: ResultDocument) -> Said | None:
@@ -423,10 +435,17 @@ def _sound(document: ResultDocument) -> Answer:
     found = findings_against(document)
     if not found:
         words = "The fit converged; sensors, poses and machine model are consistent."
-        return Answer(True, "sound", None, words, None)
+        return Answer(True, "sound", None, f"{words}{_modelled(document)}", None)
     rule, said = found[0].rule, found[0].said
     words = " ".join(finding.said.words for finding in found)
     return Answer(rule.passed, rule.code, said.number, words, rule.next)
+
+
+def _modelled(document: ResultDocument) -> str:
+    """The largest effects beyond geometry that the data need."""
+    needed = sorted((t for t in document.terms if t.told), key=lambda t: -(t.gain or 0.0))
+    words = "; ".join(term.told[0] for term in needed[:_MODELLED])
+    return f" The model has learnt: {words}." if words else ""
 
 
 _HEADS = {

@@ -39,11 +39,15 @@ def chi_squared(result: Result) -> float:
 def check(
     simulated: Simulated, start: Mechanism, sds: dict[str, float], seed: int, **more: Any
 ) -> Result:
-    """Fit from a start, and hold the laws whatever comes out."""
+    """Fit from a start, and hold the laws whatever comes out.
+
+    Every fifth file is searched for faults too, which takes ten times as long as the fit.
+    """
     data = simulated.read(sds, seed=seed)
     noise = Noise(sds)
-    began = calibrate(start, data, noise=noise, start="nominal", max_iterations=0, **more)
-    result = calibrate(start, data, noise=noise, start="nominal", **more)
+    asked = {"noise": noise, "start": "nominal", **more}
+    began = calibrate(start, data, max_iterations=0, trusted=True, **asked)
+    result = calibrate(start, data, trusted=seed % 5 != 0, **asked)
     if began.status.reason != "cannot_close":
         assert chi_squared(result) <= chi_squared(began) * (1 + 1e-9)
     told = optimality(result, diagonal(result, sds), more["prior"].sds if more else None)
@@ -132,7 +136,7 @@ def test_nearly_all_planar_fits_converge_however_uncertain(largest: float, least
         sds = {q: largest * float(10 ** rng.uniform(-4, 0)) for q in simulated.exact}
         start = simulated.off(0.05, 0.1, seed=seed)
         data = simulated.read(sds, seed=seed)
-        result = calibrate(start, data, noise=Noise(sds), start="nominal")
+        result = calibrate(start, data, noise=Noise(sds), start="nominal", trusted=seed >= 10)
         converged += result.status.converged
     assert converged >= least
 

@@ -12,7 +12,7 @@ from loopcal.document.dependence import Dependence, InstrumentDependence
 from loopcal.estimation.dependence.neighbours import Pairs, in_order, likeness, near
 from loopcal.estimation.dependence.seen import instruments, seen
 from loopcal.estimation.dependence.serial import Drift, Whole, learnt_drift
-from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
+from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.solution import Solution
 
@@ -43,15 +43,12 @@ class Drifting:
 
 
 def dependence(
-    problem: Problem, solution: Solution, *, exact: bool = False, at_readings: bool = False
+    problem: Problem, solution: Solution, equations: Sequence[PoseEquations], *, exact: bool = False
 ) -> Depending:
     """The tests of all instruments, and the covariance where an instrument drifts.
 
-    exact: the readings were taken as exact; at_readings: as in `pose_equations`.
+    equations: of the poses where the fit ended; exact: the readings were taken as exact.
     """
-    equations = pose_equations(
-        problem, solution.parameters, solution.corrections, exact=exact, at_readings=at_readings
-    )
     root = solution.spectrum.root
     whole = _whole(problem, solution, equations, root, exact=exact)
     informed = 0 if exact else int(np.isfinite(problem.prior_sd).sum())
@@ -82,14 +79,11 @@ def covariance_under(
     drifting: Drifting,
     problem: Problem,
     solution: Solution,
+    equations: Sequence[PoseEquations],
     *,
     exact: bool = False,
-    at_readings: bool = False,
 ) -> Array:
     """(n, n) [SI] of an estimate under a drift that is known."""
-    equations = pose_equations(
-        problem, solution.parameters, solution.corrections, exact=exact, at_readings=at_readings
-    )
     root = solution.spectrum.root
     whole = _whole(problem, solution, equations, root, exact=exact)
     its = seen(problem, equations, root, drifting.readings).take(pose_order(problem))

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from loopcal.chi_squared import quantile
 from loopcal.estimation.accuracy_tally import AccuracyTally
+from loopcal.estimation.all_poses import AllPoses
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
-from loopcal.estimation.result import AllPoses, Result
+from loopcal.estimation.result import Result
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.robust import RobustSums
 from loopcal.estimation.solve.solution import End

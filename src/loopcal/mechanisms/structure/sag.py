@@ -95,10 +95,14 @@ class Sag:
         used = {at: name for name, at in inner.items() if at > 1}
         return {**{name: at for at, name in used.items()}, "tool": None}
 
+    @property
+    def names(self) -> list[str]:
+        """Of the links: the base, and behind each joint."""
+        return [BASE, *self.joints]
+
     def candidates(self) -> Iterator[Column]:
         """All columns, whether or not they are of any effect."""
-        names = [BASE, *self.joints][: max(1, len(self.joints))]
-        for number, joint in enumerate(names):
+        for number, joint in enumerate(self.names[: max(1, len(self.joints))]):
             loads = [load for load, at in self.loads.items() if at is None or at > number]
             motion = self.chain[self.joints[joint]].motion if number else ""
             for axis in "xyz":
@@ -141,16 +145,31 @@ class Sag:
     ) -> tuple[Vector, Vector]:
         """Shift d and turn w of the body (3,) each, in the first frame of the chain."""
         links, body = self._links(x, p)
+        shift, turn = vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)
+        for number, given in self._given(links, body, columns, x, p).items():
+            turn = turn + given
+            shift = shift + cross(given, body.origin - links[number].origin)
+        return shift, turn
+
+    def given(self, columns: Sequence[Column], x: Values, p: Values) -> dict[str, Vector]:
+        """By base and joint, the small turn (3,) by which it gives way, in the first frame of the
+        chain."""
+        links, body = self._links(x, p)
+        found = self._given(links, body, columns, x, p)
+        return {self.names[number]: given for number, given in found.items()}
+
+    def _given(
+        self, links: list[_Link], body: _Link, columns: Sequence[Column], x: Values, p: Values
+    ) -> dict[int, Vector]:
         tool = body.origin
         for letter, name in zip("xyz", self.target, strict=False):
             tool = tool + body.axes[letter] * p[name]
         behind = [link.origin for link in links]
         points = {load: tool if at is None else behind[at] for load, at in self.loads.items()}
-        names = [BASE, *self.joints]
         g = self._pull(x, p)
-        shift, turn = vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)
+        found = {}
         for number, link in enumerate(links):
-            its = [column for column in columns if column.joint == names[number]]
+            its = [column for column in columns if column.joint == self.names[number]]
             if not its:
                 continue
             moments = {load: cross(points[load] - link.origin, g) for load in {c.load for c in its}}
@@ -162,9 +181,8 @@ class Sag:
                     if column.axis == axis:
                         angle = angle + p[column.parameter] * dot(e, moments[column.load])
                 given = given + e * angle
-            turn = turn + given
-            shift = shift + cross(given, body.origin - link.origin)
-        return shift, turn
+            found[number] = given
+        return found
 
     def _pull(self, x: Values, p: Values) -> Vector:
         """Gravity in the first frame of the chain."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from loopcal.errors import InputError
@@ -161,16 +161,51 @@ def _term(name: str, parameters: Sequence[str], sd: float, words: str) -> list[T
     return [Term(name, tuple(parameters), sd, words=words)] if parameters else []
 
 
+@dataclass(frozen=True)
+class Structure:
+    """What the model error of a structured mechanism consists of.
+
+    sag: the arm that gives way, by these columns; None where it does not; smooth: what its
+    discrepancy is made of; joints: those with harmonics.
+    """
+
+    sag: Sag | None
+    columns: tuple[Column, ...]
+    smooth: Smooth | None
+    joints: tuple[str, ...]
+
+
+def structure_of(mechanism: Mechanism) -> Structure:
+    """What a structured mechanism was given, from its parameters; nothing of any other."""
+    names = set(mechanism.parameters.names)
+    if EFFECT not in mechanism.effects:
+        return Structure(None, (), None, ())
+    arm = _in_space(mechanism) if any("_sag_" in name for name in names) else None
+    columns = [] if arm is None else [c for c in arm.candidates() if c.parameter in names]
+    waves = {n.rpartition("_")[2] for n in names if n.startswith(f"{DISCREPANCY}_")}
+    turning = [q for q in driven_joints(mechanism) if f"{q}_cos1" in names]
+    smooth = _smooth(mechanism, len(waves) // 2)
+    return Structure(arm, tuple(columns), smooth, tuple(turning))
+
+
 def _arm(mechanism: Mechanism) -> Sag | None:
     """What may give way; None for a machine that is not an arm in space."""
-    body, chain = mechanism.body, mechanism.chain
-    if body is None or body.planar or not chain:
+    body = mechanism.body
+    return None if body is None or body.planar else _in_space(mechanism)
+
+
+def _in_space(mechanism: Mechanism) -> Sag | None:
+    """The arm; None without a chain."""
+    chain = mechanism.chain
+    if not chain:
         return None
     ahead = 0
     if isinstance(mechanism.placement, ChainPlacement):
         ahead = next(i for i, step in enumerate(chain) if step.joint)
-    points = [names for names in body.mounted if mechanism.parameters[names[0]].unit == "m"]
-    return Sag(chain, ahead, points[0][:3] if points else (), mechanism.gravity or DOWN)
+    lengths = {p.name for p in mechanism.parameters if p.unit == "m"}
+    # the coordinates of the first thing that is mounted on the body
+    at = [n for n, kind in mechanism.located.items() if kind == "mounting" and n in lengths][:3]
+    return Sag(chain, ahead, tuple(at), mechanism.gravity or DOWN)
 
 
 def _columns(

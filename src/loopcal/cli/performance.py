@@ -1,0 +1,96 @@
+"""Pose performance on the command line."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from loopcal.cli.application import JsonOption, app
+from loopcal.cli.output import log, print_json, print_out
+
+
+@app.command()
+def performance(
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="Table with a row per measured pose.")
+    ],
+    commanded: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="Take the commanded poses from this table [default: columns of FILE].",
+        ),
+    ] = None,
+    units: Annotated[
+        str | None,
+        typer.Option(
+            metavar="UNITS",
+            help="Units of columns whose header states none, say mm,deg [default: refuse them].",
+        ),
+    ] = None,
+    angles: Annotated[
+        str | None,
+        typer.Option(
+            metavar="rpy|zyx|rotvec",
+            help="Meaning of columns a, b, c or rx, ry, rz [default: refuse them].",
+        ),
+    ] = None,
+    instrument_sd: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SD",
+            help='Sd of one reading, "5 um" or "5 um, 20 urad" [default: not stated].',
+        ),
+    ] = None,
+    frame_sd: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SD",
+            help='Sd of the base frame, shift and turn, "20 um, 30 urad" [default: not stated].',
+        ),
+    ] = None,
+    tracker: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FIGURES",
+            help='Tracker by name, or its maker\'s figures "10 um + 0.3 um/m, 15 um + 6 um/m" '
+            "[default: not stated].",
+        ),
+    ] = None,
+    station: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z",
+            help='Where the tracker stands, "-2 m, 0.5 m, 1 m" [default: the origin].',
+        ),
+    ] = None,
+    distance: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="POSE,POSE",
+            help="Compute AD and RD of this pair; repeatable [default: all pairs up to 5 poses].",
+        ),
+    ] = None,
+    out: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Write a page with figures here [default: none]."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compute pose accuracy, repeatability and drift of a robot after ISO 9283, with intervals."""
+    from loopcal.files.tables.attained import read_attained
+    from loopcal.pose_performance.instrument import Figures, MeasuringErrors, tracker_of
+    from loopcal.workflow.performance import run_performance
+
+    errors = MeasuringErrors(
+        Figures.of(instrument_sd), tracker_of(tracker, station), Figures.of(frame_sd)
+    )
+    attained = read_attained(file, commanded=commanded, units=units, angles=angles)
+    done = run_performance(attained, errors, distances=distance or (), out=out)
+    if as_json:
+        print_json(done.document())
+        if out is not None:
+            log(f"written to {out}")
+    else:
+        print_out(str(done) if out is None else f"{done}\n\nwritten to {out}")

@@ -1,0 +1,184 @@
+"""What a learnt model error does to the machine, joint by joint, at the measured poses.
+
+Each effect is a function of the pose that is linear in the parameters of its term,
+
+    u(q) = sum_i c_i h_i(q),    sd(u) = sqrt(h^T Cov h),
+
+and is told where it is largest: by how much a joint gives way under gravity, and how far a gear is
+out of round. A smooth discrepancy is told by its rms, and by the joints on which it depends.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.terms import TermPart
+from loopcal.estimation.problem.problem import Problem
+from loopcal.expressions.engine import engine_for
+from loopcal.expressions.trace import trace
+from loopcal.mechanisms.structure.sag import BASE, Column, Sag
+from loopcal.mechanisms.structure.smooth import Smooth
+from loopcal.mechanisms.structure.structured import DISCREPANCY, ORDERS, structure_of
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import with_unit
+
+Array = NDArray[np.float64]
+_COUNTS = 0.2
+"""Share of the variance of a smooth function from which a joint counts among its arguments."""
+_NOTHING = 1e-12
+"""So little [rad] is what the arithmetic leaves of a turn that is none."""
+_TERMS = {DISCREPANCY: "m", "discrepancy_turns": "rad"}
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """Parameters by name, the covariance (n, n) of those estimated, readings of N poses [SI]."""
+
+    values: Mapping[str, float]
+    names: tuple[str, ...]
+    covariance: Array
+    readings: Mapping[str, Array]
+    poses: tuple[str, ...]
+
+    def sd(self, slopes: Mapping[str, float]) -> float:
+        """Of a quantity with these derivatives by parameters."""
+        h = np.array([slopes.get(name, 0.0) for name in self.names])
+        return math.sqrt(max(float(h @ self.covariance @ h), 0.0))
+
+
+def term_parts(
+    problem: Problem, parameters: Array, corrections: Array, covariance: Array
+) -> dict[str, tuple[TermPart, ...]]:
+    """By term, what it does; the largest first.
+
+    parameters: (n_all,); corrections: (k, N); covariance: (n, n) of the estimated parameters [SI].
+    """
+    mechanism = problem.mechanism
+    structure = structure_of(mechanism)
+    read = dict(zip(mechanism.tape.quantities, problem.readings + corrections, strict=True))
+    at = _Fitted(
+        dict(zip(mechanism.parameters.names, parameters.tolist(), strict=True)),
+        problem.names,
+        covariance,
+        read,
+        problem.poses,
+    )
+    found: dict[str, list[TermPart]] = {}
+    if structure.sag is not None:
+        for name, own in (("sag", True), ("sag_across", False)):
+            found[name] = _given(at, structure.sag, [c for c in structure.columns if c.own == own])
+    found["harmonics"] = [_out_of_round(at, joint) for joint in structure.joints]
+    if structure.smooth is not None:
+        for name, unit in _TERMS.items():
+            found[name] = _remaining(at, structure.smooth, unit)
+    order = {name: sorted(parts, key=lambda part: -part.size) for name, parts in found.items()}
+    return {name: tuple(parts) for name, parts in order.items() if parts}
+
+
+def _given(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[TermPart]:
+    """By how much base and joints give way under gravity."""
+    joints = [j for j in arm.names if any(c.joint == j for c in columns)]
+    read = tuple(dict.fromkeys(step.joint for step in arm.chain if step.joint))
+    if not joints or not all(q in at.readings for q in read):
+        return []
+
+    def turns(x: Any, p: Any) -> list[Any]:
+        given = arm.given(columns, x, p)
+        # a tape needs a reading in every row, and some of these are zero in every pose
+        return [component + x[read[0]] for j in joints for component in given[j]]
+
+    x = np.array([at.readings[q] for q in read])
+    tape = trace(turns, quantities=read, parameters=tuple(at.values))
+    engine = engine_for(tape, at.names, x.shape[1], ())
+    engine.at(np.array(list(at.values.values())))
+    made = engine.evaluate(x, np.empty((0, x.shape[1])))
+    given = (made.f - x[0]).reshape(len(joints), 3, -1)
+    found = []
+    for i, joint in enumerate(joints):
+        rows = slice(3 * i, 3 * i + 3)
+        sizes = np.linalg.norm(given[i], axis=0)
+        pose = int(np.argmax(np.nan_to_num(sizes)))
+        size = float(sizes[pose])
+        if not size > _NOTHING:
+            continue
+        along = given[i, :, pose] / size
+        slopes = along @ made.by_parameter[:, rows, pose].T
+        sd = at.sd(dict(zip(at.names, slopes.tolist(), strict=True)))
+        who = "the base" if joint == BASE else joint
+        way = "about its axis" if columns[0].own else "across its axis"
+        way = "" if joint == BASE else f" {way}"
+        words = f"under gravity {who} gives way{way} by up to {_turn(size, sd, at.poses[pose])}"
+        found.append(TermPart((joint,), "rad", size, sd, at.poses[pose], words))
+    return found
+
+
+def _out_of_round(at: _Fitted, joint: str) -> TermPart:
+    """By how much a joint turns by more or less than its encoder says."""
+    q = at.readings[joint]
+    h: dict[str, Array] = {}
+    for k in ORDERS:
+        h |= {f"{joint}_cos{k:g}": np.cos(k * q), f"{joint}_sin{k:g}": np.sin(k * q)}
+    off = np.abs(sum((at.values[name] * row for name, row in h.items()), np.zeros(len(q))))
+    pose = int(np.argmax(np.nan_to_num(off)))
+    sd = at.sd({name: float(row[pose]) for name, row in h.items()})
+    size = float(off[pose])
+    words = f"gear or encoder of {joint} is off by up to {_turn(size, sd, at.poses[pose])}"
+    return TermPart((joint,), "rad", size, sd, at.poses[pose], words)
+
+
+def _remaining(at: _Fitted, smooth: Smooth, unit: str) -> list[TermPart]:
+    """How large a smooth discrepancy is, and on which joints it depends."""
+    waves = [f"{part}{i}" for i in range(1, len(smooth.harmonics) + 1) for part in ("cos", "sin")]
+    axes = ("x", "y", "z") if unit == "m" else ("rx", "ry", "rz")
+    rows = [[f"{DISCREPANCY}_{axis}_{wave}" for wave in waves] for axis in axes]
+    rows = [row for row in rows if row and row[0] in at.values]
+    if not rows:
+        return []
+    features = np.array(smooth.features(at.readings))
+    # what is the same everywhere belongs to the placement
+    features -= features.mean(axis=1, keepdims=True)
+    c = np.array([[at.values[name] for name in row] for row in rows])
+    f = c @ features
+    size = math.sqrt(float(np.square(f).sum(axis=0).mean()))
+    if not size > 0.0:
+        return []
+    slopes = (f @ features.T) / (f.shape[1] * size)
+    names = [name for row in rows for name in row]
+    sd = at.sd(dict(zip(names, slopes.ravel().tolist(), strict=True)))
+    joints = _depends_on(at, smooth, c)
+    where = "all joints" if set(joints) == set(smooth.joints) else _listed(joints)
+    shown = with_unit(size, unit, 2) if unit == "m" else f"{significant(1e3 * size, 2)} mrad"
+    words = f"what remains unexplained: {shown} rms, smooth in {where}"
+    return [TermPart(joints, unit, size, sd, None, words)]
+
+
+def _depends_on(at: _Fitted, smooth: Smooth, c: Array) -> tuple[str, ...]:
+    """The joints of which a smooth function c F(q) is a function, by Sobol's total indices.
+
+    T_d = E |f(q) - f(q')|^2 / (2 var f), q' as q with the reading of joint d from another pose
+    (Jansen 1999): the share of the variance that goes where the other joints are known.
+    """
+    q = {joint: at.readings[joint] for joint in smooth.joints}
+    f = c @ np.array(smooth.features(q))
+    spread = float(f.var(axis=1).sum())
+    other = np.random.default_rng(0).permutation(f.shape[1])
+    share = {}
+    for joint, own in q.items():
+        off = f - c @ np.array(smooth.features(q | {joint: own[other]}))
+        share[joint] = float(np.square(off).sum(axis=0).mean()) / (2.0 * spread)
+    counts = [joint for joint in smooth.joints if share[joint] >= _COUNTS]
+    return tuple(counts) or smooth.joints
+
+
+def _turn(size: float, sd: float, pose: str) -> str:
+    return f"{significant(1e3 * size, 2)} mrad (sd {significant(1e3 * sd, 2)} mrad, pose {pose})"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,215 @@
+"""Pose performance as data sheets show it: bars, scatter around the commanded pose, drift."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from loopcal.figures.figure import (
+    AFTER,
+    BEFORE,
+    COLOURS,
+    Array,
+    Figure,
+    axis,
+    colours,
+    layout,
+    names,
+    numbers,
+    shown_text,
+)
+
+COLUMNS = 3
+"""Panels side by side."""
+
+
+@dataclass(frozen=True)
+class Bars:
+    """One figure of every pose [mm] with the ends of its interval, None where unknown."""
+
+    name: str
+    values: Sequence[float]
+    low: Sequence[float | None]
+    high: Sequence[float | None]
+
+
+def pose_bars(poses: Sequence[str], series: Sequence[Bars]) -> Figure:
+    """AP before and after fitting the base, and RP, of every pose [mm]."""
+    shades = (BEFORE, AFTER, COLOURS[4])
+    data = []
+    for bars, shade in zip(series, shades, strict=False):
+        known = [
+            (v, v if low is None else low, v if high is None else high)
+            for v, low, high in zip(bars.values, bars.low, bars.high, strict=True)
+        ]
+        data.append(
+            {
+                "type": "bar",
+                "name": bars.name,
+                "x": names(poses),
+                "y": numbers(np.array(bars.values)),
+                "marker": {"color": shade},
+                "error_y": {
+                    "type": "data",
+                    "symmetric": False,
+                    "array": numbers(np.array([high - v for v, _, high in known])),
+                    "arrayminus": numbers(np.array([v - low for v, low, _ in known])),
+                    "thickness": 1.5,
+                },
+            }
+        )
+    return Figure(
+        "bars",
+        "Accuracy and repeatability of every pose",
+        "Lines show the 95 % interval. AP after fitting holds what no shift or turn of the base "
+        "frame explains.",
+        f"Bars of {', '.join(bars.name for bars in series)} for {len(poses)} poses.",
+        tuple(data),
+        layout(
+            320,
+            barmode="group",
+            xaxis=axis("", type="category"),
+            yaxis=axis("mm", rangemode="tozero"),
+        ),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Attained minus commanded positions (n, 3) [mm] of one pose; radius: its RP [mm]."""
+
+    name: str
+    offsets: Array
+    radius: float | None
+
+
+def scatter(clouds: Sequence[Cloud], plane: tuple[int, int] = (0, 1)) -> Figure:
+    """A panel per pose: readings around the commanded pose, their mean, and the circle of RP."""
+    letters = ["xyz"[k] for k in plane]
+    rows = -(-len(clouds) // COLUMNS)
+    data: list[dict[str, Any]] = []
+    more: dict[str, Any] = {}
+    titles, shapes = [], []
+    reach = max(
+        max(float(np.ptp(c.offsets[:, k])) for k in plane) / 2.0 + (c.radius or 0.0) for c in clouds
+    )
+    for i, cloud in enumerate(clouds):
+        row, column = divmod(i, COLUMNS)
+        suffix = str(i + 1) if i else ""
+        left, top = column / COLUMNS, 1.0 - row / rows
+        at = cloud.offsets[:, plane]
+        mean = at.mean(axis=0)
+        here = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
+        more[f"xaxis{suffix}"] = axis(
+            f"{letters[0]} [mm]",
+            domain=[left + 0.02, left + 0.86 / COLUMNS],
+            anchor=f"y{suffix}",
+            range=[mean[0] - 1.15 * reach, mean[0] + 1.15 * reach],
+            nticks=5,
+        )
+        more[f"yaxis{suffix}"] = axis(
+            f"{letters[1]} [mm]",
+            domain=[top - 0.78 / rows, top - 0.06 / rows],
+            anchor=f"x{suffix}",
+            range=[mean[1] - 1.15 * reach, mean[1] + 1.15 * reach],
+            scaleanchor=f"x{suffix}",
+            nticks=5,
+        )
+        look = {"color": COLOURS[0], "size": 5, "opacity": 0.6}
+        data.append(_dots("readings", at, look, i == 0) | here)
+        cross = {"color": COLOURS[1], "size": 11, "symbol": "cross-thin-open"}
+        data.append(_dots("mean", mean[None], cross, i == 0) | here)
+        star = {"color": BEFORE, "size": 10, "symbol": "x-open"}
+        data.append(_dots("commanded", np.zeros((1, 2)), star, i == 0) | here)
+        if cloud.radius is not None:
+            shapes.append(
+                {
+                    "type": "circle",
+                    "xref": here["xaxis"],
+                    "yref": here["yaxis"],
+                    **{f"x{e}": float(mean[0] + s * cloud.radius) for e, s in ((0, -1), (1, 1))},
+                    **{f"y{e}": float(mean[1] + s * cloud.radius) for e, s in ((0, -1), (1, 1))},
+                    "line": {"color": COLOURS[4], "width": 1.5},
+                }
+            )
+        titles.append(
+            {
+                "text": shown_text(cloud.name),
+                "x": left + 0.02,
+                "y": top - 0.05 / rows,
+                "xref": "paper",
+                "yref": "paper",
+                "xanchor": "left",
+                "yanchor": "bottom",
+                "showarrow": False,
+            }
+        )
+    return Figure(
+        f"scatter_{letters[0]}{letters[1]}",
+        f"Readings around the commanded pose, {letters[0]} and {letters[1]}",
+        "The circle around the mean has the radius RP; all panels have the same scale. The "
+        "commanded pose is at 0, 0, outside of a panel whose AP is large beside RP.",
+        f"Measured minus commanded {letters[0]} and {letters[1]} of {len(clouds)} poses.",
+        tuple(data),
+        layout(300 * rows + 40, annotations=titles, shapes=shapes, **more),
+        least_width=720,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """AP and RP [mm] of one pose over time, from block to block."""
+
+    name: str
+    times: Sequence[float]
+    accuracy: Sequence[float]
+    repeatability: Sequence[float]
+
+
+def drift_courses(courses: Sequence[Course], unit: str) -> Figure | None:
+    """AP (full lines) and RP (dotted) of every pose against time; None without any."""
+    if not courses:
+        return None
+    shades = colours([course.name for course in courses])
+    data = []
+    for course in courses:
+        for what, values, dash in (
+            ("AP", course.accuracy, "solid"),
+            ("RP", course.repeatability, "dot"),
+        ):
+            data.append(
+                {
+                    "type": "scatter",
+                    "mode": "lines+markers",
+                    "name": f"{what} {shown_text(course.name)}",
+                    "x": numbers(np.array(course.times)),
+                    "y": numbers(np.array(values)),
+                    "line": {"color": shades[course.name], "dash": dash, "width": 1.5},
+                    "marker": {"size": 5},
+                }
+            )
+    return Figure(
+        "drift",
+        "Drift of accuracy and repeatability",
+        "AP of every block of cycles in full lines, RP in dotted ones. A level line is a robot "
+        "that does not drift.",
+        f"AP and RP of {len(courses)} poses against {unit}.",
+        tuple(data),
+        layout(340, xaxis=axis(unit), yaxis=axis("mm", rangemode="tozero")),
+    )
+
+
+def _dots(name: str, at: Array, look: dict[str, Any], legend: bool) -> dict[str, Any]:
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "name": name,
+        "legendgroup": name,
+        "showlegend": legend,
+        "x": numbers(at[:, 0]),
+        "y": numbers(at[:, 1]),
+        "marker": look,
+    }

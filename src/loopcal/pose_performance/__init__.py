@@ -1,0 +1,1 @@
+"""Pose performance of robots, computed after ISO 9283: accuracy, repeatability, drift."""

@@ -1,0 +1,324 @@
+"""All figures of pose performance from attained poses, one payload and speed after the other.
+
+Formulas as secondary sources give them for ISO 9283:1998, among them Nof (ed.), Handbook of
+Industrial Robotics (1999), and Slamani, Nubiola and Bonev, Industrial Robot 39 (2012):
+
+    AP = |p - p_c|,  RP = l + 3 S_l,  l_j = |p_j - p|;   about each axis AP_a = mean, RP_a = +-3 S_a
+    vAP = max |p_h - p_k| of directions of approach,  AD = |D - D_c|,  RD = +-3 S_D
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import combinations, pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, nearest
+from loopcal.measurements.attained import AttainedPoses
+from loopcal.pose_performance.accuracy import (
+    FittedBase,
+    Group,
+    Means,
+    covariance_of_mean,
+    fitted_base,
+)
+from loopcal.pose_performance.drift import blocks_of, drift
+from loopcal.pose_performance.instrument import MeasuringErrors
+from loopcal.pose_performance.intervals import (
+    LEVEL,
+    Estimate,
+    NormalScatter,
+    length_interval,
+    repeatability,
+    spread_interval,
+)
+from loopcal.pose_performance.parts import (
+    AxisPerformance,
+    ConditionPerformance,
+    DirectionVariation,
+    DistancePerformance,
+    Drift,
+    PosePerformance,
+)
+from loopcal.pose_performance.result import Performance
+from loopcal.small_samples import t_quantile
+
+Array = NDArray[np.float64]
+AXES = ("x", "y", "z")
+EVERY_PAIR = 5
+"""Up to so many poses the distance of every pair is given, beyond it those of successive poses."""
+USUAL_CYCLES = 30
+OTHER_FRAME = 30.0
+"""AP so many times larger before the fit than after: another frame was measured in."""
+
+
+def pose_performance(
+    attained: AttainedPoses,
+    errors: MeasuringErrors | None = None,
+    *,
+    distances: Sequence[tuple[str, str]] = (),
+) -> Performance:
+    """The figures of attained poses.
+
+    distances: pairs of poses; by default every pair of up to five poses, beyond that successive
+    ones. Raises InputError for a pose that is not there, and for units that cannot be right.
+    """
+    errors = errors or MeasuringErrors()
+    known = list(dict.fromkeys(attained.pose))
+    for name in (name for pair in distances for name in pair):
+        if name not in known:
+            raise InputError(
+                f"there is no pose {name!r}",
+                code="unknown-name",
+                place=attained.file,
+                remedy=nearest(name, known),
+            )
+    parts = [
+        _Part(attained, condition, rows, errors).figures(distances)
+        for condition, rows in _conditions(attained)
+    ]
+    notes = (*attained.notes, *errors.words())
+    return Performance(attained.file, len(attained), tuple(parts), notes)
+
+
+def _conditions(attained: AttainedPoses) -> Iterable[tuple[dict[str, str], NDArray[np.intp]]]:
+    columns = attained.conditions or {}
+    rows: dict[tuple[str, ...], list[int]] = {}
+    for i in range(len(attained)):
+        rows.setdefault(tuple(values[i] for values in columns.values()), []).append(i)
+    return [(dict(zip(columns, key, strict=True)), np.array(its)) for key, its in rows.items()]
+
+
+class _Part:
+    """The rows of one condition, in groups of one pose and direction."""
+
+    def __init__(
+        self,
+        attained: AttainedPoses,
+        condition: dict[str, str],
+        rows: NDArray[np.intp],
+        errors: MeasuringErrors,
+    ) -> None:
+        self.all, self.condition, self.errors = attained, condition, errors
+        found: dict[tuple[str, str | None], list[int]] = {}
+        for i in rows:
+            direction = attained.direction[i] if attained.direction else None
+            found.setdefault((attained.pose[i], direction), []).append(i)
+        self.groups = [Group(*key, np.array(its)) for key, its in found.items()]
+        self.missing: list[str] = []
+
+    def figures(self, distances: Sequence[tuple[str, str]]) -> ConditionPerformance:
+        means = Means.of(self.groups, self.all.measured, self.all.commanded, self.errors)
+        base = fitted_base(means)
+        fitted = None if isinstance(base, str) else base
+        if isinstance(base, str):
+            self.missing.append(f"AP after fitting: {base}.")
+        poses = tuple(self._pose(i, means, fitted) for i in range(len(self.groups)))
+        single = [pose.name for pose in poses if pose.cycles < 2]
+        if single:
+            self.missing.append(
+                f"RP and intervals of {', '.join(single)}: one cycle shows no scatter."
+            )
+        if self.all.measured_turns is None:
+            self.missing.append("Orientation: the table has no measured orientation.")
+        return ConditionPerformance(
+            self.condition,
+            poses,
+            tuple(self._variations()),
+            tuple(self._distances(distances)),
+            tuple(self._drifts(means, fitted)),
+            tuple(self.missing),
+            tuple(_remarks(poses, fitted is not None and _other_frame(means, fitted))),
+        )
+
+    def _pose(self, i: int, means: Means, base: FittedBase | None) -> PosePerformance:
+        group = self.groups[i]
+        readings = self.all.measured[group.rows]
+        found = repeatability(readings) if len(readings) > 1 else None
+        alone = self.errors.of_reading(means.positions[i])
+        instrument = None if alone is None else NormalScatter.of(alone).repeatability
+        share = None
+        if instrument is not None and found is not None and found.value > 0.0:
+            share = (instrument / found.value) ** 2
+        return PosePerformance(
+            group.pose,
+            group.direction,
+            len(readings),
+            means.accuracy(i),
+            None if base is None else base.accuracy(i, means),
+            tuple((means.positions[i] - means.commanded[i]).tolist()),
+            found,
+            instrument,
+            share,
+            tuple(self._axes(group, base)),
+        )
+
+    def _axes(self, group: Group, base: FittedBase | None) -> Iterable[AxisPerformance]:
+        """Turns from the commanded to the attained orientation about the axes of the base."""
+        if self.all.measured_turns is None or self.all.commanded_turns is None:
+            return
+        asked = self.all.commanded_turns[group.rows]
+        attained = self.all.measured_turns[group.rows]
+        n = len(group.rows)
+        turns = _rotation_vectors(attained @ asked.transpose(0, 2, 1))
+        after = None
+        if base is not None:
+            after = _rotation_vectors(base.rotation @ attained @ asked.transpose(0, 2, 1))
+        frame = (self.errors.frame.angle or 0.0) ** 2
+        for k, axis in enumerate(AXES):
+            sd = float(turns[:, k].std(ddof=1)) if n > 1 else 0.0
+            fitted = None
+            if base is not None and after is not None:
+                fitted = _mean(after[:, k], float(base.turn[k, k]))
+            yield AxisPerformance(
+                axis, _mean(turns[:, k], frame), fitted, spread_interval(sd, n - 1.0, 3.0)
+            )
+
+    def _variations(self) -> Iterable[DirectionVariation]:
+        """vAP; with several pairs of directions the bounds hold for all of them (Bonferroni)."""
+        by_pose: dict[str, list[Group]] = {}
+        for group in self.groups:
+            by_pose.setdefault(group.pose, []).append(group)
+        if all(len(groups) < 2 for groups in by_pose.values()):
+            why = (
+                "the table has no column of directions"
+                if self.all.direction is None
+                else "every pose was approached from one direction"
+            )
+            self.missing.append(f"vAP: {why}.")
+        for pose, groups in by_pose.items():
+            if len(groups) < 2:
+                continue
+            pairs = [*combinations(groups, 2)]
+            found = [self._between(a, b, 1.0 - (1.0 - LEVEL) / len(pairs)) for a, b in pairs]
+            lows = [e.low for e in found if e.low is not None]
+            highs = [e.high for e in found if e.high is not None]
+            whole = len(highs) == len(found)
+            yield DirectionVariation(
+                pose,
+                tuple(str(g.direction) for g in groups),
+                Estimate(
+                    max(e.value for e in found),
+                    max(lows) if whole else None,
+                    max(highs) if whole else None,
+                ),
+            )
+
+    def _between(self, a: Group, b: Group, level: float) -> Estimate:
+        """Distance of two means; errors that all readings of the pose share cancel."""
+        readings = [self.all.measured[g.rows] for g in (a, b)]
+        scatter = sum((covariance_of_mean(r) for r in readings), np.zeros((3, 3)))
+        difference = readings[0].mean(axis=0) - readings[1].mean(axis=0)
+        degrees = min(len(r) for r in readings) - 1.0
+        return length_interval(difference, scatter, scatter, degrees, level)
+
+    def _distances(self, asked: Sequence[tuple[str, str]]) -> Iterable[DistancePerformance]:
+        """AD and RD from cycles in which both poses were measured."""
+        rows: dict[str, dict[tuple[str, ...], int]] = {}
+        for group in self.groups:
+            own = rows.setdefault(group.pose, {})
+            for i in group.rows:
+                block = self.all.block[i] if self.all.block else ""
+                own[(self.all.cycle[i], group.direction or "", block)] = int(i)
+        pairs = [*asked]
+        if not asked:
+            pairs = [*(combinations(rows, 2) if len(rows) <= EVERY_PAIR else pairwise(rows))]
+        if not pairs:
+            self.missing.append("AD and RD: there is only one pose.")
+        for one, other in pairs:
+            at = rows.get(one, {}), rows.get(other, {})
+            both = [key for key in at[0] if key in at[1]]
+            if not both:
+                self.missing.append(f"AD and RD of {one} to {other}: no cycle has both.")
+                continue
+            i, k = (np.array([its[key] for key in both]) for its in at)
+            yield self._distance((one, other), i, k)
+
+    def _distance(
+        self, poses: tuple[str, str], i: NDArray[np.intp], k: NDArray[np.intp]
+    ) -> DistancePerformance:
+        apart = np.linalg.norm(self.all.measured[i] - self.all.measured[k], axis=1)
+        commanded = float(np.linalg.norm(self.all.commanded[i[0]] - self.all.commanded[k[0]]))
+        n = len(apart)
+        sd = float(apart.std(ddof=1)) if n > 1 else 0.0
+        ends = [self.all.measured[at].mean(axis=0) for at in (i, k)]
+        along = (ends[0] - ends[1]) / max(float(np.linalg.norm(ends[0] - ends[1])), 1e-300)
+        common = sum(float(along @ self.errors.of_point(end) @ along) for end in ends)
+        own = sd**2 / n
+        accuracy = length_interval(
+            np.array([apart.mean() - commanded]),
+            np.array([[own + common]]),
+            np.array([[own]]),
+            n - 1.0,
+        )
+        return DistancePerformance(poses, n, commanded, accuracy, spread_interval(sd, n - 1.0, 3.0))
+
+    def _drifts(self, means: Means, base: FittedBase | None) -> Iterable[Drift]:
+        """dAP and dRP; in the fitted frame only where the instrument's is another one."""
+        if self.all.time is None and self.all.block is None:
+            self.missing.append("Drift: the table has neither a time nor a block column.")
+            return
+        measured, frame = self.all.measured, means.frame
+        if base is not None and _other_frame(means, base):
+            measured, frame = measured @ base.rotation.T + base.shift, np.zeros_like(frame)
+        offsets = measured - self.all.commanded
+        seen = self.all.block, self.all.time
+        found = False
+        for i, group in enumerate(self.groups):
+            blocks = [b for b in blocks_of(group.rows, *seen) if len(b) > 1]
+            if len(blocks) < 2:
+                continue
+            found = True
+            at = slice(3 * i, 3 * i + 3)
+            common = self.errors.of_point(means.positions[i]) + frame[at, at]
+            name = group.pose if group.direction is None else f"{group.pose}, {group.direction}"
+            yield drift(name, blocks, offsets, common, seen)
+        if not found:
+            self.missing.append("Drift: it takes two blocks of cycles (20 cycles) of a pose.")
+
+
+def _mean(values: Array, common: float) -> Estimate:
+    """A mean with its 95 % interval; common: variance of what all values share."""
+    n, value = len(values), float(values.mean())
+    if n < 2:
+        return Estimate(value, None, None)
+    own = float(values.var(ddof=1)) / n
+    if own + common == 0.0:
+        return Estimate(value, value, value)
+    degrees = np.inf if own == 0.0 else (n - 1.0) * ((own + common) / own) ** 2
+    reach = t_quantile(LEVEL, float(degrees)) * float(np.sqrt(own + common))
+    return Estimate(value, value - reach, value + reach)
+
+
+def _rotation_vectors(R: Array) -> Array:
+    """Axis times angle (N, 3) [rad] of rotation matrices (N, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(R).as_rotvec(), dtype=np.float64)
+
+
+def _other_frame(means: Means, base: FittedBase) -> bool:
+    """Whether the instrument measured in another frame than that of the commanded poses."""
+    before = np.linalg.norm(means.positions - means.commanded, axis=1)
+    after = np.linalg.norm(base.offsets, axis=1)
+    return bool(np.median(before) > OTHER_FRAME * np.median(after))
+
+
+def _remarks(poses: Sequence[PosePerformance], other_frame: bool) -> Iterable[str]:
+    few = [pose.name for pose in poses if pose.cycles < USUAL_CYCLES]
+    if few:
+        least = min(pose.cycles for pose in poses)
+        yield f"ISO 9283 asks for {USUAL_CYCLES} cycles; the fewest here are {least}."
+    if other_frame:
+        yield (
+            "The measured positions seem to be in another frame than the commanded ones: use AP "
+            "after fitting."
+        )
+    doubtful = [pose.name for pose in poses if (pose.instrument_share or 0.0) > 0.25]
+    if doubtful:
+        yield (
+            "The instrument is too coarse to judge the repeatability of "
+            f"{', '.join(doubtful)}: more than a quarter of the variance may be its own."
+        )

@@ -1,0 +1,132 @@
+"""Pose performance as printed: one table per kind of figure, in mm and degrees."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from loopcal.pose_performance.intervals import Estimate
+from loopcal.pose_performance.parts import ConditionPerformance
+from loopcal.presentation.rounding import rounded_by_sd
+from loopcal.presentation.shown import NONE, in_unit, percent, unit_shown
+from loopcal.presentation.text_table import columns
+
+
+def headline(part: ConditionPerformance) -> str:
+    """The largest AP and RP of a condition in one sentence."""
+    worst = max(part.poses, key=lambda pose: pose.accuracy.value)
+    words = f"Largest AP {bounded(worst.accuracy, 'm')} mm at {worst.name}"
+    fitted = [pose for pose in part.poses if pose.accuracy_fitted is not None]
+    if fitted:
+        most = max(fitted, key=lambda p: p.accuracy_fitted.value if p.accuracy_fitted else 0.0)
+        assert most.accuracy_fitted is not None
+        words += f", after fitting the base {bounded(most.accuracy_fitted, 'm')} mm at {most.name}"
+    rough = [pose for pose in part.poses if pose.repeatability is not None]
+    if rough:
+        loosest = max(rough, key=lambda p: p.repeatability.value if p.repeatability else 0.0)
+        assert loosest.repeatability is not None
+        words += f". Largest RP {bounded(loosest.repeatability, 'm')} mm at {loosest.name}"
+    return f"{words}. Brackets hold the 95 % interval."
+
+
+def condition_lines(part: ConditionPerformance) -> Iterator[str]:
+    """All figures of a condition, and what could not be computed."""
+    if part.name:
+        yield f"At {part.name}:"
+    yield headline(part)
+    for rows in tables_of(part).values():
+        yield ""
+        yield from columns(rows)
+    for note in part.notes:
+        yield ""
+        yield note
+    if part.missing:
+        yield ""
+        yield "Not computed:"
+        yield from (f"  {line}" for line in part.missing)
+
+
+Rows = Sequence[tuple[str, ...]]
+
+
+def tables_of(part: ConditionPerformance) -> dict[str, Rows]:
+    """Title -> rows with their header, of each kind of figure that there is."""
+    found: dict[str, Rows] = {"Poses": _pose_rows(part)}
+    if any(pose.orientation for pose in part.poses):
+        unit = unit_shown("rad")
+        head = (f"orientation [{unit}]", "axis", "AP", "AP fitted", "RP +-")
+        found["Orientation"] = [head] + [
+            (
+                pose.name,
+                axis.axis,
+                bounded(axis.accuracy, "rad"),
+                bounded(axis.accuracy_fitted, "rad"),
+                bounded(axis.repeatability, "rad"),
+            )
+            for pose in part.poses
+            for axis in pose.orientation
+        ]
+    if part.variations:
+        found["Directions"] = [("variation [mm]", "directions", "vAP")] + [
+            (v.pose, ", ".join(v.directions), bounded(v.variation, "m")) for v in part.variations
+        ]
+    if part.distances:
+        found["Distances"] = [("distance [mm]", "cycles", "commanded", "AD", "RD +-")] + [
+            (
+                " to ".join(d.poses),
+                str(d.cycles),
+                f"{in_unit(d.commanded, 'm'):.3f}",
+                bounded(d.accuracy, "m"),
+                bounded(d.repeatability, "m"),
+            )
+            for d in part.distances
+        ]
+    if part.drifts:
+        found["Drift"] = [("drift [mm]", "blocks", "shift", "dAP", "dRP")] + [
+            (
+                d.pose,
+                str(len(d.blocks)),
+                bounded(d.shift, "m"),
+                bounded(d.accuracy, "m"),
+                bounded(d.repeatability, "m"),
+            )
+            for d in part.drifts
+        ]
+    return found
+
+
+def _pose_rows(part: ConditionPerformance) -> Rows:
+    rows = [("pose [mm]", "cycles", "AP", "AP fitted", "RP", "instrument's RP", "share")]
+    for pose in part.poses:
+        share = pose.instrument_share
+        rows.append(
+            (
+                pose.name,
+                str(pose.cycles),
+                bounded(pose.accuracy, "m"),
+                bounded(pose.accuracy_fitted, "m"),
+                bounded(pose.repeatability, "m"),
+                NONE if pose.instrument is None else f"{in_unit(pose.instrument, 'm'):.4f}",
+                percent(None if share is None else min(share, 1.0)),
+            )
+        )
+    if not any(pose.instrument is not None for pose in part.poses):
+        return [row[:-2] for row in rows]
+    return rows
+
+
+def bounded(estimate: Estimate | None, unit: str) -> str:
+    """A figure with its 95 % interval, in the unit shown, to the digits of that interval."""
+    if estimate is None:
+        return NONE
+    value, low, high = (
+        None if x is None else in_unit(x, unit)
+        for x in (estimate.value, estimate.low, estimate.high)
+    )
+    assert value is not None
+    if low is None or high is None:
+        return f"{value:.4f}"
+    quarter = (high - low) / 4.0
+    if not quarter > 0.0:
+        return f"{value:.4f}"
+    shown = [rounded_by_sd(x, quarter) for x in (value, low, high)]
+    return f"{shown[0]} [{shown[1]}, {shown[2]}]"

@@ -1,0 +1,117 @@
+"""The page of pose performance: tables, bars, scatter of every pose and drift."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from loopcal.figures.figure import Figure, plotly_javascript
+from loopcal.figures.pose_performance import (
+    Bars,
+    Cloud,
+    Course,
+    drift_courses,
+    pose_bars,
+    scatter,
+)
+from loopcal.files.versions import version
+from loopcal.measurements.attained import AttainedPoses
+from loopcal.pose_performance.intervals import Estimate
+from loopcal.pose_performance.parts import ConditionPerformance
+from loopcal.pose_performance.result import METHOD, Performance
+from loopcal.pose_performance.summary import headline, tables_of
+from loopcal.report.page import environment, part, sha256
+from loopcal.report.tables import Table
+
+MM = 1e3
+MOST_PANELS = 30
+"""Poses with a panel of their own; more are in the tables alone."""
+
+
+def performance_html(done: Performance, attained: AttainedPoses) -> str:
+    """One self-contained page; nothing in it is asked of any network."""
+    program, drawing = plotly_javascript(), part("draw.js")
+    return (
+        environment()
+        .get_template("performance.html")
+        .render(
+            title=f"Pose performance of {done.file}",
+            version=version(),
+            method=METHOD,
+            measurements=done.measurements,
+            conditions=[_condition(c, attained, n) for n, c in enumerate(done.conditions, 1)],
+            notes=done.notes,
+            style=part("style.css"),
+            program=program,
+            drawing=drawing,
+            hashes=" ".join(f"'sha256-{sha256(text)}'" for text in (program, drawing)),
+        )
+    )
+
+
+def _condition(found: ConditionPerformance, attained: AttainedPoses, number: int) -> dict[str, Any]:
+    figures = [_bars(found), *_scatter(found, attained), _drift(found)]
+    return {
+        "id": f"c{number}",
+        "name": found.name,
+        "headline": headline(found),
+        "figures": {figure.key: figure for figure in figures if figure is not None},
+        "tables": [
+            Table(title, tuple(rows[0]), tuple(tuple(row) for row in rows[1:]))
+            for title, rows in tables_of(found).items()
+        ],
+        "notes": found.notes,
+        "missing": found.missing,
+    }
+
+
+def _bars(found: ConditionPerformance) -> Figure:
+    kinds: list[tuple[str, list[Estimate | None]]] = [
+        ("AP", [pose.accuracy for pose in found.poses]),
+        ("AP after fitting the base", [pose.accuracy_fitted for pose in found.poses]),
+        ("RP", [pose.repeatability for pose in found.poses]),
+    ]
+    series = [
+        Bars(
+            name,
+            [float("nan") if e is None else MM * e.value for e in estimates],
+            [None if e is None or e.low is None else MM * e.low for e in estimates],
+            [None if e is None or e.high is None else MM * e.high for e in estimates],
+        )
+        for name, estimates in kinds
+    ]
+    return pose_bars([pose.name for pose in found.poses], series)
+
+
+def _scatter(found: ConditionPerformance, attained: AttainedPoses) -> list[Figure]:
+    offsets = MM * (attained.measured - attained.commanded)
+    clouds = []
+    for pose in found.poses[:MOST_PANELS]:
+        rows = [
+            i
+            for i in range(len(attained))
+            if attained.pose[i] == pose.pose
+            and (attained.direction is None or attained.direction[i] == pose.direction)
+            and all(v[i] == found.condition[k] for k, v in (attained.conditions or {}).items())
+        ]
+        radius = None if pose.repeatability is None else MM * pose.repeatability.value
+        clouds.append(Cloud(pose.name, offsets[rows], radius))
+    return [scatter(clouds, (0, 1)), scatter(clouds, (0, 2))]
+
+
+def _drift(found: ConditionPerformance) -> Figure | None:
+    timed = all(block.time is not None for drift in found.drifts for block in drift.blocks)
+    longest = max((b.time or 0.0 for d in found.drifts for b in d.blocks), default=0.0)
+    divisor, unit = (3600.0, "time [h]") if longest > 7200.0 else (60.0, "time [min]")
+    courses = [
+        Course(
+            drift.pose,
+            [
+                float(number) if not timed else (block.time or 0.0) / divisor
+                for number, block in enumerate(drift.blocks, 1)
+            ],
+            [MM * block.accuracy.value for block in drift.blocks],
+            [MM * block.repeatability.value for block in drift.blocks],
+        )
+        for drift in found.drifts[:MOST_PANELS]
+    ]
+    return drift_courses(courses, unit if timed else "block of cycles")
