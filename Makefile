@@ -5,7 +5,8 @@ VENV     ?= .venv
 JOBS     ?= 2
 VERSIONS ?= 3.11 3.12 3.13
 # Independent programs that some tests compare with; those tests skip where they are absent.
-PARTNERS ?= casadi distributed example-robot-data-loaders pin playwright pytransform3d rtb-data
+PARTNERS ?= casadi distributed example-robot-data-loaders mujoco pin playwright pytransform3d roboticstoolbox-python \
+	rtb-data urchin xacro
 
 # Programs that `make benchmark` compares with, beside those of the tests.
 RIVALS   ?= gtsam pyceres

@@ -27,8 +27,6 @@ import re
 import time
 import warnings
 import zlib
-from collections import defaultdict
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
@@ -39,13 +37,12 @@ import loopcal as lc
 from analyses.gauntlet_kinds import KINDS, Kind
 from analyses.gauntlet_truth import Array
 from analyses.gauntlet_worlds import Fresh
+from analyses.rates import table
 from analyses.written import write_block
 from loopcal.small_samples import f_limit
 
 KEPT = Path(".cache/gauntlet.jsonl")
 PAGE = Path("docs/explanation/gauntlet.md")
-BEYOND = 1.5
-"""True error over the stated 95 % region, from which a stated region is wrong."""
 
 
 def _stamp() -> str:
@@ -81,7 +78,8 @@ def run(name: str, draw: int) -> dict[str, Any]:
             return found | {"refused": words[:300], "named": named, "cpu": _since(begun)}
         answers = verdict.answers
         told = " ".join([*(f"{a.code} {a.words} {a.next}" for a in answers.values())])
-        told = " ".join([told, *result.warnings])
+        effects = (words for term in result.document.terms for words in term.told)
+        told = " ".join([told, *result.warnings, *effects])
         found |= {name: answer.passed for name, answer in answers.items()}
         found |= {"codes": [answer.code for answer in answers.values()], "cpu": _since(begun)}
         found |= {"method": result.fit.method.label, "told": told[:600]}
@@ -133,54 +131,6 @@ def _placed(points: Array, onto: Array) -> Array:
     return moved
 
 
-def wrong(draw: dict[str, Any]) -> bool:
-    """Whether the true error at fresh poses, where the result is called valid, is far beyond."""
-    regions = [draw.get("inside")]
-    if draw.get("valid"):
-        regions.append(draw.get("outside"))
-    return any(region is not None and region["ratio"] > BEYOND for region in regions)
-
-
-def table(draws: Sequence[dict[str, Any]]) -> str:
-    """Rates of each kind, and over all."""
-    by: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for draw in draws:
-        by[draw["kind"]].append(draw)
-    lines = [
-        f"{'kind':34} {'draws':>5} {'sound':>6} {'refused':>7} {'wrong':>6} {'missed':>6}"
-        f" {'named':>6}"
-    ]
-    alarms, missed, named = [], [], []
-    for name, kind in KINDS.items():
-        its = by.get(name, [])
-        if not its:
-            continue
-        sound = [bool(d.get("sound")) for d in its]
-        off = [wrong(d) for d in its]
-        both = [s and w for s, w in zip(sound, off, strict=True)]
-        calls = [d["named"] for d in its if d.get("named") is not None]
-        missed += both
-        if kind.clean:
-            alarms += [not s for s in sound]
-        named += calls
-        refused = sum("refused" in d for d in its)
-        lines.append(
-            f"{name:34} {len(its):5d} {_share(sound)} {refused:7d} {_share(off)} {_share(both)}"
-            f" {_share(calls) if calls else '     -'}"
-        )
-    lines += [
-        "",
-        f"false alarms on clean sets    {_share(alarms)} %  of {len(alarms)}",
-        f"called sound, yet wrong       {_share(missed)} %  of {len(missed)}",
-        f"cause named                   {_share(named)} %  of {len(named)}",
-    ]
-    return "\n".join(lines)
-
-
-def _share(of: Sequence[bool]) -> str:
-    return f"{100.0 * sum(of) / max(len(of), 1):6.1f}"
-
-
 def kept(path: Path = KEPT, stamp: str = STAMP) -> list[dict[str, Any]]:
     """The draws of this code that earlier runs have kept; a broken line is left out."""
     found = {}
@@ -215,7 +165,7 @@ def main() -> None:
             file.write(json.dumps(future.result()) + "\n")
             file.flush()
     draws = [d for d in kept(chosen.keep) if d["kind"] in names and d["draw"] < chosen.draws]
-    text = table(draws)
+    text = f"{table(draws)}\n\nstamp of the code that was judged: {STAMP}"
     print(text)
     if chosen.write:
         write_block(chosen.write, "gauntlet", text)

@@ -296,7 +296,11 @@ FAULTY = (
         replace(_PATH, event=_in_one_corner),
         cause="outlier|shift|pose|drift|serial",
     ),
-    Kind("a quarter of the poses bad", replace(_LONG, event=_bad_corner(0.25, 6e-4)), cause="outl"),
+    Kind(
+        "a quarter of the poses bad",
+        replace(_LONG, event=_bad_corner(0.25, 6e-4)),
+        cause="outl|not fit",
+    ),
     Kind("5 bad poses of 150", replace(_LONG, event=_bad_corner(0.034, 1e-3)), cause="outlier"),
 )
 KINDS = {kind.name: kind for kind in (*CLEAN, *FAULTY)}

@@ -32,59 +32,60 @@ class Learning:
 
 def measure() -> list[Learning]:
     """Every case once, after a plain fit of the same readings with stated sds."""
-    arm = _arm()
-    readings = _readings(arm)
-    wrong = {name: np.array(readings[name]) for name in readings.quantities}
+    machine = arm()
+    read = readings(machine)
+    wrong = {name: np.array(read[name]) for name in read.quantities}
     wrong["q4"] = np.degrees(wrong["q4"])
     stated = lc.Noise({"q*": JOINT_SD, **dict.fromkeys(["x?", "y?", "z?"], POINT_SD)})
     learnt, with_model = _learnt(model=False), _learnt(model=True)
 
     def plain() -> object:
-        return lc.calibrate(arm, readings, noise=stated, method="implicit-loop")
+        return lc.calibrate(machine, read, noise=stated, method="implicit-loop")
 
     cases: dict[str, tuple[Callable[[], object], float | None]] = {
         "sds stated": (plain, None),
         "all sds learnt": (
-            lambda: str(lc.calibrate(arm, readings, noise=learnt, method="implicit-loop")),
+            lambda: str(lc.calibrate(machine, read, noise=learnt, method="implicit-loop")),
             None,
         ),
         f"all sds learnt, {FOLDS} folds": (
             lambda: lc.validate(
-                arm, readings, noise=learnt, folds=FOLDS, seed=1, method="implicit-loop"
+                machine, read, noise=learnt, folds=FOLDS, seed=1, method="implicit-loop"
             ),
             DEMANDED_FOLDS,
         ),
         f"the same and `model`, {FOLDS} folds": (
             lambda: lc.validate(
-                arm, readings, noise=with_model, folds=FOLDS, seed=1, method="implicit-loop"
+                machine, read, noise=with_model, folds=FOLDS, seed=1, method="implicit-loop"
             ),
             None,
         ),
         "a joint in the wrong unit, sds stated": (
-            lambda: lc.calibrate(arm, wrong, noise=stated, method="implicit-loop"),
+            lambda: lc.calibrate(machine, wrong, noise=stated, method="implicit-loop"),
             DEMANDED_WRONG,
         ),
         "a joint in the wrong unit, sds learnt": (
-            lambda: lc.calibrate(arm, wrong, noise=learnt, method="implicit-loop"),
+            lambda: lc.calibrate(machine, wrong, noise=learnt, method="implicit-loop"),
             DEMANDED_WRONG,
         ),
     }
     plain()  # traces the loops
-    once = min(_processor(plain) for _ in range(5))
+    once = min(processor(plain) for _ in range(5))
     return [
         Learning(name, seconds, seconds / once, demanded)
         for name, (run, demanded) in cases.items()
-        for seconds in [_processor(run)]
+        for seconds in [processor(run)]
     ]
 
 
-def _processor(run: Callable[[], object]) -> float:
+def processor(run: Callable[[], object]) -> float:
+    """Processor time [s] of one run."""
     begin = time.process_time()
     run()
     return time.process_time() - begin
 
 
-def _arm() -> lc.Mechanism:
+def arm() -> lc.Mechanism:
     """A six-axis arm with three reflectors on its flange, seen by one tracker."""
     joints = [lc.Joint(f"q{i}", form="hayati" if i == 2 else "dh") for i in range(1, 7)]
     lengths = {"d_1": 0.4, "a_1": 0.08, "a_2": 0.45, "a_3": 0.06, "d_4": 0.42, "d_6": 0.1}
@@ -106,7 +107,8 @@ def _coordinates(number: int) -> tuple[str, str, str]:
     return (f"x{number}", f"y{number}", f"z{number}")
 
 
-def _readings(arm: lc.Mechanism) -> lc.Dataset:
+def readings(arm: lc.Mechanism) -> lc.Dataset:
+    """Simulated readings of that arm, a millimetre and a milliradian off its drawing."""
     rng = np.random.default_rng(1)
     free = [p for p in arm.parameters if not p.fixed]
     truth = {p.name: p.nominal + 1e-3 * rng.standard_normal() for p in free}

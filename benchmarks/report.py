@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import command
+import default_call
 import learning
 import memory
 import platform_poses
@@ -174,6 +175,23 @@ def learnt(found: Sequence[learning.Learning]) -> str:
     head = ["case", "processor [s]", "of a plain fit", "at most"]
     title = f"A six-axis arm with {learning.REFLECTORS} reflectors, {learning.POSES:,} poses:"
     return f"### Learnt sds\n\n{title}\n\n{table(head, rows)}"
+
+
+def defaults(found: Sequence[default_call.Default]) -> str:
+    """Default calls and a stream with a model error, beside plain least squares."""
+    rows = [
+        [
+            case.case,
+            f"{case.seconds:.1f}",
+            f"{case.ratio:,.0f}" if case.ratio >= 10.0 else f"{case.ratio:.1f}",
+            ""
+            if case.demanded is None
+            else f"{case.demanded:g}: {met(case.ratio <= case.demanded)}",
+        ]
+        for case in found
+    ]
+    head = ["case", "processor [s]", "of plain least squares", "at most"]
+    return f"### The default call\n\n{table(head, rows)}"
 
 
 def platform(found: Sequence[platform_poses.Platform]) -> str:

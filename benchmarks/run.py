@@ -17,6 +17,7 @@ from typing import Any
 
 import both_engines
 import command
+import default_call
 import figure
 import flatness
 import floor
@@ -126,6 +127,13 @@ def learnt(found: Found, asked: argparse.Namespace) -> None:
     found.texts.append(report.learnt(cases))
 
 
+def defaults(found: Found, asked: argparse.Namespace) -> None:
+    """The default call, and a stream with a model error."""
+    cases = default_call.measure()
+    found.numbers["default"] = [asdict(case) for case in cases]
+    found.texts.append(report.defaults(cases))
+
+
 PARTS: dict[str, Callable[[Found, argparse.Namespace], None]] = {
     "programs": programs,
     "engines": engines,
@@ -135,6 +143,7 @@ PARTS: dict[str, Callable[[Found, argparse.Namespace], None]] = {
     "command": commands,
     "platform": platforms,
     "learning": learnt,
+    "default": defaults,
 }
 CHECKED = {"programs", "engines", "small"}
 """Parts that compare results: nothing is told before all of them have."""

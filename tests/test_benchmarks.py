@@ -151,6 +151,18 @@ def test_flatness_is_the_longest_time_per_pose_beside_the_shortest(run: Any) -> 
     assert found.ratio == 1.5
 
 
+def test_the_default_call_is_told_beside_plain_least_squares(run: Any) -> None:
+    default = import_module("default_call")
+    cases = [default.Default("a call", 12.34, 1234.5), default.Default("a stream", 9.0, 3.5, 4.0)]
+    told = run.report.defaults(cases)
+    assert "| a call | 12.3 | 1,234 |" in " ".join(told.split())
+    assert "| a stream | 9.0 | 3.5 | 4: met |" in " ".join(told.split())
+    stream = default.InMemory(
+        default._readings(import_module("loopcal").motoman_ma1400(), 30), None
+    )
+    assert (stream.poses, stream.count, len(stream.chunk(0).data)) == (30, 1, 30)
+
+
 @pytest.mark.usefixtures("run")
 def test_small_fits_are_compared_only_where_odrpack_finds_the_same() -> None:
     pytest.importorskip("odrpack")

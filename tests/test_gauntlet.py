@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from analyses.gauntlet import STAMP, kept, run, table, wrong
+from analyses.gauntlet import STAMP, kept, run
 from analyses.gauntlet_kinds import KINDS
+from analyses.rates import interval, table, wrong
 
 CLEAN, FAULT = "planar arm, 40 poses", "points in mm"
 
@@ -67,6 +68,12 @@ def test_the_table_counts_alarms_misses_and_names() -> None:
         draw(FAULT, 1, refused="unit", sound=None, named=True),
     ]
     text = table(draws)
-    assert "false alarms on clean sets      50.0 %  of 2" in text
-    assert "called sound, yet wrong         25.0 %  of 4" in text
-    assert "cause named                     50.0 %  of 2" in text
+    assert "false alarms on clean sets      50.0 %  of    2" in text
+    assert "called sound, yet wrong         25.0 %  of    4" in text
+    assert "cause named                     50.0 %  of    2" in text
+    assert "(95 % interval 1.3 to 98.7 %)" in text
+
+
+def test_a_rate_has_the_interval_of_its_number_of_draws() -> None:
+    assert interval(0, 60) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 60)))
+    assert interval(10, 10) == pytest.approx((0.025**0.1, 1.0))

@@ -28,6 +28,9 @@ PARTS = {
 FIRST = ["how-to/first-robot", "how-to/read-the-report", "explanation/verdict", "reference/api"]
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)#\s]*)(#[^)\s]*)?\)")
 _CODE_ROW = re.compile(r"^\| `([a-z]+(?:-[a-z]+)*)` \|", re.M)
+_RELATIVE = re.compile(r"\]\((?!\w+:|#)")
+CODED = {"reference/messages": "error", "explanation/verdict": "verdict"}
+"""Pages whose tables have a row per code, and what these are codes of."""
 
 
 def main(build: Path = BUILD) -> int:
@@ -38,7 +41,10 @@ def main(build: Path = BUILD) -> int:
     shutil.rmtree(source, ignore_errors=True)
     write_source(source)
     settings = ["-q", "-W", "--keep-going", "-c", os.fspath(DOCS / "site"), "-b", "html"]
-    return int(build_main([*settings, os.fspath(source), os.fspath(build / "html")]))
+    failed = int(build_main([*settings, os.fspath(source), os.fspath(build / "html")]))
+    script = f'window.LOOPCAL_VERSIONS = ["{lc.__version__}"];\n'
+    (build / "html" / "_static" / "versions.js").write_text(script, "utf-8")
+    return failed
 
 
 def write_source(source: Path) -> None:
@@ -52,9 +58,7 @@ def write_source(source: Path) -> None:
             (source / name).write_text(_inside(page), "utf-8")
         else:
             shutil.copyfile(page, source / name)
-    messages = source / "reference" / "messages.md"
-    text = messages.read_text("utf-8")
-    messages.write_text(_CODE_ROW.sub(r'| <a id="\1"></a>`\1` |', text), "utf-8")
+    write_codes(source)
     (source / "reference" / "python.md").write_text(signatures(), "utf-8")
     (source / "index.md").write_text(index(source), "utf-8")
 
@@ -72,6 +76,52 @@ def _inside(page: Path) -> str:
         return link[0] if picture else words
 
     return _LINK.sub(kept, page.read_text("utf-8"))
+
+
+def write_codes(source: Path) -> None:
+    """A page for each code of an error or of the verdict, and links to it from the tables."""
+    sections: dict[str, list[str]] = {}
+    for name, kind in CODED.items():
+        page = source / f"{name}.md"
+        text = page.read_text("utf-8")
+        up = f"](../../{Path(name).parent}/"
+        for row in rows_of_codes(text):
+            title = "As an error"
+            if kind == "verdict":
+                title = f"In the verdict: {row['question']}, answered {row['answer']}"
+            means, remedy = (_RELATIVE.sub(up, row[key]) for key in ("means", "what to do"))
+            sections.setdefault(row["code"], [f"# {row['code']}", ""]).extend(
+                [
+                    *(f"## {title}", "", f"**What it means:** {means}.", ""),
+                    *(f"**What to do:** {remedy or 'nothing'}.", ""),
+                    *(f"[All codes of this kind]{up[1:]}{Path(name).name}.md)", ""),
+                ]
+            )
+        link = os.path.relpath(source / "reference" / "codes", page.parent)
+        text = _CODE_ROW.sub(rf'| <a id="\1"></a>[`\1`]({link}/\1.md) |', text)
+        page.write_text(text, "utf-8")
+    folder = source / "reference" / "codes"
+    folder.mkdir()
+    for code, lines in sections.items():
+        (folder / f"{code}.md").write_text("\n".join(lines), "utf-8")
+    names = [f"codes/{code}" for code in sorted(sections)]
+    lines = ["# Codes", "", "Each code of an error or of the verdict: cause and remedy.", ""]
+    lines += ["```{toctree}", ":maxdepth: 1", "", *names, "```", ""]
+    (source / "reference" / "codes.md").write_text("\n".join(lines), "utf-8")
+
+
+def rows_of_codes(text: str) -> list[dict[str, str]]:
+    """The rows of the tables whose first column is a code, by the headers of their columns."""
+    found, header = [], list[str]()
+    for line in text.splitlines():
+        cells = [cell.strip() for cell in line.strip().strip("|").split(" | ")]
+        if line.startswith("| code |"):
+            header = ["means" if cell == "meaning" else cell for cell in cells]
+        elif header and (row := _CODE_ROW.match(line)):
+            found.append({**dict(zip(header, cells, strict=True)), "code": row[1]})
+        elif not line.startswith("|"):
+            header = []
+    return found
 
 
 def signatures() -> str:
@@ -107,7 +157,7 @@ def index(source: Path) -> str:
     lines += ["- Researcher with loops of your own: [write a mechanism](how-to/own-loop.md)", ""]
     for title, pages in PARTS.items():
         if isinstance(pages, str):
-            found = sorted((source / pages).rglob("*.md"))
+            found = sorted(p for p in (source / pages).rglob("*.md") if p.parent.name != "codes")
             names = [p.relative_to(source).with_suffix("").as_posix() for p in found]
             names.sort(key=lambda n: (n not in FIRST, FIRST.index(n) if n in FIRST else 0))
         else:

@@ -14,3 +14,16 @@ autodoc_typehints_format = "short"
 html_theme = "furo"
 html_show_sourcelink = False
 html_copy_source = False
+html_js_files = ["versions.js"]  # build.py writes it, versions.py writes it anew
+templates_path = ["templates"]
+html_sidebars = {
+    "**": [
+        *(
+            "sidebar/brand.html",
+            "versions.html",
+            "sidebar/search.html",
+            "sidebar/scroll-start.html",
+        ),
+        *("sidebar/navigation.html", "sidebar/scroll-end.html"),
+    ]
+}

@@ -12,6 +12,8 @@ from loopcal.document import offers as _offers
 
 if TYPE_CHECKING:
     from loopcal import effects, instruments, machines
+    from loopcal.deployment.corrected import CorrectionBounds
+    from loopcal.deployment.correction import Correction
     from loopcal.document.change_points import ChangePoint
     from loopcal.document.dependence import Dependence
     from loopcal.document.findings import ColumnFault, Identifiability, Outlier, Undetermined
@@ -33,10 +35,14 @@ if TYPE_CHECKING:
     from loopcal.files.machines.mechanism_file import read_mechanism
     from loopcal.files.project.project_data import LoadedData
     from loopcal.files.project.project_file import Project, read_project
+    from loopcal.files.result.record_file import RecordCheck
     from loopcal.files.tables.readers import read_dataset
+    from loopcal.life.fleet import Fleet
+    from loopcal.life.history import History
     from loopcal.measurements.dataset import Dataset
     from loopcal.measurements.datasheet import Tracker, encoder_sd, tracker_covariance
     from loopcal.measurements.noise import Noise
+    from loopcal.measurements.plan_settings import Box, PlanSettings, Sight
     from loopcal.mechanisms.effects.effect import with_effects
     from loopcal.mechanisms.effects.model import Model
     from loopcal.mechanisms.machine import Instrument, Machine, assemble
@@ -49,10 +55,12 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.serial import Joint, serial_arm
     from loopcal.mechanisms.structure.structured import structured
     from loopcal.mechanisms.terms import Term
+    from loopcal.planning.planned import Plan
     from loopcal.pose_performance.result import Performance
     from loopcal.simulation.poses import grid_poses, random_poses
     from loopcal.simulation.simulate import Simulation
     from loopcal.statistics.change_points import Shifts
+    from loopcal.statistics.changed import WhatChanged
     from loopcal.statistics.check import Check
     from loopcal.statistics.compared import Compared
     from loopcal.statistics.findings import Findings
@@ -68,6 +76,10 @@ if TYPE_CHECKING:
     from loopcal.statistics.verified import Verification
     from loopcal.workflow.beginning.initial import InitialProject, init
     from loopcal.workflow.calibration import write_result
+    from loopcal.workflow.correcting import correct
+    from loopcal.workflow.exporting import Export, export
+    from loopcal.workflow.fleet import fleet
+    from loopcal.workflow.history import history
     from loopcal.workflow.performance import performance
     from loopcal.workflow.public import (
         calibrate,
@@ -80,17 +92,22 @@ if TYPE_CHECKING:
         findings,
         intervals,
         load_dataset,
+        plan,
         predict,
         reliability,
         repeated_readings,
         simulate,
+        update,
         validate,
         verdict,
         verify,
     )
+    from loopcal.workflow.record import Record, record, verify_record
     from loopcal.workflow.saved_result import SavedResult, read_result
 
 _HOME = {
+    "deployment.corrected": ("CorrectionBounds",),
+    "deployment.correction": ("Correction",),
     "document.goodness_of_fit": ("ChiSquared",),
     "document.change_points": ("ChangePoint",),
     "document.dependence": ("Dependence",),
@@ -110,6 +127,7 @@ _HOME = {
     "expressions.vectors": (
         *("cross", "dot", "norm", "rot_x", "rot_y", "rot_z", "rotate", "vector"),
     ),
+    "files.result.record_file": ("RecordCheck",),
     "files.tables.readers": ("read_dataset",),
     "files.machines.mechanism_file": ("read_mechanism",),
     "files.project.project_data": ("LoadedData",),
@@ -117,6 +135,8 @@ _HOME = {
     "measurements.dataset": ("Dataset",),
     "measurements.datasheet": ("Tracker", "encoder_sd", "tracker_covariance"),
     "measurements.noise": ("Noise",),
+    "measurements.plan_settings": ("Box", "PlanSettings", "Sight"),
+    "planning.planned": ("Plan",),
     "mechanisms.effects.effect": ("with_effects",),
     "mechanisms.effects.model": ("Model",),
     "mechanisms.machine": ("Instrument", "Machine", "assemble"),
@@ -138,6 +158,7 @@ _HOME = {
     "statistics.validate": ("MethodComparison",),
     "statistics.validation": ("Validation",),
     "document.verdict": ("Answer", "Verdict"),
+    "statistics.changed": ("WhatChanged",),
     "statistics.verified": ("Verification",),
     "statistics.models": ("ComparedModel", "ModelComparison"),
     "statistics.change_points": ("Shifts",),
@@ -149,12 +170,20 @@ _HOME = {
     "statistics.repeats": ("Repeats",),
     "workflow.beginning.initial": ("InitialProject", "init"),
     "workflow.calibration": ("write_result",),
+    "workflow.exporting": ("Export", "export"),
+    "workflow.correcting": ("correct",),
     "workflow.performance": ("performance",),
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
-        *("find_shifts", "findings", "intervals", "load_dataset", "predict", "reliability"),
-        *("repeated_readings", "simulate", "validate", "verdict", "verify"),
+        *("find_shifts", "findings", "intervals", "load_dataset", "plan", "predict"),
+        *("reliability", "repeated_readings", "simulate", "update", "validate", "verdict"),
+        "verify",
     ),
+    "workflow.record": ("Record", "record", "verify_record"),
+    "workflow.fleet": ("fleet",),
+    "life.fleet": ("Fleet",),
+    "workflow.history": ("history",),
+    "life.history": ("History",),
     "workflow.saved_result": ("SavedResult", "read_result"),
 }
 _NAMESPACES = ("effects", "instruments", "machines")
@@ -163,6 +192,7 @@ _MODULE = {name: f"loopcal.{module}" for module, names in _HOME.items() for name
 __all__ = [
     "Accuracy",
     "Answer",
+    "Box",
     "ChangePoint",
     "Check",
     "ChiSquared",
@@ -171,10 +201,15 @@ __all__ = [
     "ColumnFault",
     "Compared",
     "ComparedModel",
+    "Correction",
+    "CorrectionBounds",
     "Dataset",
     "Dependence",
+    "Export",
     "Findings",
     "Fit",
+    "Fleet",
+    "History",
     "Identifiability",
     "InitialProject",
     "InputError",
@@ -197,17 +232,22 @@ __all__ = [
     "ParameterTable",
     "Parameters",
     "Performance",
+    "Plan",
+    "PlanSettings",
     "Prediction",
     "Prior",
     "Processes",
     "Project",
     "ReadingReliability",
+    "Record",
+    "RecordCheck",
     "Repeats",
     "Result",
     "ResultDocument",
     "SavedResult",
     "Shifted",
     "Shifts",
+    "Sight",
     "Simulation",
     "Status",
     "Term",
@@ -218,6 +258,7 @@ __all__ = [
     "Validation",
     "Verdict",
     "Verification",
+    "WhatChanged",
     "WrittenResult",
     "__version__",
     "assemble",
@@ -226,15 +267,19 @@ __all__ = [
     "compare",
     "compare_methods",
     "compare_models",
+    "correct",
     "cross",
     "dot",
     "effects",
     "encoder_sd",
+    "export",
     "find_outliers",
     "find_shifts",
     "findings",
     "fix_redundant",
+    "fleet",
     "grid_poses",
+    "history",
     "init",
     "instruments",
     "intervals",
@@ -243,6 +288,7 @@ __all__ = [
     "motoman_ma1400",
     "norm",
     "performance",
+    "plan",
     "planar_two_link",
     "predict",
     "random_poses",
@@ -250,6 +296,7 @@ __all__ = [
     "read_mechanism",
     "read_project",
     "read_result",
+    "record",
     "reliability",
     "repeated_readings",
     "rot_x",
@@ -260,10 +307,12 @@ __all__ = [
     "simulate",
     "structured",
     "tracker_covariance",
+    "update",
     "validate",
     "vector",
     "verdict",
     "verify",
+    "verify_record",
     "with_effects",
     "with_shifts",
     "write_result",

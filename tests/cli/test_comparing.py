@@ -52,7 +52,7 @@ def test_what_the_project_asks_for_is_in_summary_and_result(folder: Path) -> Non
     text = (folder / "a.txt").read_text()
     assert "on poses not used" in text
     assert "4 folds of 40 poses" in text
-    assert "95% interval" in text
+    assert "95 % interval" in text
     document = json.loads((folder / "a-result" / "result.json").read_text())
     assert document["validation"]["scheme"] == {"folds": 4, "seed": 1}
     assert document["validation"]["accuracy"]["rms"] > document["accuracy"]["after"]["rms"]
@@ -157,3 +157,36 @@ def test_a_tolerance_that_fails_is_no_trustworthy_result(folder: Path) -> None:
     )
     assert both.returncode == 3
     assert "nothing says what is mounted" in both.stderr
+
+
+TURNING = """
+schema = 1
+[mechanism]
+type = "function"
+quantities = { motor = "rad", turn = "rad" }
+outputs = ["turn"]
+[parameters]
+gain = { value = 2, unit = "1" }
+[data]
+file = "a.csv"
+[noise]
+"*" = { sd = 1, unit = "mrad" }
+[fit]
+method = "implicit-loop"
+"""
+
+
+def test_a_tolerance_in_millimetres_is_refused_for_a_machine_without_lengths(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "loops.py").write_text("def loops(x, p):\n    return [x.turn - p.gain * x.motor]\n")
+    rows = "\n".join(f"{0.05 * i},{0.1 * i + 1e-3 * (i * i % 7 - 3)}" for i in range(20))
+    (tmp_path / "a.csv").write_text("motor,turn\n" + rows)
+    (tmp_path / "a.toml").write_text(TURNING)
+    function = ("--mechanism", f"{tmp_path / 'loops.py'}:loops")
+    made = run("calibrate", str(tmp_path / "a.toml"), *function, "--no-report")
+    assert made.returncode == 0, made.stderr
+    asked = ("verify", str(tmp_path / "a-result"), str(tmp_path / "a.csv"))
+    done = run(*asked, *function, "--tolerance", "0.1")
+    assert done.returncode == 3
+    assert "has no output that is a length" in done.stderr

@@ -281,3 +281,16 @@ def test_pairs_that_an_instrument_did_not_read_do_not_dilute_a_correlation() -> 
         found = likeness(seen, pairs, float(np.square(seen.y).sum()), int(seen.read.sum()))
         assert found is not None
         assert found.correlation == pytest.approx(1.0)
+
+
+def test_residuals_that_are_rounding_are_not_tested() -> None:
+    """Readings without noise: what is left is how numbers are rounded, and no drift."""
+    arm = lc.planar_two_link()
+    poses = lc.grid_poses({"phi2": (0.0, 1.5, 12), "phi3": (0.2, 1.5, 12)})
+    exact = lc.simulate(arm, poses, noise={"phi?": 0.0, "?P": 0.0}, seed=1)
+    sds = {"phi?": 1e-3, "?P": 1e-4}
+    result = lc.calibrate(arm, exact.dataset, noise=sds, method="implicit-loop")
+    assert result.chi_squared is not None
+    assert result.chi_squared.value < 1e-12
+    tested = result.dependence.instruments if result.dependence is not None else ()
+    assert all(one.serial is None and one.spatial is None for one in tested)

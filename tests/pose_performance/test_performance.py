@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from analyses.pose_performance import CASES, coverage, distance_coverage
 from loopcal.measurements.attained import AttainedPoses
+from loopcal.pose_performance.accuracy import Group, Means, fitted_base, frame_effect
 from loopcal.pose_performance.instrument import Figures, MeasuringErrors, tracker_of
 from loopcal.pose_performance.intervals import NormalScatter, length_interval, repeatability
 from loopcal.pose_performance.performance import pose_performance
@@ -74,6 +75,20 @@ def test_drift_by_hand() -> None:
     assert found.repeatability.value == pytest.approx(1e-6)
 
 
+def test_a_slow_drift_is_noticed_and_independent_cycles_are_not() -> None:
+    """At a level of 1 %: at most 5 of 100 sets of independent cycles (0.05 % by chance)."""
+
+    def noticed(seed: int, warming: float) -> bool:
+        rng = np.random.default_rng(seed)
+        slow = warming * np.linspace(0.0, 1.0, 10)[:, None] * [0.0, 0.0, 1.0]
+        clouds = [rng.normal(0.0, 1e-5, (10, 3)) + slow for _ in range(3)]
+        part = pose_performance(attained(*clouds)).conditions[0]
+        return any("drifts" in note for note in part.notes)
+
+    assert sum(noticed(seed, 0.0) for seed in range(100)) <= 5
+    assert sum(noticed(seed, 6e-5) for seed in range(10)) >= 9
+
+
 def test_orientation_by_hand() -> None:
     """Turns about the base's x of 10, 20 and 30 µrad, whatever orientation was commanded."""
     asked = np.repeat(Rotation.from_euler("ZYX", [0.3, 0.7, 2.0]).as_matrix()[None], 3, axis=0)
@@ -106,6 +121,49 @@ def test_the_fitted_base_is_no_worse() -> None:
     poses = pose_performance(table).conditions[0].poses
     before = sum(p.accuracy.value**2 for p in poses)
     assert sum(p.accuracy_fitted.value**2 for p in poses if p.accuracy_fitted) < before
+
+
+def test_covariances_after_the_fit_are_those_of_the_whole_matrix() -> None:
+    """M C M^T with M = I - J (J^T W J)^-1 J^T W, all means at once."""
+    rng = np.random.default_rng(3)
+    table = attained(*(rng.normal(0, 1e-4, (n, 3)) for n in (3, 5, 4, 6)))
+    table = replace(table, direction=tuple("ab"[i % 2] for i in range(len(table))))
+    keys = dict.fromkeys(zip(table.pose, table.direction or (), strict=True))
+    rows = [
+        np.array([i for i in range(len(table)) if (table.pose[i], (table.direction or ())[i]) == k])
+        for k in keys
+    ]
+    groups = [Group(*key, its) for key, its in zip(keys, rows, strict=True)]
+    errors = MeasuringErrors(tracker=tracker_of("20 um, 40 um"), frame=Figures.of("1 mm, 1 mrad"))
+    means = Means.of(groups, table.measured, table.commanded, errors)
+    base = fitted_base(means)
+    assert not isinstance(base, str)
+    n = len(groups)
+    C = np.zeros((n, 3, n, 3))
+    for g in range(n):
+        C[g, :, g] += means.scatter[g]
+        for k in range(n):
+            if groups[g].pose == groups[k].pose:
+                C[g, :, k] += means.shared[g]
+    turn = np.kron(np.eye(n), base.rotation)
+    J = frame_effect(means.commanded).reshape(-1, 6)
+    W = np.diag(np.repeat(means.cycles, 3))
+    S = np.linalg.solve(J.T @ W @ J, J.T @ W)
+    M = np.eye(3 * n) - J @ S
+    inner = turn @ C.reshape(3 * n, 3 * n) @ turn.T
+    whole = (M @ inner @ M.T).reshape(n, 3, n, 3)
+    for g in range(n):
+        np.testing.assert_allclose(base.covariance[g], whole[g, :, g], atol=1e-18)
+    np.testing.assert_allclose(base.turn, (S @ inner @ S.T)[3:, 3:], rtol=1e-9)
+
+
+def test_a_thousand_poses_are_no_trouble() -> None:
+    """One cycle each, as of a calibration: AP before and after, and what is missing."""
+    rng = np.random.default_rng(4)
+    clouds = [rng.normal(0.0, 1e-4, (1, 3)) for _ in range(1000)]
+    done = pose_performance(attained(*clouds, at=rng.uniform(-1.0, 1.0, (1000, 3))))
+    assert len(done.conditions[0].poses) == 1000
+    assert "more: --json has all" in str(done)
 
 
 def test_the_instruments_share_of_repeatability() -> None:
@@ -174,6 +232,8 @@ def test_a_wrong_unit_is_refused() -> None:
 def test_an_unknown_pose_is_refused() -> None:
     with refused("unknown-name", "P9"):
         pose_performance(attained(CROSS, CROSS), distances=[("P1", "P9")])
+    with refused("invalid-value", "P1", "itself"):
+        pose_performance(attained(CROSS, CROSS), distances=[("P1", "P1")])
 
 
 def test_exact_readings_have_exact_figures() -> None:

@@ -144,7 +144,7 @@ def test_parameters_stand_with_change_and_share_of_the_prior(planar: Path) -> No
     groups = parameter_groups(given).groups
     rows = {line.cells[0]: line.cells for group in groups for line in group.lines}
     row = rows[entry.name]
-    assert row[-1] == "25%"
+    assert row[-1] == "25 %"
     assert float(row[-2]) == pytest.approx((entry.value - entry.nominal) / entry.sd, abs=0.05)
     assert "fixed" in rows[other.name]
 

@@ -228,3 +228,17 @@ def test_what_moves_during_the_left_grid_is_found_and_named(shared_data: Find) -
     (ramp,) = shifts({"z": data["z"] + 3e-4 * rows / len(rows)})
     assert (ramp.shape, ramp.names) == ("ramp", ("z",))
     assert ramp.changes["z"].size == pytest.approx(3e-4, abs=1.5e-4)
+
+
+def test_noise_that_targets_share_is_no_step() -> None:
+    """Encoders move three reflectors of one tool together: nine equations of a pose, one error."""
+    from zlib import crc32
+
+    from analyses.gauntlet_kinds import KINDS
+
+    kind = KINDS["three reflectors"]
+    trial = kind.world.made(np.random.default_rng([crc32(kind.name.encode()), 6]))
+    result = lc.calibrate(
+        trial.mechanism, trial.readings, method="least-squares", model_error="structured"
+    )
+    assert len(lc.find_shifts(result)) == 0

@@ -10,6 +10,7 @@ from analyses.instruments import ARM_VALUES, six_axis
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.planar import planar_machine
 from tests.estimation.test_contacts import READINGS
 from tests.refusals import refused
 
@@ -98,10 +99,61 @@ def test_a_station_left_out_is_placed_by_its_own_readings() -> None:
     assert "placed by the readings of the group" in found.words
     assert found.accuracy is not None
     assert 1.4e-4 < found.accuracy.rms < 2.5e-4
-    assert found.coverage is None
+    assert found.log_likelihood is None  # the group also says where its instrument stands
+    assert found.coverage is not None
+    assert found.coverage.share > 0.88
     # a fit that never saw a station does not know where it stands
     apart = lc.validate(arm, data, noise=noise, prior=prior, groups=seen_by, folds=3)
     assert apart.accuracy is not None
     assert apart.accuracy.rms > 10.0 * found.accuracy.rms
     with refused("too-few-poses"):
         lc.validate(arm, data, noise=noise, prior=prior, place_anew=True)
+
+
+def sessions(seed: int) -> tuple[Mechanism, lc.Dataset, list[str]]:
+    """Two links seen by a camera that stood in three places, ten poses from each."""
+    names = "abc"
+    seen = [
+        point(n, readings=[f"x_{n}", f"y_{n}"], station=n, target="tool", dimension=2)
+        for n in names
+    ]
+    drawn = assemble(planar_machine(), seen, {"l2": 0.8, "l3": 0.6})
+    draw = np.random.default_rng(seed)
+    free = [p for p in drawn.parameters if not p.fixed]
+    truth = {
+        p.name: p.nominal + draw.normal(0.0, 0.3 if p.name[:2] in {"a_", "b_", "c_"} else 1e-3)
+        for p in free
+    }
+    poses = {q: draw.uniform(-1.2, 1.2, 30) for q in ("phi2", "phi3")}
+    data = lc.simulate(drawn, poses, noise=CAMERA, seed=seed, truth=truth).dataset
+    groups = [n for n in names for _ in range(10)]
+    by_group = {
+        f"{axis}_{n}": np.where(np.array(groups) == n, data[f"{axis}_{n}"], np.nan)
+        for axis in "xy"
+        for n in names
+    }
+    return drawn, data.with_readings(by_group), groups
+
+
+CAMERA = lc.Noise({"phi*": 1e-4, "x_*": 1e-4, "y_*": 1e-4})
+
+
+def test_regions_of_groups_that_place_their_instrument_hold_as_often_as_stated() -> None:
+    """15 draws of 3 groups of 10 poses, with link lengths and zeros from the other two groups."""
+    held = []
+    for seed in range(15):
+        drawn, data, groups = sessions(seed)
+        prior = lc.Prior({"l*": 1e-3, "phi*": 1e-3, "tool_*": 0.0})
+        found = lc.validate(
+            drawn,
+            data,
+            noise=CAMERA,
+            prior=prior,
+            groups=groups,
+            place_anew=True,
+            method="implicit-loop",
+        )
+        assert found.coverage is not None
+        assert found.coverage.poses == 30
+        held.append(found.coverage.share)
+    assert np.mean(held) == pytest.approx(0.95, abs=0.035)

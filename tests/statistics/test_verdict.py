@@ -22,6 +22,7 @@ from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.result_document import CoarseReadings, ResultDocument
 from loopcal.document.terms import TermEntry
 from loopcal.mechanisms.limits import joint_limits
+from loopcal.presentation.wrapped import WIDTH
 from loopcal.statistics.predictor import predictor
 from loopcal.statistics.region import region_of
 from loopcal.statistics.verdict import SOUND, verdict_of
@@ -292,6 +293,14 @@ def test_never_silently_worse_than_a_rival() -> None:
     assert verdict_of(replace(clean(), validation=None)).better.code == "not-validated"
 
 
+def test_a_fit_that_did_not_converge_is_not_told_to_validate() -> None:
+    unseen = replace(clean(), validation=None)
+    assert "--folds" in (verdict_of(unseen).better.next or "")
+    failed = replace(unseen, status=replace(unseen.status, converged=False))
+    assert verdict_of(failed).better.code == "not-validated"
+    assert "--folds" not in (verdict_of(failed).better.next or "")
+
+
 def test_a_result_knows_its_verdict_and_files_hold_the_same(tmp_path: Path) -> None:
     result = corner()
     assert result.verdict == lc.verdict(result)
@@ -360,3 +369,52 @@ def test_every_code_is_described() -> None:
     given = set(re.findall(r"Answer\(\s*(?:True|False|None),\s*\"([a-z-]+)\"", source))
     assert given <= described
     assert described - {"sound"} <= given | {rule.code for rule in SOUND} | {"sound"}
+
+
+def test_a_headline_is_one_line_and_the_answer_has_the_rest() -> None:
+    slips = tuple(
+        replace(SLIP, pose=str(100 * i), number=100 * i, modelled=True) for i in range(1, 6)
+    )
+    found = verdict_of(replace(clean(), change_points=ChangePoints(slips, 0.01, 600, "")))
+    assert found.headline.startswith("Use it with care: the fit models what changed along the run")
+    assert found.headline.endswith("…")
+    assert len(found.headline) < 200
+    assert "; and 2 more. Predictions hold" in found.sound.words
+    assert all(len(line) <= WIDTH for line in found.lines())
+    assert " ".join(" ".join(found.lines()).split()).count("from pose 100 on") == 2
+
+
+def test_six_results_have_their_worst_answer_in_the_headline() -> None:
+    """Each of the four answers has a code and a sentence; what is not passed has a next step."""
+    begun = clean()
+    wrong = changed(begun, "status.converged", False)
+    narrow = (
+        changed(begun, "prediction.region.by", (replace(begun.prediction.region.by[0], ratio=8.0),))
+        if begun.prediction and begun.prediction.region
+        else begun
+    )
+    cases = {
+        "Sound": verdict_of(begun),
+        "Do not use this result: the fit did not converge": verdict_of(wrong),
+        "Use it near the measured poses only": verdict_of(narrow),
+        "Do not use this result: worse than": verdict_of(replace(begun, chosen=candidates(-1e-4))),
+        "Not good enough": verdict_of(begun, 1e-6),
+        "Use it with care: no other poses": verdict_of(replace(begun, validation=None)),
+    }
+    for head, verdict in cases.items():
+        assert verdict.headline.startswith(head)
+        for answer in verdict.answers.values():
+            assert re.fullmatch(r"[a-z-]+", answer.code)
+            assert answer.words.endswith(".")
+            assert (answer.next is None) is (answer.passed is True)
+        numbers = [a.number for a in verdict.answers.values() if a.passed is not None]
+        assert any(number is not None for number in numbers)
+
+
+def test_neighbours_that_are_alike_are_said_with_share_and_certainty() -> None:
+    likely = Likeness(0.0061, 1e-9)
+    found = verdict_of(
+        replace(clean(), dependence=Dependence((InstrumentDependence("T", None, likely),), 0.01))
+    )
+    assert "0.6 % of the variance of the residuals of 'T'" in found.sound.words
+    assert "(p = 1e-09)" in found.sound.words

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,9 +12,11 @@ import loopcal as lc
 from analyses.instruments import setup
 from analyses.verify import LEVEL, Rates, another_day, run
 from loopcal.errors import NoTrustworthyResult
+from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Innovation
-from loopcal.statistics.replacing import Freedom
+from loopcal.statistics.replacing import Freedom, mounted
 from loopcal.statistics.tolerance import Quantile, judged
+from loopcal.statistics.verification import as_learnt, verify
 from tests.reference.machines import dh_arm
 from tests.reference.simulated import Simulated, ma1400, planar_arm
 from tests.refusals import refused
@@ -194,3 +197,66 @@ def test_f_goes_over_into_chi_squared() -> None:
 
 def test_an_instrument_seen_in_the_base_itself_leaves_the_arm_where_it_is() -> None:
     assert Freedom.of(dh_arm()).names[:1] == ("base_x",)
+
+
+def test_a_nominal_machine_that_cannot_be_placed_leaves_the_rest() -> None:
+    """As drawn the root has no value at these readings, as calibrated it has."""
+    machine = lc.Mechanism.from_function(
+        lambda x, p: [x.y - np.sqrt(x.q + p.c)],
+        {"q": "m", "y": "m"},
+        {"c": (0.5, "m")},
+        outputs=("y",),
+    )
+    q = np.linspace(0.3, 1.0, 20)
+    noise = lc.Noise({"q": 1e-4, "y": 1e-4})
+    result = lc.calibrate(machine, {"q": q, "y": np.sqrt(q + 0.5)}, noise=noise)
+    known = replace(Calibrated.of(result, "A"), nominal=np.array([-0.9]))
+    found = verify(known, {"q": q, "y": np.sqrt(q + 0.5)})
+    assert found.nominal is None
+    assert found.calibrated is not None
+    assert found.verdict["better"].code == "nominal-not-placed"
+    assert "The nominal machine cannot be placed" in str(found)
+    assert found.verdict["consistent"].passed
+
+
+def test_a_platform_is_verified_with_a_draw_wire() -> None:
+    """The anchor stands elsewhere; then the joint of a leg moves by 1 mm."""
+    made = run("platform draw-wire", range(1))
+    assert made.unchanged[0] > 0.01
+    assert made.moved[0] < 1e-6
+
+
+def test_parameters_that_are_known_exactly_are_no_obstacle() -> None:
+    arm = planar_arm(40)
+    prior = lc.Prior({"l2": 0.0})
+    result = lc.calibrate(
+        arm.truth,
+        arm.read(sds_of(arm), 1),
+        noise=lc.Noise(sds_of(arm)),
+        prior=prior,
+        method="implicit-loop",
+    )
+    assert (
+        lc.verify(result, elsewhere(arm, 5, 30).read(sds_of(arm), 2)).verdict["consistent"].passed
+    )
+
+
+def test_what_was_remounted_and_what_is_named_anew_are_both_found() -> None:
+    given = setup("six-axis spherical")
+    both = Freedom.of(given.truth, (*mounted(given.truth), "d_6"))
+    assert {"tool_x", "tool_y", "tool_z", "d_6", "T_x"} <= {*both.names}
+
+
+def test_readings_of_their_own_sd_are_judged_by_the_sd_that_was_learnt():
+    """A tracker states micrometres, the calibration has learnt a tenth of a millimetre."""
+    arm = lc.planar_two_link()
+    poses = lc.grid_poses({"phi2": (0.2, 1.8, 6), "phi3": (0.5, 1.5, 5)})
+    noise = lc.Noise({"phi*": 5e-5, "?P": 1e-4})
+    made = lc.simulate(arm, poses, noise=noise, seed=5)
+    learnt = lc.Noise({"phi*": 5e-5, "?P": 1e-4}, estimate={"?P": "group"})
+    known = Calibrated.of(lc.calibrate(arm, made.dataset, noise=learnt, method="implicit-loop"), "")
+    tiny = {q: np.full(len(made.dataset), 1e-6) for q in ("xP", "yP", "phi2")}
+    assert set(as_learnt(known, replace(made.dataset, sds=tiny)).sds) == {"phi2"}
+    del tiny["phi2"]
+    own, none = (replace(made.dataset, sds=sds) for sds in (tiny, {}))
+    assert verify(known, own).innovation == verify(known, none).innovation

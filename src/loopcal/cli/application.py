@@ -33,6 +33,14 @@ FunctionOption = Annotated[
         help="Use these loops f(x, p), or this Mechanism, for a project of type 'function'.",
     ),
 ]
+HistoryOption = Annotated[
+    str | None,
+    typer.Option(
+        "--history",
+        metavar="FOLDER",
+        help="Add what was found to this history of the machine [default: none].",
+    ),
+]
 WorkersOption = Annotated[
     int | None,
     typer.Option(

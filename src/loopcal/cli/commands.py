@@ -10,6 +10,7 @@ import typer
 from loopcal.cli.application import (
     ClusterOption,
     FunctionOption,
+    HistoryOption,
     JsonOption,
     ProjectArgument,
     WorkersOption,
@@ -91,6 +92,7 @@ def calibrate(
     ] = False,
     workers: WorkersOption = None,
     cluster: ClusterOption = None,
+    machine_history: HistoryOption = None,
 ) -> None:
     """Fit; write result.json, residuals.csv, mechanism.toml and report.html; print a summary."""
     from loopcal.cli.progress import Progress
@@ -129,6 +131,10 @@ def calibrate(
     else:
         document = done.written.document
         print_out(f"{document.title}\n{document}\n\n{done.findings.words()}\n\n{where}")
+    if machine_history is not None:
+        from loopcal.workflow.history import add_result
+
+        add_result(machine_history, done.written.folder)
     if done.objection is not None:
         raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
 
@@ -144,9 +150,12 @@ def check(
     for warning in done.warnings:
         log(f"warning: {warning}")
     if as_json:
-        print_json({"title": done.title, **done.check.document(), "warnings": [*done.warnings]})
+        cured = None if done.cure is None else done.cure.document()
+        document = {"title": done.title, **done.check.document(), "cure": cured}
+        print_json({**document, "warnings": [*done.warnings]})
     else:
-        print_out(f"{done.title}: {done.check.poses} poses, nothing fitted\n\n{done.check}")
+        more = "" if done.cure is None else f"\n\n{done.cure}"
+        print_out(f"{done.title}: {done.check.poses} poses, nothing fitted\n\n{done.check}{more}")
 
 
 @app.command()
@@ -248,6 +257,7 @@ def verify(
             help="Require that 95 % of poses lie within this distance [default: none].",
         ),
     ] = None,
+    machine_history: HistoryOption = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
@@ -266,6 +276,10 @@ def verify(
         print_json(done.document())
     else:
         print_out(str(done))
+    if machine_history is not None:
+        from loopcal.workflow.history import add_verification
+
+        add_verification(machine_history, done, result, file)
     if done.failed:
         told = " ".join(answer.words for answer in done.failed)
         raise NoTrustworthyResult(
@@ -482,6 +496,14 @@ def init(
     out: Annotated[
         str, typer.Option(metavar="DIR", help="Write the project to this folder.")
     ] = "calibration",
+    sheet: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Sheet of a workbook, or variable of a MATLAB file [default: the one with by far "
+            "the most numbers].",
+        ),
+    ] = None,
     run: Annotated[
         bool, typer.Option("--run", help="Calibrate at once and open the report.")
     ] = False,
@@ -491,7 +513,7 @@ def init(
     from loopcal.workflow.beginning.initial import RobotFile, initial_project
 
     robot = RobotFile(urdf, dh, machine, base, tip)
-    done = initial_project(files, robot, out=out, ask=ask_on_terminal())
+    done = initial_project(files, robot, out=out, sheet=sheet, ask=ask_on_terminal())
     print_out(str(done))
     if run:
         try:

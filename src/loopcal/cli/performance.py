@@ -26,14 +26,16 @@ def performance(
         str | None,
         typer.Option(
             metavar="UNITS",
-            help="Units of columns whose header states none, say mm,deg [default: refuse them].",
+            help="Units of columns whose header states none, say mm,deg [default: ask on a "
+            "terminal, refuse elsewhere].",
         ),
     ] = None,
     angles: Annotated[
         str | None,
         typer.Option(
             metavar="rpy|zyx|rotvec",
-            help="Meaning of columns a, b, c or rx, ry, rz [default: refuse them].",
+            help="Meaning of columns a, b, c or rx, ry, rz [default: ask on a terminal, refuse "
+            "elsewhere].",
         ),
     ] = None,
     instrument_sd: Annotated[
@@ -79,6 +81,7 @@ def performance(
     as_json: JsonOption = False,
 ) -> None:
     """Compute pose accuracy, repeatability and drift of a robot after ISO 9283, with intervals."""
+    from loopcal.cli.asking import ask_on_terminal
     from loopcal.files.tables.attained import read_attained
     from loopcal.pose_performance.instrument import Figures, MeasuringErrors, tracker_of
     from loopcal.workflow.performance import run_performance
@@ -86,7 +89,9 @@ def performance(
     errors = MeasuringErrors(
         Figures.of(instrument_sd), tracker_of(tracker, station), Figures.of(frame_sd)
     )
-    attained = read_attained(file, commanded=commanded, units=units, angles=angles)
+    attained = read_attained(
+        file, commanded=commanded, units=units, angles=angles, ask=ask_on_terminal()
+    )
     done = run_performance(attained, errors, distances=distance or (), out=out)
     if as_json:
         print_json(done.document())

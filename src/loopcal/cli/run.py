@@ -13,8 +13,13 @@ from collections.abc import Sequence
 from loopcal.cli.app import serve_app
 from loopcal.cli.application import app
 from loopcal.cli.commands import calibrate
+from loopcal.cli.correct import correct
+from loopcal.cli.export import export
+from loopcal.cli.life import update
 from loopcal.cli.output import log, print_error
 from loopcal.cli.performance import performance
+from loopcal.cli.planning import plan
+from loopcal.cli.record import record
 from loopcal.errors import LONGEST_TEXT, LoopcalError, short
 
 try:
@@ -23,7 +28,7 @@ except ModuleNotFoundError:  # typer before 0.26 raises the exceptions of click
     from click.exceptions import Abort  # type: ignore[assignment]
     from click.exceptions import ClickException as TyperException  # type: ignore[assignment]
 
-LOADED = (calibrate, performance, serve_app)
+LOADED = (calibrate, correct, export, performance, plan, record, serve_app, update)
 """A command of each module: all commands of a module join as it is imported."""
 INTERRUPTED = 130
 

@@ -24,9 +24,9 @@ class InstrumentDependence:
 
     instrument: str
     serial: Likeness | None
-    """Poses that follow each other (von Neumann's ratio); null: too few."""
+    """Poses that follow each other (von Neumann's ratio); null: too few, or no noise at all."""
     spatial: Likeness | None
-    """Poses that are near in joint space (Moran's I); null: too few."""
+    """Poses that are near in joint space (Moran's I); null: too few, or no noise at all."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from loopcal.document.bounds import Count, Probability, Size
-from loopcal.presentation.shown import with_unit
+from loopcal.presentation.shown import percent, with_unit
 
 
 @dataclass(frozen=True)
@@ -61,5 +61,5 @@ class Reliability:
         return [
             f"reliability: an undetected error of {worst.quantity} moves predictions by up to "
             f"{moved} rms (pose {worst.pose}; test at {100 * self.alpha:g} %, "
-            f"power {self.power:.0%})"
+            f"power {percent(self.power)})"
         ]

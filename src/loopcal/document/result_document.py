@@ -45,7 +45,8 @@ from loopcal.document.verdict import Verdict
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import unstated_mountings
 from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import with_unit
+from loopcal.presentation.shown import percent, with_unit
+from loopcal.presentation.wrapped import wrapped
 
 SCHEMA: Literal[2] = 2
 
@@ -275,7 +276,7 @@ class ResultDocument:
             scheme = self.validation.words if self.validation else ""
             lines += ["", *model_table(self.models, unit, scheme)]
         for warning in self.warnings:
-            lines += ["", f"WARNING  {warning}"]
+            lines += ["", *wrapped(warning, "WARNING  ", "         ")]
         return "\n".join(lines)
 
 
@@ -298,7 +299,7 @@ def _state(document: ResultDocument) -> list[str]:
     lines = [f"FILE AT FAULT  {fault}" for fault in document.column_faults or ()]
     lines.append(f"{head} in {steps} on {poses}")
     if document.chosen is not None:
-        lines.append(f"chosen: {document.chosen.words}")
+        lines += wrapped(document.chosen.words, "chosen: ", "        ")
     if not status.converged:
         lines.append(f"  {status.message}")
     chi = document.chi_squared
@@ -350,7 +351,9 @@ def _coverage(validation: ValidationEntry | None) -> list[str]:
     if validation is None or validation.coverage is None:
         return []
     held = validation.coverage
-    words = f"stated {held.level:.0%} regions hold {held.share:.1%} of the poses not used"
+    words = (
+        f"stated {percent(held.level)} regions hold {percent(held.share, 1)} of the poses not used"
+    )
     if validation.blocked is not None and validation.blocked.coverage is not None:
-        words += f", {validation.blocked.coverage.share:.1%} in regions not used"
+        words += f", {percent(validation.blocked.coverage.share, 1)} in regions not used"
     return [words]

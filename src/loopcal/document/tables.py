@@ -16,7 +16,7 @@ from loopcal.document.accuracy import (
 from loopcal.document.fit import NoiseEntry, ParameterEntry
 from loopcal.document.terms import DECISIVE, TermEntry
 from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import by_sd, size, unit_shown
+from loopcal.presentation.shown import by_sd, percent, size, unit_shown
 from loopcal.presentation.text_table import columns
 
 
@@ -237,7 +237,7 @@ def parameter_table(parameters: Sequence[ParameterEntry]) -> list[str]:
 def interval_table(parameters: Sequence[ParameterEntry]) -> list[str]:
     """Confidence intervals, by covariance and by profile; those that differ are marked."""
     known = [(p, p.interval) for p in parameters if p.interval is not None]
-    level = f"{known[0][1].level:.0%} " if known else ""
+    level = f"{percent(known[0][1].level)} " if known else ""
     rows = [[f"{level}interval", "from", "to", "profile from", "to", "", "unit"]]
     for p, its in known:
         unit = unit_shown(p.unit)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from loopcal.presentation.wrapped import wrapped
+
 QUESTIONS = ("sound", "valid", "better", "tolerance")
 """The four questions, in the order in which they are asked."""
 
@@ -58,7 +60,7 @@ class Verdict:
 
     def lines(self) -> list[str]:
         """The headline, and a line for each question with what to do."""
-        return [self.headline, *answer_lines(self.answers)]
+        return [*wrapped(self.headline), *answer_lines(self.answers)]
 
 
 def answer_lines(answers: Mapping[str, Answer]) -> list[str]:
@@ -68,7 +70,8 @@ def answer_lines(answers: Mapping[str, Answer]) -> list[str]:
     for name, answer in answers.items():
         if answer.code == "no-tolerance":
             continue
-        found.append(f"  {name:<{wide}}  {answer.mark:<4}  {answer.words}")
+        head, margin = f"  {name:<{wide}}  {answer.mark:<4}  ", " " * (wide + 10)
+        found += wrapped(answer.words, head, margin)
         if answer.next:
-            found.append(f"{'':<{wide + 10}}{answer.next}")
+            found += wrapped(answer.next, margin, margin)
     return found

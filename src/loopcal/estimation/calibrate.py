@@ -95,22 +95,28 @@ def calibrate(
 
     own = (fit.tolerance or LEARNT) if learns and mechanism.learnt_terms else fit.tolerance
 
+    arrived = near is not None
+
     def solved(problem: Problem, *, tolerance: float | None = None) -> Solution:
+        nonlocal arrived
+
         def once(problem: Problem) -> Solution:
             return fitted(problem, own if tolerance is None else tolerance)
 
         # an undamped method is for study: it shows how its own iteration ends; a fit begun near its
-        # end needs no other start
-        if fit.solver.damped or near is not None:
+        # end needs no other start, nor does one at other sds that begins where another converged
+        if fit.solver.damped or arrived:
             return once(problem)
-        return solve_or_fall_back(problem, once, fit.max_iterations, judged=judged)
+        found = solve_or_fall_back(problem, once, fit.max_iterations, judged=judged)
+        arrived = learns and found.status.converged
+        return found
 
-    if learns:
+    if learns and mechanism.learnt_terms:
         import scipy.linalg  # noqa: F401  before the limit, which then holds for its threads too
 
     with one_blas_thread():
         problem = started(mechanism, data, told, fit.start)
-        if near:
+        if near is not None:
             problem = begun_near(problem, near)
         if fit.solver.exact or fit.solver.at_readings:
             arrays = problem.readings, problem.known, problem.uncertainty.sd

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.products import rows_times
 
 Array = NDArray[np.float64]
 UNCONTROLLED = 1e-6
@@ -48,7 +49,8 @@ def redundancy(
     variance = np.where(np.isfinite(sd), np.square(sd), 0.0)
     for block in equations:
         here = block.poses
-        WX = block.X - block.D @ (covariance @ (block.D.transpose(0, 2, 1) @ block.X))
+        spread = rows_times(block.D, covariance) @ block.D.transpose(0, 2, 1)
+        WX = block.X - spread @ block.X
         inner = block.X.transpose(0, 2, 1) @ WX
         seen = np.einsum("brk,br->bk", block.X, block.E)
         power[:, here] = np.einsum("bkk->kb", inner)

@@ -59,7 +59,7 @@ def arrows(
         told.append(f"{_times(scale)} times {name}")
     data: list[dict[str, Any]] = []
     if machine is not None:
-        data.append(_machine(machine))
+        data.append(machine_trace(machine))
     still = len(data)
     data += [{**t, "visible": n == last} for n, traces in drawn.items() for t in traces]
     largest = significant(float(np.nanmax(sizes[last])) / factor, 3)
@@ -73,7 +73,7 @@ def arrows(
         f"{chosen.index.size} arrows at the measured points; the largest difference "
         f"{last} calibration is {largest} {unit}.",
         tuple(data),
-        _layout(len(points), _switch(list(stages), still, of)),
+        space_layout(len(points), _switch(list(stages), still, of)),
     )
 
 
@@ -99,7 +99,8 @@ def _stage(
     return [*found, {**trace, "mode": "markers", "marker": marks, **hover}]
 
 
-def _machine(machine: Machine) -> dict[str, Any]:
+def machine_trace(machine: Machine) -> dict[str, Any]:
+    """The machine in one pose."""
     trace = _trace(machine.points.T, "machine in one of the poses", {"color": MACHINE, "width": 5})
     marks = {"size": 5, "color": MACHINE}
     text = {"text": names(machine.labels), "textposition": "top right", "hoverinfo": "text"}
@@ -134,7 +135,9 @@ def _times(scale: float) -> str:
     return f"{scale:,.0f}" if scale >= 1 else f"{scale:.3g}"
 
 
-def _layout(dimensions: int, more: Mapping[str, Any]) -> dict[str, Any]:
+def space_layout(dimensions: int, more: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Two or three axes to scale."""
+    more = more or {}
     below = {"orientation": "h", "x": 0, "y": -0.02 if dimensions == 3 else -0.1, "yanchor": "top"}
     more = {**more, "margin": {"l": 8, "r": 8, "t": 48 if more else 16, "b": 8}, "legend": below}
     if dimensions == 2:

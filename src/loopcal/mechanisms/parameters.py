@@ -101,8 +101,11 @@ class Parameters:
 
     def with_prior(self, sds: Mapping[str, float]) -> Parameters:
         """The same parameters with other prior sds [SI]; keys may be globs, later ones win."""
+        names = frozenset(self.names)
         changes = {
-            n: {"prior_sd": float(sd)} for key, sd in sds.items() for n in self.matching(key)
+            n: {"prior_sd": float(sd)}
+            for key, sd in sds.items()
+            for n in ((key,) if key in names else self.matching(key))
         }
         return self._changed(changes)
 

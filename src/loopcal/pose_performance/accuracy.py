@@ -41,14 +41,19 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Means:
-    """Means of G groups: positions, commanded ones (G, 3); scatter (G, 3, 3) of each mean [m^2];
-    cycles (G,); covariance (3G, 3G) of all means, without the frame; frame: what that adds."""
+    """Means of G groups: positions and commanded ones (G, 3); cycles (G,).
+
+    scatter (G, 3, 3): covariance of each mean by its readings [m^2]; shared (G, 3, 3): of what all
+    readings of its point share; pose (G,): number of that point; frame (G, 3, 3): what the frame
+    adds.
+    """
 
     positions: Array
     commanded: Array
-    scatter: Array
     cycles: Array
-    covariance: Array
+    scatter: Array
+    shared: Array
+    pose: NDArray[np.intp]
     frame: Array
 
     @classmethod
@@ -62,27 +67,26 @@ class Means:
         """The means of groups of rows of measured and commanded positions (N, 3) [m]."""
         positions = np.array([measured[g.rows].mean(axis=0) for g in groups])
         asked = np.array([commanded[g.rows[0]] for g in groups])
-        cycles = np.array([float(len(g.rows)) for g in groups])
-        scatter = np.array([covariance_of_mean(measured[g.rows]) for g in groups])
-        n = len(groups)
-        C = np.zeros((n, 3, n, 3))
-        shared: dict[str, Array] = {}
-        for i, group in enumerate(groups):
-            C[i, :, i] += scatter[i]
-            shared.setdefault(group.pose, errors.of_point(positions[i]))
-            for k, other in enumerate(groups):
-                if other.pose == group.pose:
-                    C[i, :, k] += shared[group.pose]
+        numbers: dict[str, int] = {}
+        pose = np.array([numbers.setdefault(g.pose, len(numbers)) for g in groups])
+        first = [positions[int(np.argmax(pose == n))] for n in range(len(numbers))]
         J = frame_effect(asked)
         F = np.repeat(np.square([errors.frame.length or 0.0, errors.frame.angle or 0.0]), 3)
-        return cls(positions, asked, scatter, cycles, C.reshape(3 * n, 3 * n), (J * F) @ J.T)
+        return cls(
+            positions,
+            asked,
+            np.array([float(len(g.rows)) for g in groups]),
+            np.array([covariance_of_mean(measured[g.rows]) for g in groups]),
+            np.array([errors.of_point(point) for point in first])[pose],
+            pose,
+            (J * F) @ J.transpose(0, 2, 1),
+        )
 
     def accuracy(self, i: int) -> Estimate:
         """AP of group i as measured."""
-        at = slice(3 * i, 3 * i + 3)
         return length_interval(
             self.positions[i] - self.commanded[i],
-            self.covariance[at, at] + self.frame[at, at],
+            self.scatter[i] + self.shared[i] + self.frame[i],
             self.scatter[i],
             self.cycles[i] - 1.0,
         )
@@ -92,7 +96,7 @@ class Means:
 class FittedBase:
     """The base frame fitted to the means: fitted = rotation @ measured + shift.
 
-    offsets (G, 3), their covariance and the scatter in it (3G, 3G) after it; turn (3, 3):
+    offsets (G, 3), their covariances and the scatter in these (G, 3, 3) after it; turn (3, 3):
     covariance of the rotation by everything but the frame itself [rad^2].
     """
 
@@ -105,12 +109,8 @@ class FittedBase:
 
     def accuracy(self, i: int, means: Means) -> Estimate:
         """AP of group i after the fit."""
-        at = slice(3 * i, 3 * i + 3)
         return length_interval(
-            self.offsets[i],
-            self.covariance[at, at],
-            self.scatter[at, at],
-            means.cycles[i] - 1.0,
+            self.offsets[i], self.covariance[i], self.scatter[i], means.cycles[i] - 1.0
         )
 
 
@@ -128,23 +128,38 @@ def fitted_base(means: Means) -> FittedBase | str:
     _refuse_scale(P, Q)
     U, _, V = np.linalg.svd((weight[:, None] * Q).T @ P)
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
+    scatter, shared = (R @ C @ R.T for C in (means.scatter, means.shared))
     J = frame_effect(means.commanded)
-    W = np.repeat(means.cycles, 3)
-    solve = np.linalg.solve(J.T @ (W[:, None] * J), J.T * W)
-    M = np.eye(len(W)) - J @ solve
-    turned = np.kron(np.eye(len(P)), R)
-    own = turned @ means.covariance @ turned.T
-    n = len(P)
-    scatter = np.zeros((n, 3, n, 3))
-    scatter[range(n), :, range(n)] = R @ means.scatter @ R.T
+    whole = _after_fit(J, means, scatter, shared)
+    alone = _after_fit(J, means, scatter, np.zeros_like(shared))
     return FittedBase(
-        R,
-        asked - R @ centre,
-        P @ R.T - Q,
-        M @ own @ M.T,
-        M @ scatter.reshape(3 * n, 3 * n) @ M.T,
-        (solve @ own @ solve.T)[3:, 3:],
+        R, asked - R @ centre, P @ R.T - Q, whole.offsets, alone.offsets, whole.frame[3:, 3:]
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _AfterFit:
+    """Covariances of the offsets (G, 3, 3), and of the fitted frame (6, 6)."""
+
+    offsets: Array
+    frame: Array
+
+
+def _after_fit(J: Array, means: Means, scatter: Array, shared: Array) -> _AfterFit:
+    """The blocks of M C M^T on its diagonal, C = diag(scatter) + what groups of a pose share.
+
+    With S = (J^T W J)^-1 J^T W: block = C_gg - J_g (S C)_g - its transpose + J_g S C S^T J_g^T.
+    """
+    weighted = means.cycles[:, None, None] * J
+    normal = np.einsum("gij,gik->jk", weighted, J)
+    S = np.linalg.solve(normal, weighted.transpose(0, 2, 1))  # (G, 6, 3)
+    of_pose = np.zeros((int(means.pose.max()) + 1, *S.shape[1:]))
+    np.add.at(of_pose, means.pose, S)
+    SC = S @ scatter + of_pose[means.pose] @ shared
+    frame = np.einsum("gij,gkj->ik", SC, S)
+    crossed = J @ SC
+    own = scatter + shared + J @ frame @ J.transpose(0, 2, 1)
+    return _AfterFit(own - crossed - crossed.transpose(0, 2, 1), frame)
 
 
 def covariance_of_mean(readings: Array) -> Array:
@@ -156,12 +171,12 @@ def covariance_of_mean(readings: Array) -> Array:
 
 
 def frame_effect(points: Array) -> Array:
-    """J (3G, 6): what a shift and a small turn of the frame do to points (G, 3)."""
+    """J (G, 3, 6): what a shift and a small turn of the frame do to points (G, 3)."""
     J = np.zeros((len(points), 3, 6))
     J[:, :, :3] = np.eye(3)
     for axis in range(3):
         J[:, :, 3 + axis] = np.cross(np.eye(3)[axis], points)
-    return J.reshape(-1, 6)
+    return J
 
 
 def _refuse_scale(P: Array, Q: Array) -> None:

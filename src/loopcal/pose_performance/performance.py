@@ -1,7 +1,7 @@
 """All figures of pose performance from attained poses, one payload and speed after the other.
 
-Formulas as secondary sources give them for ISO 9283:1998, among them Nof (ed.), Handbook of
-Industrial Robotics (1999), and Slamani, Nubiola and Bonev, Industrial Robot 39 (2012):
+Formulas of ISO 9283:1998 as secondary sources give them, such as Slamani, Nubiola and Bonev,
+Assessment of the positioning performance of an industrial robot, Industrial Robot 39 (2012):
 
     AP = |p - p_c|,  RP = l + 3 S_l,  l_j = |p_j - p|;   about each axis AP_a = mean, RP_a = +-3 S_a
     vAP = max |p_h - p_k| of directions of approach,  AD = |D - D_c|,  RD = +-3 S_D
@@ -44,6 +44,7 @@ from loopcal.pose_performance.parts import (
 )
 from loopcal.pose_performance.result import Performance
 from loopcal.small_samples import t_quantile
+from loopcal.statistics.repeats import CLEAR, FEWEST, slow_p_value
 
 Array = NDArray[np.float64]
 AXES = ("x", "y", "z")
@@ -74,6 +75,14 @@ def pose_performance(
                 code="unknown-name",
                 place=attained.file,
                 remedy=nearest(name, known),
+            )
+    for one, other in distances:
+        if one == other:
+            raise InputError(
+                f"the pose {one!r} has no distance from itself",
+                code="invalid-value",
+                place=attained.file,
+                remedy="name two poses",
             )
     parts = [
         _Part(attained, condition, rows, errors).figures(distances)
@@ -130,8 +139,35 @@ class _Part:
             tuple(self._distances(distances)),
             tuple(self._drifts(means, fitted)),
             tuple(self.missing),
-            tuple(_remarks(poses, fitted is not None and _other_frame(means, fitted))),
+            (
+                *_remarks(poses, fitted is not None and _other_frame(means, fitted)),
+                *self._dependence(),
+            ),
         )
+
+    def _dependence(self) -> Iterable[str]:
+        """Whether successive cycles resemble each other, by von Neumann's ratio of all groups."""
+        series = []
+        for group in self.groups:
+            rows = group.rows
+            if self.all.time is not None:
+                rows = rows[np.argsort(self.all.time[rows], kind="stable")]
+            if len(rows) >= FEWEST:
+                series.append(self.all.measured[rows])
+        if not series:
+            return
+        counts = np.array([len(part) for part in series])
+        square = sum(np.square(part - part.mean(axis=0)).sum(axis=0) for part in series)
+        steps = sum(np.square(np.diff(part, axis=0)).sum(axis=0) for part in series)
+        found = [
+            slow_p_value(float(a), float(b), counts) for a, b in zip(square, steps, strict=True)
+        ]
+        least = min((p for p in found if p is not None), default=1.0)
+        if least < CLEAR / 3.0:
+            yield (
+                f"Successive cycles resemble each other (p = {least:.2g}): robot or instrument "
+                "drifts. The drift is part of RP, and the intervals take cycles as independent."
+            )
 
     def _pose(self, i: int, means: Means, base: FittedBase | None) -> PosePerformance:
         group = self.groups[i]
@@ -271,8 +307,7 @@ class _Part:
             if len(blocks) < 2:
                 continue
             found = True
-            at = slice(3 * i, 3 * i + 3)
-            common = self.errors.of_point(means.positions[i]) + frame[at, at]
+            common = means.shared[i] + frame[i]
             name = group.pose if group.direction is None else f"{group.pose}, {group.direction}"
             yield drift(name, blocks, offsets, common, seen)
         if not found:

@@ -35,7 +35,9 @@ def condition_lines(part: ConditionPerformance) -> Iterator[str]:
     yield headline(part)
     for rows in tables_of(part).values():
         yield ""
-        yield from columns(rows)
+        yield from columns(rows[: MOST_ROWS + 1])
+        if len(rows) > MOST_ROWS + 1:
+            yield f"(and {len(rows) - 1 - MOST_ROWS} more: --json has all)"
     for note in part.notes:
         yield ""
         yield note
@@ -45,6 +47,10 @@ def condition_lines(part: ConditionPerformance) -> Iterator[str]:
         yield from (f"  {line}" for line in part.missing)
 
 
+NOTHING = 1e-6
+"""Intervals of less [mm, deg] are rounding."""
+MOST_ROWS = 60
+"""Rows of a printed table."""
 Rows = Sequence[tuple[str, ...]]
 
 
@@ -126,7 +132,7 @@ def bounded(estimate: Estimate | None, unit: str) -> str:
     if low is None or high is None:
         return f"{value:.4f}"
     quarter = (high - low) / 4.0
-    if not quarter > 0.0:
+    if not quarter > NOTHING:
         return f"{value:.4f}"
     shown = [rounded_by_sd(x, quarter) for x in (value, low, high)]
     return f"{shown[0]} [{shown[1]}, {shown[2]}]"

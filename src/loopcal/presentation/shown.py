@@ -59,6 +59,10 @@ def chance(value: float | None) -> str:
     return NONE if value is None else f"{value:.2g}"
 
 
-def percent(value: float | None) -> str:
-    """A share."""
-    return NONE if value is None else f"{value:.0%}"
+def percent(value: float | None, digits: int = 0) -> str:
+    """A share, with so many decimals.
+
+    >>> percent(0.8), percent(0.9283, 1)
+    ('80 %', '92.8 %')
+    """
+    return NONE if value is None else f"{100.0 * value:.{digits}f} %"

@@ -20,6 +20,7 @@ from loopcal.errors import UsageError
 from loopcal.estimation.methods.registry import method_named
 from loopcal.estimation.result import Result
 from loopcal.figures.figure import plotly_javascript
+from loopcal.presentation.wrapped import shortened
 from loopcal.report import tables, top
 from loopcal.report.drawn import distances, figures
 from loopcal.report.glossary import meaning
@@ -93,7 +94,7 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "id": f"r{number}",
         "document": document,
         "verdict": verdict,
-        "headline": top.shortened(verdict.headline),
+        "headline": verdict.headline,
         "against": top.against(document),
         "record": top.record(document),
         "bars": top.accuracy_bars(document),
@@ -118,14 +119,15 @@ def _result(source: Source, number: int) -> dict[str, Any]:
 def identifiability_words(document: ResultDocument) -> list[str]:
     """Which directions the poses determine, which hardly, which not at all.
 
-    Of those that lie within the learnt model error alone none is listed.
+    Of those that a parameter of the learnt model error takes part in none is listed: its learnt sd
+    holds them, and nobody can do anything about them.
     """
     found = document.identifiability
     shown = {p.name for p in shown_parameters(document.parameters, document.terms)}
     words = [f"{found.rank} of {found.parameters} parameters are determined."]
     words += [f"Not determined: {entry.words}" for entry in found.not_identifiable]
     weak = found.weak_directions or ()
-    words += [entry.words for entry in weak if shown.intersection(entry.combination)]
+    words += [entry.words for entry in weak if shown.issuperset(entry.combination)]
     learned = [entry for entry in found.data_versus_prior or () if entry.parameter in shown]
     words += [entry.words for entry in learned if entry.ratio > LITTLE]
     return words
@@ -148,7 +150,7 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.globals |= {"meaning": meaning, "shortened": top.shortened}
+    made.globals |= {"meaning": meaning, "shortened": shortened}
     return made
 
 

@@ -14,7 +14,7 @@ from loopcal.figures.figure import Figure, plotly_javascript
 from loopcal.figures.space import arrows
 from loopcal.files.atomic import write_files
 from loopcal.files.versions import version
-from loopcal.presentation.shown import in_unit, size, unit_shown
+from loopcal.presentation.shown import in_unit, percent, size, unit_shown
 from loopcal.report.page import environment, part, sha256
 from loopcal.report.tables import Table
 from loopcal.studies.example import first_draw
@@ -136,7 +136,7 @@ def _method(table: MethodTable) -> Table:
     for s in table.spreads:
         values = [size(v, s.unit, fine=True) for v in (s.bias, s.sd, s.rms, s.low, s.high)]
         placed = "" if s.published is None else f"{s.published.percentile:.1f} %"
-        rows.append((s.name, unit_shown(s.unit, fine=True), *values, f"{s.held:.1%}", placed))
+        rows.append((s.name, unit_shown(s.unit, fine=True), *values, percent(s.held, 1), placed))
     head = ("error", "unit", "bias", "sd", "rms", "2.5 %", "97.5 %", "held", "printed draw at")
     converged = table.draws - sum(table.failures.values())
     caption = f"{table.method}: {converged} of {table.draws} draws converged"
@@ -148,7 +148,8 @@ def _paired(pair: Paired) -> Table:
     rows = []
     for a in pair.advantages:
         ratio = "" if a.ratio is None else f"{a.ratio:.2g} [{a.ratio_low:.2g}, {a.ratio_high:.2g}]"
-        rows.append((a.name, f"{a.closer:.1%} [{a.closer_low:.1%}, {a.closer_high:.1%}]", ratio))
+        closer, low, high = (percent(v, 1) for v in (a.closer, a.closer_low, a.closer_high))
+        rows.append((a.name, f"{closer} [{low}, {high}]", ratio))
     caption = f"{first} beside {second} on the same {pair.draws} draws"
     return Table(caption, ("error", "closer in", "rms ratio"), tuple(rows))
 

@@ -213,8 +213,8 @@ def reliability_table(document: ResultDocument) -> Table | None:
     ]
     caption = (
         f"What single readings can hide: smallest error that a test at {100 * found.alpha:g} % "
-        f"finds with a probability of {found.power:.0%} (median and largest), and how far such an "
-        "error moves the predictions (rms over the measured poses)"
+        f"finds with a probability of {percent(found.power)} (median and largest), and how far "
+        "such an error moves the predictions (rms over the measured poses)"
     )
     head = ("sensor", "redundancy", "detectable", "largest", "effect", "at pose", "unchecked")
     return Table(caption, head, tuple(rows))

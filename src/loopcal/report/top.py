@@ -16,8 +16,6 @@ from loopcal.statistics.verdict import findings_against
 from loopcal.units import to_si
 
 RECORD = ("date", "operator", "instrument", "serial", "note")
-HEADLINE = 170
-"""Characters of a headline; the finding behind it is told in full below."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +45,6 @@ def against(document: ResultDocument) -> list[Against]:
         Against(f.rule.code, "open" if f.rule.passed is None else "no", f.said.words, f.rule.next)
         for f in findings_against(document)
     ]
-
-
-def shortened(text: str, most: int = HEADLINE) -> str:
-    """A text cut between words where it is longer."""
-    return text if len(text) <= most else text[:most].rsplit(" ", 1)[0].rstrip(" ;,:") + " …"
 
 
 def record(document: ResultDocument) -> dict[str, str]:

@@ -6,7 +6,8 @@ estimator's own elimination: what is simulated here checks what is estimated the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,13 +44,48 @@ def close_loops(
     not close, and where loops are too few.
     """
     tape = mechanism.tape
+    closed = np.array(values, dtype=float)
+    for part, x, at in _settled(mechanism, parameters, closed, known, unknown):
+        if not at.finite.all():
+            raise explain_domain(
+                tape, x, known[:, part], parameters, poses[part], mechanism.remedies
+            )
+        _refuse_open(mechanism, at.f, x, poses[part])
+    return closed
+
+
+def reachable(
+    mechanism: Mechanism, parameters: Array, values: Array, known: Array, unknown: Sequence[str]
+) -> NDArray[np.bool_]:
+    """(N,) the poses whose loops close; arguments as of `close_loops`.
+
+    Raises InputError where loops are too few.
+    """
+    closed = np.array(values, dtype=float)
+    settled = _settled(mechanism, parameters, closed, known, unknown)
+    parts = [at.finite & _closed(at.f, x) for _, x, at in settled]
+    return np.concatenate(parts) if parts else np.zeros(0, dtype=bool)
+
+
+@dataclass(frozen=True)
+class _Settled:
+    """Loop values (m, b), and the poses (b,) where they and their derivatives are numbers."""
+
+    f: Array
+    finite: NDArray[np.bool_]
+
+
+def _settled(
+    mechanism: Mechanism, parameters: Array, closed: Array, known: Array, unknown: Sequence[str]
+) -> Iterator[tuple[slice, Array, _Settled]]:
+    """Blocks of poses with what is unknown found in place; poses without values stand still."""
+    tape = mechanism.tape
     rows = [tape.quantities.index(name) for name in unknown]
     if len(rows) > len(tape.loops):
         raise _too_few_driven(mechanism, unknown)
     angles = {name for name in unknown if mechanism.quantities[name] == "rad"}
     angles -= {turn for orientation in mechanism.orientations for turn in orientation.turns}
     turns = [i for i, name in enumerate(unknown) if name in angles]
-    closed = np.array(values, dtype=float)
     engine = engine_for(tape, (), min(_BLOCK, max(closed.shape[1], 1)))
     engine.at(parameters)
     for begin in range(0, closed.shape[1], _BLOCK):
@@ -57,16 +93,18 @@ def close_loops(
         x, c = closed[:, part], known[:, part]
         for _ in range(_MOST):
             loops = engine.evaluate(x, c)
-            if not (np.isfinite(loops.f).all() and np.isfinite(loops.by_quantity).all()):
-                raise explain_domain(tape, x, c, parameters, poses[part], mechanism.remedies)
-            step = _newton_step(loops.by_quantity[rows], loops.f)
+            numbers = np.isfinite(np.concatenate([loops.f[None], loops.by_quantity]))
+            finite = np.asarray(numbers.all(axis=(0, 1)))
+            step = np.zeros((len(rows), x.shape[1]))
+            step[:, finite] = _newton_step(
+                loops.by_quantity[rows][:, :, finite], loops.f[:, finite]
+            )
             largest = np.abs(step[turns]).max(axis=0, initial=0.0)
             step *= _TURN / np.maximum(largest, _TURN)
             x[rows] -= step
-            if np.abs(step).max(initial=0.0) <= _STEP * max(1.0, np.abs(x).max()):
+            if np.abs(step).max(initial=0.0) <= _STEP * max(1.0, np.abs(x).max(initial=0.0)):
                 break
-        _refuse_open(mechanism, engine.evaluate(x, c).f, x, poses[part])
-    return closed
+        yield part, x, _Settled(engine.evaluate(x, c).f, finite)
 
 
 def _too_few_driven(mechanism: Mechanism, unknown: Sequence[str]) -> InputError:
@@ -94,9 +132,16 @@ def _newton_step(by_unknown: Array, f: Array) -> Array:
     return np.ascontiguousarray((np.linalg.pinv(J) @ right)[..., 0].T)
 
 
+def _closed(f: Array, x: Array) -> NDArray[np.bool_]:
+    """(b,) whether loop values (m, b) are zero but for rounding."""
+    limit = _OPEN * np.maximum(1.0, np.abs(x).max(axis=0))
+    found: NDArray[np.bool_] = np.abs(f).max(axis=0) <= limit
+    return found
+
+
 def _refuse_open(mechanism: Mechanism, f: Array, x: Array, poses: Sequence[str]) -> None:
     worst = np.abs(f).max(axis=0)
-    still_open = ~(worst <= _OPEN * np.maximum(1.0, np.abs(x).max(axis=0)))
+    still_open = ~_closed(f, x)
     if still_open.any():
         first = int(np.argmax(still_open))
         loop = mechanism.tape.loops[int(np.argmax(np.abs(f[:, first])))]

@@ -16,7 +16,7 @@ from loopcal.measurements.noise import Noise, NoiseLike, ReadingUncertainty, res
 from loopcal.measurements.source import Source
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.simulation.closing import close_loops
+from loopcal.simulation.closing import close_loops, reachable
 from loopcal.simulation.orientations import measured, not_given, parallel
 from loopcal.simulation.poses import stream
 
@@ -103,6 +103,17 @@ def simulate(
     return Simulation(
         dataset, MappingProxyType(parameters), MappingProxyType(quantities), int(seed)
     )
+
+
+def within_reach(
+    mechanism: Mechanism, readings: Mapping[str, ArrayLike] | Dataset | Any
+) -> NDArray[np.bool_]:
+    """(N,) the poses whose loops close at the nominal parameters; readings as of `simulate`."""
+    driven = readings if isinstance(readings, Dataset) else Dataset.from_arrays(readings)
+    driven = driven.with_readings(parallel(not_given(mechanism, driven), len(driven)))
+    x, unknown = _values(mechanism, driven, {})
+    values = np.array([p.nominal for p in mechanism.parameters])
+    return reachable(mechanism, values, x, _known(mechanism, driven), unknown)
 
 
 def _read(

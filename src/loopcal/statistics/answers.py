@@ -24,6 +24,7 @@ _BEATEN = 3.3
 _RELATIVE = 0.41
 """sd of an rms of N distances in space over rms / sqrt(N): sqrt(2/3) / 2."""
 _DRAWN = "the nominal machine"
+_OUTPUTS = "Add an instrument that measures the end point."
 
 
 def valid(document: ResultDocument) -> Answer:
@@ -56,8 +57,11 @@ def better(document: ResultDocument) -> Answer:
     accuracy, validation = document.accuracy, document.validation
     if accuracy is None:
         words = "The accuracy is unknown: the mechanism has no measured outputs."
-        return Answer(None, "no-outputs", None, words, None)
+        return Answer(None, "no-outputs", None, words, _OUTPUTS)
     unseen = None if validation is None else validation.accuracy
+    if unseen is None and not document.status.converged:
+        words = "No other poses were predicted: the fit did not converge."
+        return Answer(None, "not-validated", None, words, "Make the fit converge first.")
     if unseen is None:
         words = "No other poses were predicted. Expect a larger error there."
         return Answer(None, "not-validated", None, words, "Validate on other poses (--folds 10).")
@@ -124,7 +128,7 @@ def good_enough(document: ResultDocument, tolerance: float | None) -> Answer:
     quantile = None
     if tolerance is not None and accuracy is None:
         words = "The accuracy is unknown: the mechanism has no measured outputs."
-        return Answer(None, "unknown-accuracy", None, words, None)
+        return Answer(None, "unknown-accuracy", None, words, _OUTPUTS)
     if tolerance is not None and unseen is None:
         words = "No pose was left out to test the tolerance."
         return Answer(

@@ -29,6 +29,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.presentation.wrapped import wrapped
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
 
 Array = NDArray[np.float64]
@@ -74,7 +75,8 @@ class Shifts:
         rule = f"{self.tested} poses in order, family-wise level {100 * self.level:g} %"
         if not self.found:
             return [f"shifts: none ({rule})"]
-        return [f"shifts: {len(self.found)} ({rule})", *(f"  {point}" for point in self.found)]
+        points = [line for point in self.found for line in wrapped(str(point), "  ", "    ")]
+        return [f"shifts: {len(self.found)} ({rule})", *points]
 
 
 NOT_SEARCHED = Shifts((), 0.01, 0)

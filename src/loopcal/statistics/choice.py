@@ -301,7 +301,8 @@ def _risks(whole: Result, part: Predicted) -> Array:
     if distances is not None:
         return np.square(distances)
     stated = part.stated(whole.drifting)
-    return np.full(len(part.index), np.nan) if stated is None else -2.0 * stated.log_density
+    density = None if stated is None else stated.log_density
+    return np.full(len(part.index), np.nan) if density is None else -2.0 * density
 
 
 def _risk(one: Judged, plan: Plan, poses: int) -> Array:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from loopcal.document.plain import known
 from loopcal.presentation.rounding import rounded_by_sd, significant
-from loopcal.presentation.shown import SHOWN
+from loopcal.presentation.shown import SHOWN, percent
 from loopcal.presentation.text_table import columns
 from loopcal.small_samples import f_tail, t_quantile
 from loopcal.units import from_si
@@ -213,8 +213,8 @@ class Compared:
         lines = [head, "", self.verdict(), fit]
         if self.points is not None:
             lines.append(
-                f"{self.points.inside:.0%} of {len(self.points.poses)} common poses differ by no "
-                "more than their own 95 % region"
+                f"{percent(self.points.inside)} of {len(self.points.poses)} common poses differ by "
+                "no more than their own 95 % region"
             )
         lines += ["", *_table(self.parameters)]
         for note in self.notes:

@@ -18,6 +18,7 @@ from loopcal.document.findings import CalibrationIndex, Identifiability, Learned
 from loopcal.document.plain import known
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.reduction import Accumulator, Spectrum, undetermined
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import SHOWN
 from loopcal.statistics.observability import data_spectrum
@@ -37,13 +38,15 @@ _SAME = 0.95
 class WhatDataSay:
     """condition_number: of the data alone, column-scaled; None where singular.
 
-    learned: of parameters with a prior; weak: directions, the worst first.
+    learned: of parameters with a prior; weak: directions, the worst first; model_error: parameters
+    beyond geometry whose sds are learnt.
     """
 
     condition_number: float | None
     learned: tuple[Learned, ...]
     weak: tuple[WeakDirection, ...]
     index: CalibrationIndex
+    model_error: frozenset[str] = frozenset()
 
     def added_to(self, found: Identifiability) -> Identifiability:
         """What a fit says of its poses, with this."""
@@ -56,11 +59,16 @@ class WhatDataSay:
         )
 
     def words(self, most: int = 3) -> list[str]:
-        """What a reader must know: the worst directions, and parameters the data left alone."""
-        lines = [direction.words for direction in self.weak[:most]]
-        if len(self.weak) > most:
-            lines.append(f"and {len(self.weak) - most} more such directions (result.json)")
-        silent = sorted((e for e in self.learned if e.ratio > SAYS_LITTLE), key=lambda e: -e.ratio)
+        """What a reader must know: the worst directions, and parameters the data left alone.
+
+        Not those that the learnt model error takes part in: its sds hold them.
+        """
+        weak = [one for one in self.weak if self.model_error.isdisjoint(one.combination)]
+        lines = [direction.words for direction in weak[:most]]
+        if len(weak) > most:
+            lines.append(f"and {len(weak) - most} more such directions (result.json)")
+        known = [e for e in self.learned if e.parameter not in self.model_error]
+        silent = sorted((e for e in known if e.ratio > SAYS_LITTLE), key=lambda e: -e.ratio)
         lines += [entry.words for entry in silent[:most]]
         if len(silent) > most:
             lines.append(f"and {len(silent) - most} more such parameters (result.json)")
@@ -92,7 +100,14 @@ def what_data_say(
             *_weak(system, names, units, unit_sd, _lengths(problem, units)),
         ),
         index,
+        _model_error(problem.mechanism),
     )
+
+
+def _model_error(mechanism: Mechanism) -> frozenset[str]:
+    """The parameters beyond geometry whose sds are learnt."""
+    learnt = {name for term in mechanism.terms for name in term.parameters}
+    return frozenset(name for name in learnt if mechanism.kinds.get(name) == "effect")
 
 
 def calibration_index(problem: Problem, poses: int, equations: int) -> CalibrationIndex:

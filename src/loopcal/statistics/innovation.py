@@ -10,15 +10,21 @@ where these poses see it. The square of what no d explains, in the metric of its
     chi^2 = min over d, h of |e - F d - A h|^2 + |h|^2,   degrees of freedom: R - rank F,
 
 is the innovation of the machine (Bar-Shalom, Li and Kirubarajan, Estimation with Applications to
-Tracking and Navigation, 2001, section 5.4). Where sds were learnt it follows F instead: with
-nu_j = 2 s_j^4 / var(s_j^2) the degrees of freedom of a component and w_j its share of the
-variance, those of the sum are 1 / sum_j (w_j^2 / nu_j) (Satterthwaite 1946).
+Tracking and Navigation, 2001, section 5.4). Where sds were learnt it follows F instead. The noise
+has 1 / sum_j (w_j^2 / nu_j) degrees of freedom, nu_j = 2 s_j^4 / var(s_j^2) those of a component
+and w_j its share of the variance (Satterthwaite 1946). The machine's covariance has slopes D_a for
+the errors of learnt scales; along the axis i of A in the metric of S its variance has
+
+    1 / nu_i = 1 / nu_noise + sum_a (D_a)_ii^2 / 2,
+
+and F has the denominator of Fai and Cornelius (`loopcal.small_samples`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +36,17 @@ from loopcal.statistics.replacing import DETERMINED, Replaced
 Array = NDArray[np.float64]
 _UNSEEN = 1e-9
 """An undetermined step that moves the loops by less of what its parts move does not count."""
+_TAKEN_UP = 1e-6
+"""A share of a pose's variance that is rounding: the placement takes up all of it."""
+_FEWEST = 2.2
+"""Degrees of freedom, at least: below 2 the mean of F has no bound."""
 
 
 @dataclass(frozen=True)
 class Innovation:
     """The square of the innovation [sds] with its degrees of freedom.
 
-    learnt_freedom: degrees of freedom of the sds themselves, None where all are stated; p_value:
+    learnt_freedom: degrees of freedom of the learnt variances, None where all are stated; p_value:
     of a value at least this large if the machine is unchanged, None without degrees of freedom.
     """
 
@@ -58,11 +68,22 @@ class Innovation:
 
 
 @dataclass(frozen=True, eq=False)
+class PoseSquares:
+    """Of each pose (N,): its square, chi-squared with `loops` (N,) degrees of freedom."""
+
+    squares: Array
+    loops: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
 class Linearised:
     """The equations of a held machine, and how what is placed anew answers to them.
 
     e (R,), F (R, g + d), A (R, r); root: (n_all, r) with root root^T the covariance of the
-    parameters that are held; solve: (g + d, R) the least squares of F; rank: of F.
+    parameters that are held; solve: (g + d, R) the least squares of F; rank: of F; factor: by
+    how much the residuals of the calibration are larger than its stated variances; slopes:
+    (a, r, r) changes of the covariance of h per sd of each error of learnt scales; noise: degrees
+    of freedom of learnt sds, inf where all are stated.
     """
 
     e: Array
@@ -71,13 +92,16 @@ class Linearised:
     root: Array
     solve: Array
     rank: int
+    factor: float
+    slopes: Array
+    noise: float
 
     @classmethod
     def of(cls, here: Replaced, known: Calibrated) -> Linearised:
         """Undetermined steps of the calibration are as free as the placement."""
-        J = here.J
+        J, f = here.J / np.sqrt(known.factor), known.factor
         held = ~here.anew[:, None]
-        root = here.brought(root_of(known.covariance.matrix) * held)
+        root = here.brought(root_of(f * known.covariance.matrix) * held)
         loose = here.brought(known.undetermined * held)
         seen = np.linalg.norm(J @ loose, axis=0)
         single = np.linalg.norm(J, axis=0) @ np.abs(loose)
@@ -88,18 +112,89 @@ class Linearised:
         U, s, Vt = np.linalg.svd(F / scale, full_matrices=False)
         kept = s > DETERMINED * s.max(initial=0.0)
         solve = (Vt[kept].T / s[kept]) @ U[:, kept].T / scale[:, None]
-        return cls(here.e, F, J @ root, root, solve, int(kept.sum()))
+        A, rank, noise = J @ root, int(kept.sum()), _noise_freedom(known, here)
+        slopes = _slopes(known, root_of(f * known.covariance.matrix), ~here.anew)
+        return cls(here.e / np.sqrt(f), F, A, root, solve, rank, f, slopes, noise)
 
-    def innovation(self, learnt: float | None) -> Innovation:
-        """The statistic; learnt: degrees of freedom of the sds, None where they are stated."""
-        left = self.e - self.F @ (self.solve @ self.e)
-        A = self.A - self.F @ (self.solve @ self.A)
-        r = A.shape[1]
-        rows = np.vstack([A, np.eye(r)])
-        right = np.concatenate([left, np.zeros(r)])
-        h = np.linalg.lstsq(rows, right, rcond=None)[0]
-        value = float(np.square(right - rows @ h).sum())
-        return Innovation.of(value, len(self.e) - self.rank, learnt)
+    @cached_property
+    def left(self) -> Array:
+        """(R,) what the placement leaves of e."""
+        return np.asarray(self.e - self.F @ (self.solve @ self.e))
+
+    @cached_property
+    def _spread(self) -> Array:
+        """(R, r) what the placement leaves of A."""
+        return np.asarray(self.A - self.F @ (self.solve @ self.A))
+
+    def weighed(self, a: Array, b: Array) -> Array:
+        """a^T S^-1 b, S = 1 + A A^T, of what the placement leaves: (R, p), (R, q) -> (p, q)."""
+        A = self._spread
+        inner = np.eye(A.shape[1]) + A.T @ A
+        return np.asarray(a.T @ b - (a.T @ A) @ np.linalg.solve(inner, A.T @ b))
+
+    def by_pose(self, here: Replaced) -> PoseSquares:
+        """The squares of what the placement leaves of single poses, in their own covariance."""
+        count = len(here.problem.poses)
+        squares, loops, begin = np.full(count, np.nan), np.zeros(count, dtype=np.intp), 0
+        for rows in here.rows:
+            b, r = rows.e.shape
+            its = slice(begin, begin + b * r)
+            e, A = self.left[its].reshape(b, r, 1), self._spread[its].reshape(b, r, -1)
+            F = self.F[its].reshape(b, r, -1)
+            solve = self.solve[:, its].reshape(-1, b, r).transpose(1, 0, 2)
+            S = np.eye(r) - F @ solve + A @ A.transpose(0, 2, 1)
+            values, vectors = np.linalg.eigh(0.5 * (S + S.transpose(0, 2, 1)))
+            kept = values > _TAKEN_UP
+            z = (vectors.transpose(0, 2, 1) @ e)[:, :, 0]
+            its_squares = np.where(kept, np.square(z) / np.where(kept, values, 1.0), 0.0)
+            squares[rows.poses] = its_squares.sum(axis=1)
+            loops[rows.poses] = kept.sum(axis=1)
+            begin += b * r
+        return PoseSquares(squares, loops)
+
+    def innovation(self, without: float = 0.0, fewer: int = 0) -> Innovation:
+        """The statistic; without: what changes explain of it, so many fewer degrees of freedom."""
+        value = float(self.weighed(self.left[:, None], self.left[:, None])[0, 0]) - without
+        count = len(self.e) - self.rank - fewer
+        return Innovation.of(max(value, 0.0), count, self._denominator(count))
+
+    def freedom(self, U: Array) -> Array:
+        """(m,) degrees of freedom of the variance of a change along each column U (R, m)."""
+        A, U = self._spread, U - self.F @ (self.solve @ U)
+        inner = np.eye(A.shape[1]) + A.T @ A
+        along = np.linalg.solve(inner, A.T @ U)  # A^T S^-1 U
+        size = np.einsum("rm,rm->m", U, U) - np.einsum("rm,rm->m", A.T @ U, along)
+        changes = np.einsum("rm,ars,sm->am", along, self.slopes, along)
+        changes = changes / np.where(size > 0.0, size, 1.0)
+        return _freedoms(np.square(changes).sum(axis=0), self.noise)
+
+    def _denominator(self, count: int) -> float | None:
+        """Of F with so many degrees of freedom; None for chi-squared."""
+        if count <= 0 or (not len(self.slopes) and np.isinf(self.noise)):
+            return None
+        _, s, Vt = np.linalg.svd(self._spread, full_matrices=False)
+        V = Vt.T * (s / np.sqrt(1.0 + np.square(s)))
+        changes = np.einsum("ri,ars,si->ai", V, self.slopes, V)
+        nu = _freedoms(np.square(changes).sum(axis=0), self.noise)[:count]
+        means = 1.0 / (1.0 - 2.0 / np.maximum(nu, _FEWEST))
+        rest = 1.0 / (1.0 - 2.0 / max(self.noise, _FEWEST))
+        mean = float(means.sum()) + (count - len(nu)) * rest
+        excess = mean - count
+        return 2.0 * mean / excess if excess > 1e-9 * count else None
+
+
+def _freedoms(changes: Array, noise: float) -> Array:
+    inverse = 0.5 * changes + 1.0 / noise
+    return np.where(inverse > 0.0, 1.0 / np.where(inverse > 0.0, inverse, 1.0), np.inf)
+
+
+def _slopes(known: Calibrated, root: Array, held: NDArray[np.bool_]) -> Array:
+    """(a, r, r) in the basis of a root; none for a method that learns one variance for all."""
+    own, r = known.covariance.slopes, root.shape[1]
+    if known.residual is not None or not len(own):
+        return np.zeros((0, r, r))
+    inverse = np.linalg.pinv(root)
+    return np.asarray(inverse @ (known.factor * own * np.outer(held, held)) @ inverse.T)
 
 
 def root_of(covariance: Array) -> Array:
@@ -121,21 +216,23 @@ def components_of(known: Calibrated, quantities: Sequence[str]) -> list[list[int
     ]
 
 
-def learnt_freedom(known: Calibrated, here: Replaced) -> float | None:
-    """Degrees of freedom of the sds that weigh these poses; None where all are stated."""
+def _noise_freedom(known: Calibrated, here: Replaced) -> float:
+    """Degrees of freedom of the sds that weigh these poses; inf where all are stated."""
+    if known.rejected is not None and known.factor > 1.0:
+        return float(known.rejected.degrees_of_freedom)
     if known.residual is not None:
         return float(known.residual.freedom)
     own = [_freedom(entry.sd, entry.sd_of_sd, entry.source) for entry in known.noise]
     freedoms = [nu for nu in own if nu is not None]
     if not freedoms:
-        return None
+        return np.inf
     shares = np.zeros(len(freedoms))
     for rows in here.rows:
         squares = np.square(rows.noise).sum(axis=(0, 1))
         np.add.at(shares, rows.owner, squares)
     shares /= max(len(here.e), 1)
     total = float((np.square(shares) / np.array(freedoms)).sum())
-    return 1.0 / total if total > 0.0 else None
+    return 1.0 / total if total > 0.0 else np.inf
 
 
 def _freedom(sd: float, sd_of_sd: float | None, source: str) -> float | None:

@@ -28,6 +28,8 @@ from loopcal.mechanisms.structure.structured import DISCREPANCY
 Array = NDArray[np.float64]
 _HUBER, _ROUNDS = 2.0, 3
 _RATIOS, _BESIDE = 10.0 ** np.arange(-4.0, 5.0), 10.0 ** np.arange(-1.0, 2.0)
+_ENOUGH = 10
+"""Poses for each equation of a pose, from which their scatter is taken as it is."""
 _ABSORBED = 1e-6
 """What else the fit determines to less than this share cannot be told from a step."""
 
@@ -101,9 +103,12 @@ class OrderedSystem:
             here = self.patterns == pattern
             there = np.flatnonzero(self.rows[here][0])
             S = alone * np.eye(len(there))
-            if here.sum() > 10 * len(there):
+            poses, few = int(here.sum()), _ENOUGH * len(there)
+            if poses > 2 * len(there):
                 own = weights[here, None] * left[np.ix_(here, there)]
-                S = own.T @ own / here.sum() / freedom
+                # of few poses partly as if the rows were alike: their scatter is unsure itself
+                share = min(1.0, poses / few)
+                S = share * own.T @ own / poses / freedom + (1.0 - share) * S
             values, vectors = np.linalg.eigh(S)
             values = np.maximum(values, 1e-12 * max(float(values.max(initial=0.0)), 1e-300))
             root = (vectors / np.sqrt(values)) @ vectors.T
@@ -213,8 +218,13 @@ def _ridge(E: Array, Z: Array, P: Array, pull: Array, smooth: int, ratios: Array
 
 @dataclass(frozen=True, eq=False)
 class _Factor:
-    """H = L L^T, or its eigenvectors where a direction is not determined."""
+    """H = L L^T, or its eigenvectors where a direction is not determined.
 
+    By NumPy alone: the search for changes runs in every calibration, and is over before SciPy is
+    loaded.
+    """
+
+    H: Array
     L: Array | None
     values: Array
     vectors: Array
@@ -225,12 +235,12 @@ class _Factor:
         try:
             L = np.asarray(np.linalg.cholesky(H), dtype=np.float64)
             if float(np.diag(L).min()) > _ABSORBED * float(np.diag(L).max()):
-                return cls(L, np.diag(L), none)
+                return cls(H, L, np.diag(L), none)
         except np.linalg.LinAlgError:
             pass
         values, vectors = np.linalg.eigh(H)
         kept = values > 1e-11 * values[-1]
-        return cls(None, np.sqrt(values[kept]), vectors[:, kept])
+        return cls(H, None, np.sqrt(values[kept]), vectors[:, kept])
 
     @property
     def log_determinant(self) -> float:
@@ -239,11 +249,9 @@ class _Factor:
     @cached_property
     def root(self) -> Array:
         """(m, k) with H^-1 = root root^T."""
-        from scipy.linalg.lapack import dtrtri
-
         if self.L is None:
             return self.vectors / self.values
-        return np.asarray(dtrtri(self.L, lower=1)[0].T)
+        return np.asarray(np.linalg.inv(self.L.T))
 
     @property
     def variances(self) -> Array:
@@ -252,11 +260,9 @@ class _Factor:
 
     def solved(self, g: Array) -> Array:
         """H^-1 g."""
-        from scipy.linalg import cho_solve
-
         if self.L is None:
             return np.asarray(self.root @ (self.root.T @ g))
-        return np.asarray(cho_solve((self.L, True), g, check_finite=False))
+        return np.asarray(np.linalg.solve(self.H, g))
 
 
 def ordered_system(result: Result) -> OrderedSystem:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from loopcal import chi_squared
 from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.problem.problem import Problem, left_unmeasured, taken
+from loopcal.estimation.products import rows_times
 from loopcal.estimation.redundancy import UNCONTROLLED
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.reduced import Closed
@@ -86,7 +87,7 @@ def pose_tests(
 
 
 def _block(block: PoseEquations, fit: Fitted, fitted: NDArray[np.bool_]) -> PoseTests:
-    spread = (block.D @ fit.covariance) @ block.D.transpose(0, 2, 1)
+    spread = rows_times(block.D, fit.covariance) @ block.D.transpose(0, 2, 1)
     values, vectors = np.linalg.eigh(spread)
     # The eigenvalues of W: what the other poses leave to test in each direction.
     own = np.where(fitted[:, None], 1.0 - values, 1.0 / (1.0 + values))

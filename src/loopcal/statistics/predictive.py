@@ -114,12 +114,13 @@ def _ratios(fit: Result, stated: Array) -> Array:
 class Predictive:
     """What a fit stated of the misclosures of poses that it has not seen, and what they were.
 
-    log_density (N,): log N(misclosure; 0, W + J Cov_p J^T); zero for a pose without loops. squares
+    log_density (N,): log N(misclosure; 0, W + J Cov_p J^T); zero for a pose without loops,
+    None where the poses also say where the instrument stands. squares
     (N,): misclosure^2 over that covariance, F-distributed but for a factor with `loops` (N,) and
     `denominator` (N,) degrees of freedom.
     """
 
-    log_density: Array
+    log_density: Array | None
     squares: Array
     loops: NDArray[np.intp]
     denominator: Array

@@ -17,6 +17,7 @@ from loopcal.estimation.noise.learning import joint_covariances
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem.patterns import Pattern
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.products import rows_times
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.reduction import Spectrum
@@ -236,7 +237,7 @@ def _some(pattern: Pattern, total: int) -> NDArray[np.intp]:
 
 def by_parameters(known: Predictor, S: Array) -> Array:
     """C_p = S Cov S^T, (N, o, o); inf for outputs that an undetermined direction moves."""
-    covariance: Array = S @ known.covariance.matrix @ S.transpose(0, 2, 1)
+    covariance: Array = rows_times(S, known.covariance.matrix) @ S.transpose(0, 2, 1)
     for step in known.undetermined.T:
         effect = np.abs(S @ step)
         # measured by the largest single effect in the pose: an output may feel none of them

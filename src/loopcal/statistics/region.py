@@ -116,6 +116,8 @@ def _sds(known: Predictor, x: Array, constants: Array, also: list[int]) -> list[
     """
     machine = known.mechanism.predicting()
     names, values = machine.tape.quantities, np.array([p.nominal for p in machine.parameters])
+    if len(machine.outputs) + len(also) > len(machine.tape.loops):
+        also = []  # not even the loops say: it stays as it usually is
     solved = replace(machine, outputs=(*machine.outputs, *(names[i] for i in also)))
     x = x.copy()
     rows = [names.index(q) for q in solved.outputs]

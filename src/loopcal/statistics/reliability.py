@@ -21,6 +21,7 @@ from loopcal.document.plain import known
 from loopcal.document.reliability import Reliability, SensorReliability
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.products import rows_times
 from loopcal.estimation.redundancy import UNCONTROLLED, redundancy
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
@@ -158,8 +159,8 @@ def _moved(result: Result, equations: tuple[PoseEquations, ...], covariance: Arr
         return _Moved(by_error, None)
     root = covariance @ squares @ covariance
     for block in equations:
-        along = block.D.transpose(0, 2, 1) @ block.X
-        size = np.einsum("bnk,bnk->bk", along, root @ along)
+        spread = rows_times(block.D, root) @ block.D.transpose(0, 2, 1)
+        size = np.einsum("brk,brk->bk", block.X, spread @ block.X)
         by_error[:, block.poses] = np.sqrt(np.maximum(size, 0.0)).T
     return _Moved(by_error, unit)
 

@@ -191,7 +191,7 @@ def _sensor(name: str, every: Sequence[Dataset]) -> SensorScatter:
     # Var sum d^2 = 2 sigma^4 tr A^2 with tr A^2 = 6 n - 8 for each series
     matching = 2.0 * (N - S) ** 2 / (3 * N - 4 * S)
     lines = [_line(v) for v in centred]
-    slow = _slow(square, difference, counts)
+    slow = slow_p_value(square, difference, counts)
     return SensorScatter(
         name,
         stated,
@@ -264,7 +264,7 @@ def _drift_p_value(square: float, left: float, N: int, S: int) -> float | None:
     return float(fdtrc(S, N - 2 * S, (square - left) / S / (left / (N - 2 * S))))
 
 
-def _slow(square: float, difference: float, counts: NDArray[np.int_]) -> float | None:
+def slow_p_value(square: float, difference: float, counts: NDArray[np.int_]) -> float | None:
     """The p-value of C = 1 - sum d^2 / (2 S) against slow changes, which make it positive.
 
     Without drift E C = 0, Var C = (N - 2 s) / (nu (nu + 2)) for s series, |C| <= cos(pi / n);

@@ -21,6 +21,8 @@ from loopcal.errors import InputError, NoTrustworthyResult, listed
 from loopcal.estimation.noise.linear_model import linear_model
 from loopcal.estimation.problem.alignment import placed
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.solve.kernel import eliminate
+from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.station import Station
 from loopcal.statistics.gauge import carried, gauge, moved, rotation_by
@@ -97,7 +99,8 @@ def _named(mechanism: Mechanism, name: str) -> tuple[str, ...]:
 class Rows:
     """Whitened equations of some poses: e (b, r), J (b, r, n_all), noise (b, r, K) of components.
 
-    poses: positions; owner: (K,) the component of each column.
+    poses: positions; owner: (K,) the component of each column; root: (b, r, r) of the covariance
+    by which they are whitened.
     """
 
     poses: NDArray[np.intp]
@@ -105,6 +108,7 @@ class Rows:
     J: Array
     noise: Array
     owner: NDArray[np.intp]
+    root: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +118,8 @@ class Replaced:
     parameters: (n_all,); corrections: (k, N) [SI] of what no sensor reads; rows: the equations
     there; directions: (n_all, g) along which parameters may change; anew: (n_all,) whether a
     parameter is found anew by itself; carry: (n_all, n_all) how the
-    parameters change with those of the machine where it was calibrated, None for not at all.
+    parameters change with those of the machine where it was calibrated, None for not at all;
+    exact: whether the readings are taken as exact.
     """
 
     problem: Problem
@@ -124,6 +129,7 @@ class Replaced:
     directions: Array
     anew: NDArray[np.bool_]
     carry: Array | None = None
+    exact: bool = False
 
     @property
     def e(self) -> Array:
@@ -167,6 +173,26 @@ def replaced(
             remedy="check that the readings belong to this machine, and their columns and units",
         )
     return replace(found.replaced, carry=search.carry(place)) if freedom.whole else found.replaced
+
+
+def zero_columns(here: Replaced, quantities: Sequence[str]) -> Array:
+    """(R, q) how the whitened equations change with the zeros of these readings.
+
+    A zero is what a true value exceeds its reading by; columns have the sign of those of J.
+    """
+    sweeper = Sweeper(here.problem, exact=here.exact)
+    sweeper.at(here.parameters)
+    order = here.problem.mechanism.tape.quantities
+    found = []
+    for (pattern, block), rows in zip(sweeper.blocks(here.corrections), here.rows, strict=True):
+        values = sweeper.engine(pattern).evaluate(block.corrected, block.known)
+        unmeasured = list(block.noise.unmeasured)
+        by_reading = values.by_quantity[[order.index(q) for q in quantities]]
+        if unmeasured:
+            by_reading = eliminate(values.by_quantity[unmeasured]).apply(by_reading)
+        columns = by_reading[:, len(unmeasured) :].transpose(2, 1, 0)
+        found.append(np.linalg.solve(rows.root, columns).reshape(-1, len(quantities)))
+    return np.concatenate(found)
 
 
 def _damped(A: Array, e: Array, damping: float) -> Array:
@@ -219,6 +245,10 @@ class _Search:
         """Where points are best aligned; as calibrated where no points are seen, or too few."""
         start, d = self.problem.start, self._size
         stays = _Place(np.eye(d), np.zeros(d), start)
+        station = self.problem.mechanism.placement
+        anew = isinstance(station, Station) and {*station.parameters} <= {*self.freedom.names}
+        if not (self.freedom.whole or anew):
+            return stays
         try:
             mechanism, motion = placed(self.problem)
         except InputError:
@@ -239,10 +269,12 @@ class _Search:
                 unit = self.carry(place) @ unit
             unit = np.hstack([gauge(mechanism, values, self._centre), unit])
         corrections = found_unmeasured(problem, values, exact=self.variance is not None)
-        rows = tuple(self._rows(values, corrections))
+        rows = tuple(self.rows(values, corrections))
         anew = np.zeros(len(values), dtype=bool)
         anew[self._free] = True
-        found = Replaced(problem, values, corrections, rows, unit, anew)
+        found = Replaced(
+            problem, values, corrections, rows, unit, anew, None, self.variance is not None
+        )
         e, J = found.e, found.J
         finite = np.isfinite(e).all() and np.isfinite(J).all()
         return _Found(found, e, J, unit, float(e @ e) if finite else np.inf)
@@ -303,7 +335,7 @@ class _Search:
         shift = R @ (place.shift - centre) + centre + step[turns : turns + d]
         return _Place(R @ place.rotation, shift, values)
 
-    def _rows(self, values: Array, corrections: Array) -> list[Rows]:
+    def rows(self, values: Array, corrections: Array) -> list[Rows]:
         problem = self.problem
         model = linear_model(problem, values, corrections, self.components)
         everything = np.arange(len(problem.poses))
@@ -319,6 +351,7 @@ class _Search:
                     raise _exact(problem) from None
                 whitened = np.linalg.solve(L, block.columns)
             else:  # a loop has no value here
+                L = W
                 whitened = np.full_like(block.columns, np.nan)
             n = block.J.shape[2]
             found.append(
@@ -328,6 +361,7 @@ class _Search:
                     whitened[:, :, :n],
                     whitened[:, :, n + 1 :],
                     block.owner,
+                    np.asarray(L),
                 )
             )
         return found

@@ -25,6 +25,7 @@ from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.dependence.seen import seen, units_of
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.products import rows_times
 from loopcal.estimation.result import Result
 
 Array = NDArray[np.float64]
@@ -95,11 +96,11 @@ class SameRun:
     def covariance(self, poses: Positions, W: Array, J: Array) -> Array:
         """(b, r, r) of the misclosures of these poses, whose own noise at the sds of the fit is
         W (b, r, r), and J (b, r, m)."""
-        D, r = J @ self.root, W.shape[1]
+        D, r = rows_times(J, self.root), W.shape[1]
         X = np.linalg.cholesky(W) @ self.X[poses, :r]
         shared = X @ self.K[poses] @ np.swapaxes(D, -1, -2)
         own = self.white * W + self.level * X @ np.swapaxes(X, -1, -2)
-        fitted = D @ self.V @ np.swapaxes(D, -1, -2)
+        fitted = rows_times(D, self.V) @ np.swapaxes(D, -1, -2)
         found: Array = own + fitted - shared - np.swapaxes(shared, -1, -2)
         return found
 

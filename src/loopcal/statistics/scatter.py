@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from loopcal.document.fit import CovarianceEntry
 from loopcal.document.triangle import lower, symmetric
+from loopcal.estimation.products import rows_times
 from loopcal.estimation.result import Result
 
 Array = NDArray[np.float64]
@@ -61,7 +62,7 @@ def scatter(result: Result) -> Scatter | None:
     precision = np.zeros(len(covariance)) if method.exact else 1.0 / np.square(problem.prior_sd)
     found = covariance @ (precision[:, None] * covariance)
     for block in result.pose_equations():
-        turned = block.D @ covariance
+        turned = rows_times(block.D, covariance)
         own = np.eye(block.E.shape[1]) - turned @ block.D.transpose(0, 2, 1)
         values, vectors = np.linalg.eigh(own)
         root = vectors / np.sqrt(np.maximum(values, _LEAST))[:, None, :]

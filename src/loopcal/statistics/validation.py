@@ -28,6 +28,7 @@ from loopcal.estimation.accuracy import Accuracy, accuracy, by_pose, deviations
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.fit import Fit, FitOptions
+from loopcal.estimation.leaving_out import leaving_out
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
@@ -49,6 +50,7 @@ from loopcal.statistics.folds import (
     parts_of,
     stated_sds,
 )
+from loopcal.statistics.innovation import Linearised, components_of
 from loopcal.statistics.predictive import LEVEL, Held, Predictive, held_problem, predictive, taken
 from loopcal.statistics.replacing import Freedom, replaced
 from loopcal.statistics.same_run import Run
@@ -58,6 +60,8 @@ Array = NDArray[np.float64]
 NEARLY = 1e-2
 """Where sds of terms are learnt, refits converge to so many sds: far less than these are known, and
 no prediction moves by more than a hundredth of its error."""
+ENOUGH = 1e-5
+"""Where none are learnt: no prediction moves by more than a hundred-thousandth of its error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +254,8 @@ class Predicted:
 
     measured, differences (c, n) [SI]: what is compared, and computed minus measured ones; fit,
     held: the fit and these poses, None where it states nothing of them; rest: positions of the
-    poses of the fit, None where these poses are of another run.
+    poses of the fit, None where these poses are of another run; regions: what was stated where
+    the instrument was placed by these poses.
     """
 
     index: Index
@@ -259,6 +264,7 @@ class Predicted:
     fit: Result | None = None
     held: Held | None = None
     rest: Index | None = None
+    regions: Predictive | None = None
 
     def stated(self, drifting: Drifting | None) -> Predictive | None:
         """What the fit stated of them under the drift of all poses; None where it states nothing.
@@ -266,7 +272,7 @@ class Predicted:
         Computed on request: it costs as much as the fit, and what loses a choice never needs it.
         """
         if self.fit is None or self.held is None:
-            return None
+            return self.regions
         try:
             with one_blas_thread():
                 run = None if self.rest is None else Run(self.rest, self.index)
@@ -340,11 +346,13 @@ def _of_poses(
 class _Begun:
     """What the fits of all parts share: the calibration, and where that of all poses ended.
 
+    whole: that of all poses, None where a fit without some of them cannot begin one step from it;
     anew: whether a part places its instrument.
     """
 
     case: Case
     near: Case
+    whole: Result | None = None
     anew: bool = False
 
     @classmethod
@@ -355,17 +363,32 @@ class _Begun:
             noise = (noise or Noise({})).begun_at(learnt.factors)
         # the mechanism of the calibration has the prior already
         fit = replace(case.fit, start=dict(whole.value), prior=None)
-        if whole.mechanism.learnt_terms:
-            fit = replace(fit, tolerance=fit.tolerance or NEARLY)
+        enough = NEARLY if whole.mechanism.learnt_terms else ENOUGH
+        fit = replace(fit, tolerance=fit.tolerance or enough)
         sds = dict(zip(whole.mechanism.tape.quantities, whole.problem.uncertainty.sd, strict=True))
         unread = {q: v for q, v in whole.corrections.items() if np.isinf(sds[q]).all()}
         same = len(case.data) == whole.problem.count  # no copied rows went
         near = Case(whole.mechanism, case.data, noise, fit, near=unread if same else {})
-        return cls(case, near)
+        plain = fit.robust_loss is None and not fit.solver.at_readings
+        return cls(case, near, whole if same and plain else None)
 
-    def calibrated(self, index: Index) -> Result:
-        """The calibration of these poses, begun where that of all poses ended."""
-        found = self.near.calibrated(index)
+    def without(self, index: Index) -> Case:
+        """The case that begins where a fit without these poses will end, nearly."""
+        near, whole = self.near, self.whole
+        begun = None if whole is None else leaving_out(whole, index)
+        if begun is None:
+            return near
+        noise, learnt = near.noise, near.noise and near.noise.begin
+        if learnt:
+            factors = {name: begun.factor * size for name, size in learnt.items()}
+            noise = near.noise and near.noise.begun_at(factors)
+        fit = replace(near.fit, start=dict(begun.values))
+        return replace(near, mechanism=begun.mechanism, noise=noise, fit=fit)
+
+    def calibrated(self, gone: Index) -> Result:
+        """The calibration without these poses, begun near where it will end."""
+        index = np.setdiff1d(np.arange(len(self.case.data)), gone)
+        found = self.without(gone).calibrated(index)
         if found.spectrum.rank < len(found.estimated) or not found.status.converged:
             return self.case.calibrated(index)
         return found
@@ -376,12 +399,12 @@ def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
     which, index = piece
     begun = every[which]
     case = begun.case
-    rest = np.setdiff1d(np.arange(len(case.data)), index)
+    gone, rest = index, np.setdiff1d(np.arange(len(case.data)), index)
     first = index[~np.isin(index, begun.near.copied)]
     index = first if first.size else index
     with one_blas_thread():
         try:
-            found = begun.calibrated(rest)
+            found = begun.calibrated(gone)
             if not found.status.converged:
                 return Failed(index, f"the fit did not converge ({found.status.reason})")
             if begun.anew:
@@ -409,16 +432,23 @@ def _predicted(fit: Result, held: Held, index: Index) -> Predicted:
 def _placed_anew(fit: Result, data: Dataset, noise: Noise | None, index: Index) -> Predicted:
     """With every instrument placed by the readings of these poses; all else is held.
 
-    Their probability is not stated: they say where the instrument stands.
+    Stated is the region of each pose, less what the placement takes up of it; not their
+    probability, for they say where the instrument stands.
     """
     known = Calibrated.of(fit, "")
     own = None if noise is None or noise.estimate else noise
     problem = day_problem(known, data, own)
     variance = None if known.residual is None else known.residual.value
-    here = replaced(problem, Freedom.of(known.mechanism), variance=variance)
+    components = components_of(known, known.mechanism.tape.quantities)
+    freedom = Freedom.of(known.mechanism)
+    here = replaced(problem, freedom, variance=variance, components=components)
+    linear = Linearised.of(here, known)
+    seen = linear.by_pose(here)
+    denominator = np.full(len(index), linear.noise)
+    stated = Predictive(None, seen.squares, seen.loops, denominator)
     rows = [known.mechanism.tape.quantities.index(q) for q in known.mechanism.compared]
     differences = output_differences(problem, here.parameters, here.corrections)
-    return Predicted(index, problem.readings[rows], differences)
+    return Predicted(index, problem.readings[rows], differences, regions=stated)
 
 
 def _pooled(
@@ -447,16 +477,20 @@ def _pooled(
         words += f"; {len(parts)} of {len(made)} {kind} predicted"
     measured, differences = np.full((2, len(mechanism.compared), len(data)), np.nan)
     terms, inside = np.full((2, len(data)), np.nan)
-    judged = stating
+    judged = probable = stating
     drifting = whole.drifting if stating else None
     told = gathered(own_threads(), _stated, drifting, parts) if stating else [None] * len(parts)
     for part, stated in zip(parts, told, strict=True):
         measured[:, part.index] = part.measured
         differences[:, part.index] = part.differences
-        if stated is not None:
+        if stated is None:
+            judged = probable = False
+            continue
+        inside[part.index] = stated.inside()
+        if stated.log_density is None:
+            probable = False
+        else:
             terms[part.index] = stated.log_density
-            inside[part.index] = stated.inside()
-        judged = judged and stated is not None
     apart = deviations(mechanism, measured, differences)
     off = by_pose(apart)
     predicted = np.unique(np.concatenate([part.index for part in parts]))
@@ -464,10 +498,10 @@ def _pooled(
         MappingProxyType(dict(parts_left.stated)),
         words,
         accuracy(apart),
-        float(terms[predicted].sum()) if judged else None,
+        float(terms[predicted].sum()) if probable else None,
         tuple(data.poses[i] for i in predicted),
         None if off is None else off[predicted],
-        terms[predicted] if judged else None,
+        terms[predicted] if probable else None,
         len(made),
         failed,
         inside[predicted] if judged else None,

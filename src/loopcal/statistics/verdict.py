@@ -11,12 +11,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from loopcal.document.change_points import ChangePoint
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.terms import DECISIVE, TermEntry
 from loopcal.document.verdict import Answer, Verdict
 from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import chance, with_unit
+from loopcal.presentation.shown import chance, percent, with_unit
+from loopcal.presentation.wrapped import shortened
 from loopcal.statistics.answers import better, good_enough, valid
 from loopcal.statistics.judged_readings import (
     coarse,
@@ -43,6 +45,8 @@ SHRUNK = 0.1
 """A fit whose lengths add up to less than this share of the nominal ones has collapsed."""
 _MODELLED = 2
 """Learnt effects that a sound result names."""
+_NAMED = 3
+"""Change points that a finding names."""
 _GEOMETRY = ("lengths", "angles")
 """Terms that give a plain model nothing but priors."""
 
@@ -65,8 +69,7 @@ def _moved(document: ResultDocument) -> Said | None:
     found = [point for point in points if not point.modelled]
     if not found:
         return None
-    words = "; ".join(map(str, found[:3])) + ("; ..." if len(found) > 3 else "")
-    return Said(f"Something moved along the run: {words}.", float(len(found)))
+    return Said(f"Something moved along the run: {_first_of(found)}.", float(len(found)))
 
 
 def _moved_and_modelled(document: ResultDocument) -> Said | None:
@@ -74,12 +77,16 @@ def _moved_and_modelled(document: ResultDocument) -> Said | None:
     found = [point for point in points if point.modelled]
     if not found:
         return None
-    words = "; ".join(map(str, found[:3])) + ("; ..." if len(found) > 3 else "")
     return Said(
-        f"The fit models what changed along the run: {words}. Predictions hold after the last "
-        f"change.",
+        f"The fit models what changed along the run: {_first_of(found)}. Predictions hold after "
+        f"the last change.",
         float(len(found)),
     )
+
+
+def _first_of(found: Sequence[ChangePoint]) -> str:
+    more = len(found) - _NAMED
+    return "; ".join(map(str, found[:_NAMED])) + (f"; and {more} more" if more > 0 else "")
 
 
 def _plain_model(document: ResultDocument) -> Said | None:
@@ -197,10 +204,11 @@ def _spatial(document: ResultDocument) -> Said | None:
         return None
     worst = depends.spatial[0]
     assert worst.spatial is not None
-    correlation = significant(worst.spatial.correlation, 2)
+    share = percent(worst.spatial.correlation, 1)
     return Said(
-        f"Residuals of {worst.instrument!r} are alike in neighbouring poses (correlation "
-        f"{correlation}): the machine model lacks a term.",
+        f"The machine model lacks a term: {share} of the variance of the residuals of "
+        f"{worst.instrument!r} is common to poses that are near in joint space "
+        f"(p = {chance(worst.spatial.p_value)}).",
         worst.spatial.correlation,
     )
 
@@ -225,10 +233,8 @@ def _coverage(document: ResultDocument) -> Said | None:
     spread = math.sqrt(held.level * (1.0 - held.level) / held.poses)
     if held.level - held.share <= max(4.0 * spread, 0.05):
         return None
-    return Said(
-        f"Stated {held.level:.0%} regions hold only {held.share:.0%} of the poses not used.",
-        held.share,
-    )
+    level, share = percent(held.level), percent(held.share)
+    return Said(f"Stated {level} regions hold only {share} of the poses not used.", held.share)
 
 
 def _model_error(document: ResultDocument) -> Said | None:
@@ -470,8 +476,8 @@ def _headline(answers: Sequence[Answer]) -> str:
 
 
 def _first(words: str) -> str:
-    """The first sentence, to follow a colon."""
-    sentence = words.split(". ")[0].rstrip(".") + "."
+    """The first sentence, to follow a colon; cut where it is long, for the answer has it all."""
+    sentence = shortened(words.split(". ")[0].rstrip(".") + ".")
     word = sentence.split()[0]
     # a name stays as it is written
     usual = word.isalpha() and len(word) > 1 and word.istitle()

@@ -9,15 +9,15 @@ the same freedom, and beside the one that the stated covariance leads one to exp
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.accuracy import Distances
-from loopcal.errors import InputError
+from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import accuracy, by_pose, deviations, main_unit
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.prediction import output_differences
@@ -30,11 +30,11 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.change_tests import what_changed
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import (
     Linearised,
     components_of,
-    learnt_freedom,
 )
 from loopcal.statistics.replacing import Freedom, Replaced, replaced
 from loopcal.statistics.tolerance import Quantile
@@ -90,13 +90,19 @@ def day_problem(known: Calibrated, data: Dataset, noise: Noise | None) -> Proble
     noise: of these readings, else that of the calibration.
     """
     mechanism = known.mechanism
-    data = with_latest(mechanism, data)
+    data = with_latest(mechanism, data if noise else as_learnt(known, data))
     weighed = None if known.residual is not None else (noise or noise_of(known))
     if weighed is not None:
         mechanism, data = with_model(mechanism, data, weighed)
     # Nothing is estimated by it: with informative priors any number of poses will do.
-    free = mechanism.parameters.with_fixed(["*"], fixed=False).with_prior({"*": 1.0})
+    free = mechanism.parameters.with_prior({"*": 1.0}).with_fixed(["*"], fixed=False)
     return build_problem(mechanism.with_parameters(free), data, weighed)
+
+
+def as_learnt(known: Calibrated, data: Dataset) -> Dataset:
+    """The readings without sds of their own where the calibration has learnt better ones."""
+    learnt = {q for entry in known.noise if entry.source == "estimated" for q in entry.quantities}
+    return replace(data, sds={q: sd for q, sd in data.sds.items() if q not in learnt})
 
 
 def noise_of(known: Calibrated) -> Noise:
@@ -112,40 +118,92 @@ def noise_of(known: Calibrated) -> Noise:
     return Noise(entries | dict.fromkeys(unmeasured, np.inf))
 
 
+@dataclass(frozen=True, eq=False)
+class _Day:
+    """The poses of another day, at a machine that is held.
+
+    problem: at the calibrated parameters; variance: of every loop equation, where the readings are
+    taken as exact; components: quantities of each learnt sd.
+    """
+
+    known: Calibrated
+    problem: Problem
+    freedom: Freedom
+    variance: float | None
+    components: Sequence[Sequence[int]]
+
+    @classmethod
+    def of(cls, known: Calibrated, problem: Problem, freedom: Freedom) -> _Day:
+        variance = None if known.residual is None else known.residual.value
+        components = components_of(known, problem.mechanism.tape.quantities)
+        return cls(known, problem, freedom, variance, components)
+
+    def placed(self, problem: Problem) -> Replaced:
+        """These poses with the instrument placed anew."""
+        return replaced(problem, self.freedom, variance=self.variance, components=self.components)
+
+    def changed(self, parameters: Mapping[str, float], zeros: Mapping[str, float]) -> Replaced:
+        """Placed with changes of parameters and of the zeros of readings, by name [SI]."""
+        problem, names = self.problem, self.problem.mechanism.parameters.names
+        there = dict(zip(names, problem.start.tolist(), strict=True))
+        readings = problem.readings.copy()
+        for name, change in zeros.items():
+            readings[problem.mechanism.tape.quantities.index(name)] += change
+        for name, change in parameters.items():
+            there[name] += change
+        return self.placed(_with_values(replace(problem, readings=readings), there))
+
+    def linearised(self, here: Replaced) -> Linearised:
+        """The equations of the held machine there."""
+        return Linearised.of(here, self.known)
+
+    def as_drawn(self) -> tuple[Replaced | None, str | None]:
+        """The machine as drawn, placed with the same freedom; or why it cannot be."""
+        names = self.problem.mechanism.parameters.names
+        drawn = dict(zip(names, self.known.nominal.tolist(), strict=True))
+        try:
+            return replace(self, components=()).placed(_with_values(self.problem, drawn)), None
+        except (InputError, NoTrustworthyResult) as error:
+            return None, error.message
+
+
+def _with_values(problem: Problem, values: Mapping[str, float]) -> Problem:
+    mechanism = problem.mechanism.with_nominal(dict(values))
+    return replace(problem, start=np.array([*values.values()]), mechanism=mechanism)
+
+
 def _verified(
     known: Calibrated, problem: Problem, freedom: Freedom, tolerance: float | None
 ) -> Verification:
-    mechanism = problem.mechanism
-    variance = None if known.residual is None else known.residual.value
-    components = components_of(known, mechanism.tape.quantities)
-    here = replaced(problem, freedom, variance=variance, components=components)
-    linear = Linearised.of(here, known)
-    drawn = dict(zip(mechanism.parameters.names, known.nominal.tolist(), strict=True))
-    as_drawn = replace(problem, start=np.array([*drawn.values()]))
-    as_drawn = replace(as_drawn, mechanism=mechanism.with_nominal(drawn))
-    nominal = replaced(as_drawn, freedom, variance=variance)
+    mechanism, day = problem.mechanism, _Day.of(known, problem, freedom)
+    here = day.placed(problem)
+    linear = day.linearised(here)
+    nominal, unplaced = day.as_drawn()
     measured = problem.readings[[mechanism.tape.quantities.index(q) for q in mechanism.compared]]
     differences = _differences(here)
-    drawn_differences = _differences(nominal)
+    drawn = np.full_like(differences, np.nan) if nominal is None else _differences(nominal)
     apart = deviations(mechanism, measured, differences)
     distances = by_pose(apart)
-    others = by_pose(deviations(mechanism, measured, drawn_differences))
+    others = by_pose(deviations(mechanism, measured, drawn))
     gain = None
-    if distances is not None and others is not None:
+    if nominal is not None and distances is not None and others is not None:
         gain = Gain.in_rms(np.square(distances), np.square(others))
-    squares = _by_pose(here, linear)
+    beyond = known.carried or known.rejected is not None
+    changes = what_changed(here, linear, day.changed, day.linearised, beyond)
     return Verification(
         poses=problem.poses,
         unit=main_unit(apart) or "m",
         calibrated=_distances(mechanism, measured, differences),
-        nominal=_distances(mechanism, measured, drawn_differences),
-        expected=_expected(here, linear, variance, measured),
+        nominal=None if nominal is None else _distances(mechanism, measured, drawn),
+        expected=_expected(here, linear, day.variance, measured),
         gain=gain,
-        innovation=linear.innovation(learnt_freedom(known, here)),
+        innovation=linear.innovation() if changes is None else changes.test,
+        changes=changes,
         placed=_placed(here, linear, freedom),
-        worst=_worst(problem, distances, squares),
+        worst=_worst(problem, distances, linear.by_pose(here).squares),
         quantile=None if distances is None else Quantile.of(distances),
         tolerance=tolerance,
+        unplaced=unplaced,
     )
 
 
@@ -156,20 +214,6 @@ def _differences(here: Replaced) -> Array:
 def _distances(mechanism: Mechanism, measured: Array, differences: Array) -> Distances | None:
     found = accuracy(deviations(mechanism, measured, differences))
     return None if found is None else found.distances
-
-
-def _by_pose(here: Replaced, linear: Linearised) -> Array:
-    """(N,) chi-squared of each pose by itself, what was placed anew taken as known."""
-    left = linear.e - linear.F @ (linear.solve @ linear.e)
-    out, begin = np.full(len(here.problem.poses), np.nan), 0
-    for rows in here.rows:
-        b, r = rows.e.shape
-        A = linear.A[begin : begin + b * r].reshape(b, r, -1)
-        e = left[begin : begin + b * r].reshape(b, r, 1)
-        S = np.eye(r) + A @ A.transpose(0, 2, 1)
-        out[rows.poses] = (e * np.linalg.solve(S, e)).sum(axis=(1, 2))
-        begin += b * r
-    return out
 
 
 def _worst(problem: Problem, distances: Array | None, squares: Array) -> tuple[WorstPose, ...]:
@@ -235,7 +279,7 @@ def _expected(
     machine = S.by_parameter @ (follows - linear.root)
     own = _own_noise(problem, S.by_reading, outputs, variance)
     left = (len(linear.e) - linear.rank) / max(len(linear.e), 1)
-    own = own * np.sqrt(max(left, 0.0))
+    own = own * np.sqrt(max(left, 0.0) * linear.factor)
     draw = np.random.default_rng(0)
     found = []
     for _ in range(_DRAWS):

@@ -13,12 +13,10 @@ from loopcal.document.verdict import Answer, answer_lines
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import by_sd, chance, size, unit_shown, with_unit
 from loopcal.presentation.text_table import columns
+from loopcal.statistics.changed import WhatChanged
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Innovation
 from loopcal.statistics.tolerance import Quantile, judged
-
-SIGNIFICANT = 0.05
-"""p-value of the innovation below which the machine counts as changed."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +48,9 @@ class Verification:
     unit: SI unit of the distances; calibrated, nominal: accuracy of the machine as calibrated and
     as drawn, both placed anew by these poses; expected: what the stated covariance leads one to
     expect of the calibrated one; gain: of calibrated over nominal; innovation: the test of the
-    machine; placed: what was found anew; worst: poses, the farthest first; quantile: the distance
-    that 95 % of poses keep.
+    machine; changes: of single parameters and zeros of joints, None without redundancy; placed:
+    what was found anew; worst: poses, the farthest first; quantile: the distance that 95 % of poses
+    keep; unplaced: why the nominal machine cannot be placed, None where it can.
     """
 
     poses: tuple[str, ...]
@@ -61,10 +60,12 @@ class Verification:
     expected: Distances | None
     gain: Gain | None
     innovation: Innovation
+    changes: WhatChanged | None
     placed: tuple[Placed, ...]
     worst: tuple[WorstPose, ...]
     quantile: Quantile | None
     tolerance: float | None = None
+    unplaced: str | None = None
 
     @cached_property
     def verdict(self) -> Mapping[str, Answer]:
@@ -82,8 +83,8 @@ class Verification:
         return tuple(answer for answer in asked if answer.passed is False)
 
     def _consistent(self) -> Answer:
-        its = self.innovation
-        if its.p_value is None:
+        its, changes = self.innovation, self.changes
+        if its.p_value is None or changes is None:
             return Answer(
                 None,
                 "no-redundancy",
@@ -91,31 +92,32 @@ class Verification:
                 "These poses only determine what was placed anew.",
                 "Measure more poses.",
             )
-        words = f"{self._statistic()} (p = {chance(its.p_value)})."
-        if its.p_value < SIGNIFICANT:
-            return Answer(
-                False,
-                "changed",
-                its.p_value,
-                f"The machine is not as calibrated: {words}",
-                "Inspect the worst poses. If the reflector was mounted anew, state it "
-                "(--remounted). Otherwise calibrate again.",
-            )
-        return Answer(
-            True, "unchanged", its.p_value, f"The machine is as calibrated: {words}", None
-        )
+        if changes.verdict == "unchanged":
+            words = f"The machine is as calibrated: {self._statistic()}."
+            return Answer(True, "unchanged", its.p_value, words, None)
+        found = changes.found
+        told = "; ".join(change.words for change in found) if found else self._statistic()
+        words = f"The machine is not as calibrated: {told}."
+        p_value = min(its.p_value, *(change.p_value for change in found), 1.0)
+        if changes.verdict == "re-master":
+            return Answer(False, "re-master", p_value, words, changes.next)
+        return Answer(False, "changed", p_value, words, changes.next)
 
     def _statistic(self) -> str:
         its = self.innovation
         if its.learnt_freedom is None:
             size = significant(its.value, 4)
-            return f"chi-squared {size} at {its.degrees_of_freedom} degrees of freedom"
+            of = f"{its.degrees_of_freedom} degrees of freedom"
+            return f"chi-squared {size} at {of} (p = {chance(its.p_value)})"
         ratio = significant(its.value / its.degrees_of_freedom, 3)
         both = f"{its.degrees_of_freedom} and {significant(its.learnt_freedom, 3)}"
-        return f"F = {ratio} at {both} degrees of freedom"
+        return f"F = {ratio} at {both} degrees of freedom (p = {chance(its.p_value)})"
 
     def _better(self) -> Answer:
         mine, drawn, gain = self.calibrated, self.nominal, self.gain
+        if self.unplaced is not None:
+            words = f"The nominal machine cannot be placed: {self.unplaced}."
+            return Answer(None, "nominal-not-placed", None, words, None)
         if mine is None or drawn is None or gain is None:
             words = "The accuracy is unknown: too few of these poses have measured outputs."
             return Answer(None, "unknown-accuracy", None, words, None)
@@ -156,6 +158,7 @@ class Verification:
                 "learnt_freedom": its.learnt_freedom,
                 "p_value": its.p_value,
             },
+            "changes": None if self.changes is None else self.changes.document(),
             "placed": [asdict(one) for one in self.placed],
             "poses": len(self.poses),
             "worst": [asdict(one) for one in self.worst],
@@ -165,6 +168,8 @@ class Verification:
 
     def __str__(self) -> str:
         lines = [self.headline, *answer_lines(self.verdict)]
+        if self.changes is not None:
+            lines += ["", *self.changes.lines()]
         lines += ["", *self._accuracy_table()]
         if self.placed:
             lines += ["", *self._placed_table()]

@@ -10,10 +10,13 @@ from loopcal.estimation.plausible import refuse_other_units
 from loopcal.files.atomic import write_files
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.new_readings import read_new_readings
+from loopcal.files.project.project_file import Project
 from loopcal.files.project.stream import load_sample
 from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.tables.writer import check_ending, table_bytes
+from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
+from loopcal.planning.cure import Cure, cure
 from loopcal.statistics.check import Check, check
 from loopcal.statistics.prediction import Prediction, predict
 from loopcal.statistics.predictor import predictor_of
@@ -22,11 +25,16 @@ from loopcal.workflow.projects import named_project
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """A project that was looked at before any fit; warnings: about its readings."""
+    """A project that was looked at before any fit; warnings: about its readings.
+
+    cure: the poses that would raise a verdict that is not good; None where it is, or where nothing
+    says where poses may be.
+    """
 
     check: Check
     title: str
     warnings: tuple[str, ...]
+    cure: Cure | None = None
 
 
 def run_check(project: str | Path, *, function: str | None = None) -> Checked:
@@ -45,7 +53,17 @@ def run_check(project: str | Path, *, function: str | None = None) -> Checked:
         done = check(read.mechanism, loaded.dataset, noise=noise, start=read.fit.settings.start)
     except InputError as error:
         raise error.at(read.name) from None
-    return Checked(done, read.title, tuple(str(warning) for warning in loaded.warnings))
+    warnings = tuple(str(warning) for warning in loaded.warnings)
+    return Checked(done, read.title, warnings, _cure(done, read, loaded.dataset, noise))
+
+
+def _cure(done: Check, project: Project, data: Dataset, noise: Noise | None) -> Cure | None:
+    if done.verdict == "good" or noise is None:
+        return None
+    try:
+        return cure(project.mechanism, data, noise, project.plan)
+    except InputError:
+        return None  # nothing says where poses may be
 
 
 def run_prediction(

@@ -38,7 +38,7 @@ def performance(
     tracker: its name or "RANGE, TRANSVERSE" from the data sheet, measuring from the origin of the
     readings; distances: pairs of poses.
 
-    AP = |mean - commanded|, RP = mean distance from the mean + 3 sd; see
+    AP = ``|mean - commanded|``, RP = mean distance from the mean + 3 sd; see
     `loopcal.pose_performance.performance` for all formulas and their sources. Raises InputError
     with file, row and column.
     """

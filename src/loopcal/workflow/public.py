@@ -15,8 +15,12 @@ from loopcal.files.project import project_data
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.readers import read_dataset
+from loopcal.life import updating
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
+from loopcal.measurements.plan_settings import PlanSettings
+from loopcal.planning import plan as planning
+from loopcal.planning.planned import Plan
 from loopcal.simulation import simulate as simulating
 from loopcal.simulation.simulate import Simulation
 from loopcal.statistics import calibrate as calibrating
@@ -46,9 +50,11 @@ from loopcal.workflow.given import (
     fitted,
     later_readings,
     predictor_from,
+    readings,
     result_of,
     stated,
 )
+from loopcal.workflow.planning import Known, candidates_of, known_of, of_calibration, settings_of
 from loopcal.workflow.simulation import simulated
 
 Found = TypeVar("Found", covariant=True)
@@ -166,6 +172,7 @@ validate = _on_machine(validating.validate)
 compare_models = _on_machine(models.compare_models)
 predict = _on_result(prediction.predict, predictor_from, whole=False)
 verify = _on_result(verification.verify, calibrated_from, whole=True)
+update = _on_result(updating.update, calibrated_from, whole=True)
 findings = _on_fit(finding.findings)
 find_outliers = _on_fit(outliers.find_outliers)
 find_shifts = _on_fit(change_points.find_shifts)
@@ -213,6 +220,41 @@ def simulate(
     if "start" not in options:
         own.pop("start", None)  # of a fit
     return simulating.simulate(given.mechanism, given.data, seed=seed, **own)
+
+
+@wraps(planning.plan)
+def plan(
+    mechanism: Any,
+    poses: int = 30,
+    *,
+    candidates: Any = None,
+    existing: Any = None,
+    units: Units = None,
+    **options: Any,
+) -> Plan:
+    """`plan`, of paths and projects too."""
+    its = described(mechanism)
+    if isinstance(its, Project):
+        known = known_of(its, existing)
+        options.setdefault("settings", settings_of(its))
+    elif (
+        existing is None or isinstance(existing, Dataset | Mapping) or hasattr(existing, "columns")
+    ):
+        machine = getattr(its, "mechanism", its)
+        data = None if existing is None else readings(existing, machine, units)
+        known = Known(machine, options.pop("noise", getattr(its, "noise", None)), data)
+    else:
+        known = of_calibration(existing)
+    options.setdefault("noise", known.noise)
+    options["settings"] = known.settled(options.get("settings") or PlanSettings())
+    if candidates is not None:
+        if isinstance(its, Project) and isinstance(candidates, str | Path):
+            candidates = candidates_of(its, candidates)
+        else:
+            candidates = readings(candidates, known.mechanism, units)
+    return planning.plan(
+        known.mechanism, poses, candidates=candidates, existing=known.existing, **options
+    )
 
 
 @wraps(repeats.repeated_readings)

@@ -66,6 +66,7 @@ def simulated(project: Project, seed: int) -> Simulation:
             place=project.name,
             remedy="add [simulation.ranges], one line per driven quantity",
         )
+    project.simulation.refuse_missing()
     try:
         return simulate(
             project.mechanism,

@@ -5,9 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import loopcal as lc
 from analyses.instruments import Setup, setup
+from loopcal.estimation.faults import search
+from loopcal.estimation.faults.misfit import Misfit, misfit
+from loopcal.estimation.faults.repairs import repairs
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import Problem, build_problem
 
@@ -51,3 +55,28 @@ def test_a_length_a_thousand_times_smaller_makes_no_better_machine() -> None:
     bent = whole.readings.copy()
     bent[list(whole.mechanism.quantities).index("wire")] += 0.02 * np.sin(3.0 * np.arange(60.0))
     assert column_faults(replace(whole, readings=bent)) == ()
+
+
+def test_a_search_without_bounds_is_cut_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exchanged columns go first: their number grows with the square of the columns."""
+    given = setup("two-link point")
+    rng = np.random.default_rng(1)
+    whole = problem(given, 40)
+    driven = [whole.mechanism.tape.quantities.index(q) for q in given.driven]
+    readings = whole.readings.copy()
+    readings[driven] = readings[driven][:, rng.permutation(40)]
+    whole = replace(whole, readings=readings)
+    every = list(repairs(whole))
+    pairs = sum(one.code == "exchanged" for one in every)
+    monkeypatch.setattr(search, "MOST_READ", len(every) - pairs)
+    tried: list[Problem] = []
+
+    def counted(one: Problem, rounds: int = 3, steps: int = 10, kept: float = 0.9) -> Misfit:
+        tried.append(one)
+        return misfit(one, rounds, steps, kept)
+
+    monkeypatch.setattr(search, "misfit", counted)
+    (fault,) = column_faults(whole)
+    assert fault.code in ("wrong-machine", "rows-shuffled")
+    assert len(tried) <= len(every) - pairs + 20
+    assert f"{pairs:,} of {len(every):,} possible faults" in fault.words

@@ -24,7 +24,7 @@ from loopcal.mechanisms.prior import Prior
 from loopcal.simulation.simulate import simulate
 from tests.reference.optimality import diagonal, optimality
 from tests.reference.random_cases import cases
-from tests.reference.simulated import Simulated, ma1400, planar_arm
+from tests.reference.simulated import Simulated, arm_at, ma1400, planar_arm
 from tests.refusals import refused
 
 EXPONENTS = st.floats(-6, -0.7)
@@ -149,6 +149,26 @@ def read_by_a_poor_second_joint(draw: int, factor: float = 1.0) -> Problem:
     truth = {p.name: p.nominal + rng.normal(0.0, 1e-3) for p in arm.parameters}
     made = simulate(arm, Dataset.from_arrays(poses), noise=Noise(sds), seed=draw, truth=truth)
     return build_problem(arm, made.dataset, Noise(sds | {"phi3": factor * 1e-2}))
+
+
+@pytest.mark.parametrize(
+    ("poses", "spread", "seed"), [(100, 0.01, 0), (100, 0.01, 3), (100, 0.01, 6), (20, 0.3, 1)]
+)
+def test_a_fit_from_the_truth_ends_no_higher_than_the_true_corrections(
+    poses: int, spread: float, seed: int
+) -> None:
+    """Encoders of 0.1 rad near the stretched elbow, where loops close at far points too."""
+    truth = planar_arm(1).truth
+    rng = np.random.default_rng(seed)
+    elbow = 0.021 + rng.normal(0.0, spread, poses)
+    simulated = arm_at(truth, np.array([rng.uniform(-np.pi, np.pi, poses), elbow]))
+    sds = {"xP": 1e-4, "yP": 1e-4, "phi2": 0.1, "phi3": 0.1}
+    data = simulated.read(sds, seed=seed)
+    true = sum(float(np.square((data[q] - simulated.exact[q]) / sds[q]).sum()) for q in sds)
+    problem = build_problem(truth, data, Noise(sds))
+    began = solve(problem, max_iterations=0)
+    assert began.chi_squared <= true
+    assert solve(problem).chi_squared <= began.chi_squared * (1 + 1e-9)
 
 
 def test_open_loops_are_never_the_lowest_point() -> None:

@@ -71,6 +71,23 @@ def test_column_zero_is_the_number_of_the_row(tmp_path, every):
     assert data["phi2"].tolist() == [1, 2, 3][::every]
 
 
+def test_a_quantity_without_a_column_is_named_with_the_columns_there(tmp_path):
+    columns = COLUMNS.replace('xP = { column = "X", unit = "mm" }\n', "")
+    with refused("missing-column", "'xP'", "'uX'", "sd = inf"):
+        load(tmp_path, "", columns=columns)
+
+
+def test_a_known_constant_without_a_column_is_not_offered_an_sd(tmp_path):
+    head = HEAD.replace(
+        '"planar-two-link"\n',
+        '"serial"\njoint = [{ name = "q1" }]\n[[mechanism.instrument]]\ntype = "pose"\n',
+    )
+    csv = "q1,x,y,z,qw,qx,qy\n0,1,0,0,1,0,0\n"
+    with refused("missing-column", "known constant 'qz'", "every pose") as caught:
+        load(tmp_path, "", csv=csv, head=head, columns="")
+    assert "inf" not in str(caught.value)
+
+
 def test_poses_are_thinned_and_left_out(tmp_path):
     data = load(tmp_path, 'pose = "pose"\nevery = 2\nexclude = ["a"]').dataset
     assert data.poses == ("c",)

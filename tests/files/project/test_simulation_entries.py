@@ -10,6 +10,7 @@ import pytest
 from loopcal.errors import InputError
 from loopcal.files.project.project_file import read_project
 from loopcal.files.project.simulation_entries import SimulationSpec
+from loopcal.workflow.simulation import simulated
 from tests.refusals import refused
 
 HEAD = 'schema = 1\n[mechanism]\ntype = "planar-two-link"\n[noise]\n"*" = 1e-3\n[simulation]\n'
@@ -133,3 +134,32 @@ def test_what_does_not_fit_is_refused_at_its_place(text, place, words):
     assert place in str(caught.value.place)
     assert words in str(caught.value)
     assert caught.value.remedy
+
+
+CAMERA = """schema = 1
+[mechanism]
+type = "serial"
+joint = [{ name = "q1", d = 0.4, alpha = 1.57 }, { name = "q2", a = 0.5 }]
+[[mechanism.instrument]]
+type = "pose"
+name = "camera"
+[noise]
+"*" = 1e-4
+[simulation]
+poses = 3
+"""
+
+
+@pytest.mark.parametrize("name", ["x", "camera_wx", "qw"])
+def test_what_an_instrument_reads_is_not_driven_and_the_joints_are_named(name: str) -> None:
+    text = f"[simulation.ranges]\nq1 = {{ from = 0, to = 1 }}\n{name} = {{ from = 0, to = 1 }}\n"
+    with refused("unknown-name", name) as caught:
+        read_project("-", text=CAMERA + text)
+    assert caught.value.remedy == "give the ranges of q1, q2"
+
+
+def test_a_missing_range_is_refused_at_one_place() -> None:
+    text = "[simulation.ranges]\nq1 = { from = 0, to = 1 }\n"
+    with refused("missing-key", "'q2'") as caught:
+        simulated(read_project("-", text=CAMERA + text), 1)
+    assert caught.value.place == "standard input: simulation.ranges"

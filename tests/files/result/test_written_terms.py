@@ -42,7 +42,7 @@ def test_a_written_result_predicts_what_the_one_in_memory_does(tmp_path: Path) -
         np.testing.assert_allclose(found.outputs[name], now.outputs[name], atol=1e-12)
         np.testing.assert_allclose(found.sd[name], now.sd[name], rtol=1e-9)
     np.testing.assert_allclose(found.denominator, now.denominator, rtol=0.02)
-    assert read.document.terms == result.terms
+    assert read.document.terms == findings(result).added_to(result.document).terms
 
 
 def test_symmetric_matrices_are_triangles_and_whole_rows_are_read_alike(tmp_path: Path) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
 from loopcal.files.tables.attained import read_attained, rotations, template
@@ -40,6 +42,17 @@ def test_headers_of_others_mean_the_same(tmp_path: Path, head: str) -> None:
     read = read_attained(written(tmp_path, head, *(row.replace(",", ";") for row in ROWS)))
     assert read.pose == ("A", "A", "B")
     assert read.measured[0] == pytest.approx([0.1001, 0.0, 0.0])
+
+
+def test_workbooks_and_parquet_mean_the_same(tmp_path: Path) -> None:
+    text = read_attained(written(tmp_path, HEAD, *ROWS))
+    table = pl.read_csv(tmp_path / "poses.csv")
+    table.write_excel(tmp_path / "poses.xlsx")
+    table.write_parquet(tmp_path / "poses.parquet")
+    for name in ("poses.xlsx", "poses.parquet"):
+        read = read_attained(tmp_path / name)
+        assert (read.pose, read.cycle) == (text.pose, text.cycle)
+        np.testing.assert_array_equal(read.measured, text.measured)
 
 
 def test_commanded_poses_from_another_table(tmp_path: Path) -> None:
@@ -133,6 +146,18 @@ def test_what_cannot_be_used_is_refused_with_its_place(
 ) -> None:
     with refused(code, *stated):  # type: ignore[arg-type]
         read_attained(written(tmp_path, *lines))
+
+
+def test_a_person_is_asked_once_for_each_dimension(tmp_path: Path) -> None:
+    asked: list[str] = []
+
+    def ask(question: str, answers: Sequence[str]) -> int:
+        asked.append(question)
+        return answers.index("mm")
+
+    path = written(tmp_path, HEAD.replace(" [mm]", ""), *ROWS)
+    assert read_attained(path, ask=ask).measured[0, 0] == pytest.approx(0.1001)
+    assert len(asked) == 1
 
 
 def test_wrong_options_are_refused(tmp_path: Path) -> None:

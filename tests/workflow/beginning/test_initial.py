@@ -481,6 +481,7 @@ def test_two_trackers_of_one_reflector_are_two_stations(tmp_path: Path, arm: Any
     made = lc.init({**of(joints, NAMES), **columns}, dh=dh(tmp_path))
     names = made.mechanism.parameters.names
     assert "station_2_x" in names
+    assert any("x_2, y_2, z_2: target tool, station station_2" in w for w in made.remarks)
     assert [n for n in names if n.startswith("tool")] == ["tool_x", "tool_y", "tool_z"]
     result = lc.calibrate(made, method="least-squares")
     assert result.accuracy_after is not None
@@ -584,6 +585,45 @@ def test_the_sheet_with_the_readings_is_taken(tmp_path: Path, arm: Any) -> None:
         book.add_worksheet("Notes").write(0, 0, "measured on Monday")
     with refused("no-data", "Notes"):
         lc.init(path, dh=dh(tmp_path))
+
+
+def test_of_several_sheets_the_large_one_is_read_and_equal_ones_are_named(
+    tmp_path: Path, arm: Any
+) -> None:
+    import xlsxwriter
+
+    rows = np.hstack(arm)
+
+    def book(few: int) -> Path:
+        path = tmp_path / f"{few}.xlsx"
+        with xlsxwriter.Workbook(str(path)) as made:
+            for name, number in (("Test", few), ("Data", len(rows))):
+                sheet = made.add_worksheet(name)
+                sheet.write_row(0, 0, [*NAMES, "x", "y", "z"])
+                for i, row in enumerate(rows[:number], 1):
+                    sheet.write_row(i, 0, row)
+        return path
+
+    made = lc.init(book(10), dh=dh(tmp_path), out=tmp_path / "a")
+    assert 'sheet = "Data"' in made.text
+    assert any("'Test' (10 rows)" in words for words in made.remarks)
+    alike = book(len(rows))
+    with refused("missing-key", "'Test'", "'Data'", "--sheet"):
+        lc.init(alike, dh=dh(tmp_path))
+    made = lc.init(alike, dh=dh(tmp_path), out=tmp_path / "b", sheet="Test")
+    assert 'sheet = "Test"' in made.text
+
+
+def test_of_several_matlab_variables_one_is_named(tmp_path: Path, arm: Any) -> None:
+    from scipy.io import savemat
+
+    rows = np.hstack(arm)
+    savemat(tmp_path / "a.mat", {"first": rows, "second": rows[:10]})
+    with refused("wrong-file-type", "first", "second", "--sheet"):
+        lc.init(tmp_path / "a.mat", dh=dh(tmp_path))
+    made = lc.init(tmp_path / "a.mat", dh=dh(tmp_path), out=tmp_path / "out", sheet="first")
+    assert 'variable = "first"' in made.text
+    assert len(lc.load_dataset(tmp_path / "out" / "project.toml").dataset) == len(rows)
 
 
 def test_a_joint_that_counts_from_another_zero_is_named(tmp_path: Path, arm: Any) -> None:

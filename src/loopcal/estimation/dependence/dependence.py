@@ -14,6 +14,7 @@ from loopcal.estimation.dependence.seen import instruments, seen
 from loopcal.estimation.dependence.serial import Drift, Whole, learnt_drift
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.products import rows_times
 from loopcal.estimation.solve.solution import Solution
 
 Array = NDArray[np.float64]
@@ -22,6 +23,8 @@ MOST_NEIGHBOURS = 2000
 """Poses among which neighbours in joint space are sought; of more, every second, third, ..."""
 _APART = 0.1
 """Poses closer in order than this share of all are no neighbours in joint space."""
+_ROUNDING = 1e-14
+"""Chi-squared per degree of freedom up to which residuals are rounding: readings without noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +57,12 @@ def dependence(
     informed = 0 if exact else int(np.isfinite(problem.prior_sd).sum())
     freedom = whole.equations + informed - root.shape[1]
     square = whole.EE + whole.square
+    families = instruments(problem)
+    if not square > _ROUNDING * freedom:
+        untested = tuple(InstrumentDependence(f.name, None, None) for f in families)
+        return Depending(Dependence(untested, LEVEL))
     order = pose_order(problem)
     pairs = _spatial(problem, order)
-    families = instruments(problem)
     rows = []
     for family in families:
         own = seen(problem, equations, root, family.readings)
@@ -109,7 +115,7 @@ def _whole(
     k = root.shape[1]
     DD, DE, EE, count = np.zeros((k, k)), np.zeros(k), 0.0, 0
     for block in equations:
-        D, E = (block.D @ root).reshape(-1, k), block.E.ravel()
+        D, E = rows_times(block.D, root).reshape(-1, k), block.E.ravel()
         DD, DE, EE, count = DD + D.T @ D, DE + D.T @ E, EE + float(E @ E), count + len(E)
     precision = np.zeros(len(root)) if exact else 1.0 / np.square(problem.prior_sd)
     away = problem.nominal - solution.parameters[problem.free]

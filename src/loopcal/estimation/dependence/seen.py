@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.products import rows_times
 from loopcal.mechanisms.mechanism import Family
 
 Array = NDArray[np.float64]
@@ -64,7 +65,7 @@ def seen(
         X = block.X[:, :, rows] * units * ~missing.T[block.poses][:, None, :]
         turned = X.transpose(0, 2, 1)
         found.y[block.poses] = np.einsum("bqr,br->bq", turned, block.E)
-        found.A[block.poses] = turned @ (block.D @ root)
+        found.A[block.poses] = turned @ rows_times(block.D, root)
         found.M[block.poses] = turned @ X
     return found
 

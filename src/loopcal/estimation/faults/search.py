@@ -56,6 +56,9 @@ UNREPAIRED = ("rows-shuffled", "wrong-machine")
 """Codes of faults that no repair proves: a fit may yet show that only the drawing is far off."""
 SAME = 0.05
 """Two sets of points have the same shape if the quantiles of their distances differ by less."""
+MOST_READ, MOST_UNREAD = 1000, 200
+"""So many repairs are tried, the second where each takes a search for what nobody reads: at most
+some ten seconds of one core, whatever the machine."""
 _SAMPLE, _FEW, _FEWEST, _MOST, _STEPS, _FIRST, _BEST = 120, 40, 10, 3, 15, 3, 8
 
 
@@ -150,16 +153,17 @@ def _gravest(file: _File, *, found: bool) -> tuple[Repair, ColumnFault] | None:
     if found and before <= NEAR:
         return None
     few = _FEWEST if unread(problem) else _FEW
-    first = [(misfit(_thinned(r.problem, few), 1, _FIRST).share, r) for r in repairs(problem)]
+    tried = _tried(problem).repairs
+    first = [(misfit(_thinned(r.problem, few), 1, _FIRST).share, r) for r in tried]
     least = min((share for share, _ in first), default=math.inf)
     if math.isinf(least) or not least < before:
         return None
     order = np.argsort([share for share, _ in first], kind="stable")[:_BEST]
-    tried = [(misfit(_thinned(first[i][1].problem, _SAMPLE)).share, i) for i in order]
-    least = min(share for share, _ in tried)
+    near = [(misfit(_thinned(first[i][1].problem, _SAMPLE)).share, i) for i in order]
+    least = min(share for share, _ in near)
     if not least <= min(MUCH_BETTER * before, PLAUSIBLE):
         return None
-    alike = [first[i][1] for i in sorted(i for share, i in tried if share <= EQUAL * least)]
+    alike = [first[i][1] for i in sorted(i for share, i in near if share <= EQUAL * least)]
     after = misfit(alike[0].problem)
     drawn = bool(undrawn(problem.mechanism))
     if not (drawn and least <= SURE * before):
@@ -181,6 +185,31 @@ def _gravest(file: _File, *, found: bool) -> tuple[Repair, ColumnFault] | None:
     return best, told
 
 
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """The repairs that are tried, and how many there are."""
+
+    repairs: list[Repair]
+    count: int
+
+    @property
+    def words(self) -> str:
+        """What was not tried; empty where all were."""
+        left = self.count - len(self.repairs)
+        what = "exchanged or altered columns"
+        return (
+            f"; {left:,} of {self.count:,} possible faults ({what}) were not tried" if left else ""
+        )
+
+
+def _tried(problem: Problem) -> _Tried:
+    """As many repairs as time allows: of exchanged columns, whose pairs are many, what is left."""
+    every = list(repairs(problem))
+    most = MOST_UNREAD if unread(problem) else MOST_READ
+    order = sorted(range(len(every)), key=lambda i: every[i].code == "exchanged")
+    return _Tried([every[i] for i in sorted(order[:most])], len(every))
+
+
 def _fitted(problem: Problem, good: NDArray[np.intp]) -> float:
     good = good[good < problem.count]
     return fit_of_all(_thinned(taken(problem, good), _SAMPLE), _STEPS)
@@ -198,12 +227,13 @@ def _hopeless(problem: Problem) -> tuple[ColumnFault, ...]:
     if _same_shape(problem):
         words = (
             "the readings of the instrument belong to these poses, but in another order (shuffled "
-            "rows, or ids that do not match)"
+            f"rows, or ids that do not match){_tried(problem).words}"
         )
         return (ColumnFault(names, words, known(left.size), None, True, "rows-shuffled"),)
     words = (
         f"the nominal machine does not describe these readings: wherever it is placed, half of the "
         f"poses are more than {how} off; another robot type, or joint readings of another file"
+        f"{_tried(problem).words}"
     )
     return (ColumnFault(names, words, known(left.size), None, True, "wrong-machine"),)
 

@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.noise.linear_model import whitened_model
 from loopcal.estimation.noise.variances import owners
+from loopcal.estimation.products import rows_times
 from loopcal.small_samples import LearntCovariance
 
 if TYPE_CHECKING:
@@ -96,15 +97,16 @@ class LearntParameters:
 
     def through(self, S: Array) -> LearntCovariance:
         """Of S times the parameters, S (N, m, n); cheaper than by `covariance`."""
-        R = S @ self.root
+        R = rows_times(S, self.root)
         turned = np.swapaxes(R, -1, -2)
         plain = R @ turned
-        parts = [R @ own @ turned for own in self.sensors]
+        parts = [rows_times(R, own) @ turned for own in self.sensors]
         for loading in self.loadings:
-            T = R @ loading.T
+            T = rows_times(R, loading.T)
             parts.append(T @ np.swapaxes(T, -1, -2))
         slopes = np.tensordot(self.errors.T, np.array(parts).reshape(-1, *plain.shape), 1)
-        return LearntCovariance(plain + 2.0 * R @ self.added @ turned, plain, slopes)
+        added = 2.0 * rows_times(R, self.added) @ turned
+        return LearntCovariance(plain + added, plain, slopes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +179,7 @@ def _by_pose(estimate: NoiseEstimate) -> _Sensors:
     c, rank = len(found.ratios), at.root.shape[1]
     first, second = np.zeros((c, rank, rank)), np.zeros((c, c, rank, rank))
     for J, W, owner in at.blocks:
-        Y = W.transpose(0, 2, 1) @ (J @ at.root)
+        Y = rows_times(W.transpose(0, 2, 1) @ J, at.root)
         parts = []
         for j in range(c):
             own = Y[:, owner == j]

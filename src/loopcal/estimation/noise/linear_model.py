@@ -25,8 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.products import rows_times
 from loopcal.estimation.solve.kernel import eliminate, loadings
-from loopcal.estimation.solve.reduction import WELL_CONDITIONED
+from loopcal.estimation.solve.reduction import WELL_CONDITIONED, inverse_of_upper
 from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]
@@ -211,17 +212,15 @@ def _solved(model: LinearModel, joined: Joined) -> _Solved:
 
 def _by_products(model: LinearModel, joined: Joined) -> _Solved | None:
     """By the triangle of the products; None where their rounding would show."""
-    from scipy.linalg.lapack import dtrtri
-
     prior = _prior_rows(model)
     total = joined.total + prior.T @ prior
     scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-300))
     try:
-        R = np.linalg.cholesky(total * scale * scale[:, None]).T
+        R = np.asarray(np.linalg.cholesky(total * scale * scale[:, None]).T, dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
     n = len(R) - 1
-    inverse = dtrtri(R[:n, :n])[0]
+    inverse = inverse_of_upper(R[:n, :n])
     if not np.linalg.norm(R[:n, :n]) * np.linalg.norm(inverse) <= WELL_CONDITIONED:
         return None
     own, size = scale[:n], 1.0 / scale[n]
@@ -274,9 +273,8 @@ def _slopes(model: LinearModel, joined: Joined, root: Array, dp: Array) -> tuple
     score, pairs = np.zeros(count), np.zeros((count, count))
     inner = np.zeros((count, rank, rank))
     for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
-        poses, _, K = W.shape
         turned = W.transpose(0, 2, 1)
-        Y = ((turned @ rows[:, :, :n]).reshape(-1, n) @ root).reshape(poses, K, rank)
+        Y = rows_times(turned @ rows[:, :, :n], root)
         C, Q = turned @ W, Y @ Y.transpose(0, 2, 1)
         r = rows[:, :, n] - rows[:, :, :n] @ dp
         misfit = np.square(turned @ r[:, :, None])[:, :, 0].sum(axis=0)

@@ -158,8 +158,6 @@ def scoring_step(current: MixedFit, ratios: Array, lowest: Array, free: NDArray[
 
     With I = A^T A and u = ratios + d - lowest it is the least |A u - b| over u >= 0.
     """
-    from scipy.optimize import nnls
-
     step = np.zeros_like(ratios)
     diagonal = np.diag(current.information)
     index = np.flatnonzero(free & (diagonal > 0.0))
@@ -172,8 +170,20 @@ def scoring_step(current: MixedFit, ratios: Array, lowest: Array, free: NDArray[
     A = root[:, None] * vectors.T
     above = (ratios - lowest)[index] / scale
     b = A @ above + (vectors.T @ (current.score[index] * scale)) / root
-    step[index] = np.maximum(nnls(A, b)[0] - above, -above) * scale
+    step[index] = np.maximum(_least_above_zero(A, b) - above, -above) * scale
     return step
+
+
+def _least_above_zero(A: Array, b: Array) -> Array:
+    """The u >= 0 of least |A u - b|; A: square, of full rank."""
+    free = np.linalg.solve(A, b)
+    if (free >= 0.0).all():
+        return np.asarray(free)
+    if len(free) == 1:
+        return np.zeros(1)
+    from scipy.optimize import nnls  # slow to load, and seldom needed
+
+    return np.asarray(nnls(A, b)[0])
 
 
 def _improved(

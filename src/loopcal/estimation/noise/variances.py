@@ -139,6 +139,26 @@ def by_common_factor(problem: Problem, end: End[Any], ratio: float | None) -> Va
     return Variances(np.array([ratio * at.factor]), at.criterion + volume, True, learnt)
 
 
+@dataclass(frozen=True)
+class Learnt:
+    """The problem at the sds of its terms, and the factor common to all noise."""
+
+    problem: Problem
+    factor: float
+
+
+def learnt_by_sums(
+    problem: Problem, sums: Sums, parameters: Array, components: Sequence[Sequence[int]]
+) -> Learnt:
+    """What the sums of some poses say of the terms, and of all noise where it is learnt.
+
+    parameters: (n_all,) where the loops were linearised.
+    """
+    start = begun(scales_of(problem), common=all_learnt(problem, components))
+    at = learn_scales(system_of(problem, sums, parameters), start)
+    return Learnt(begun_with(problem, at.scales), at.factor)
+
+
 def in_turn(
     problem: Problem, linear: LinearModel, ratios: Array, lowest: Array, *, common: bool
 ) -> Variances:

@@ -13,7 +13,7 @@ from loopcal.estimation.solve.merit import Evaluation, State
 from loopcal.estimation.solve.reduction import Spectrum
 
 Array = NDArray[np.float64]
-_PLACES, _ARRAYS = ("first", "current", "lowest"), ("effects", "last_step")
+_PLACES, _ARRAYS = ("first", "current", "lowest"), ("effects", "last_step", "recent")
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,12 @@ class Checkpoint(Generic[State]):
     """What the solver keeps at the beginning of an iteration: all it needs to go on exactly.
 
     first, current, lowest: where the search began, is, and was lowest; effects: (n,) lengths of the
-    parameters' columns at the beginning; last_step: (n,) [SI], None where there is none; before:
-    the decrement one iteration ago; floor: the decrement that rounding hides; away: iterations
-    since the lowest point; descend: whether the merit must fall at every step; triangular: whether
-    the parameter system is kept as a triangle; iterations, evaluations: done so far; stage,
-    earlier: of a robust fit, which of its fits this is, and the iterations before it.
+    parameters' columns at the beginning; last_step: (n,) [SI], None where there is none; recent:
+    (h, 2, n) [SI], the steps and moves that led here, as `Course` keeps them; before: the decrement
+    one iteration ago; floor: the decrement that rounding hides; away: iterations since the lowest
+    point; descend: whether the merit must fall at every step; triangular: whether the parameter
+    system is kept as a triangle; iterations, evaluations: done so far; stage, earlier: of a robust
+    fit, which of its fits this is, and the iterations before it.
     """
 
     first: Place[State]
@@ -59,6 +60,7 @@ class Checkpoint(Generic[State]):
     lowest: Place[State]
     effects: Array
     last_step: Array | None
+    recent: Array | None
     damping: float
     before: float
     floor: float

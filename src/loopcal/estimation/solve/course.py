@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.solve.acceleration import remembered
 from loopcal.estimation.solve.reduction import Spectrum
 
 Array = NDArray[np.float64]
@@ -30,13 +31,16 @@ class Course:
     """How the search goes on.
 
     damping: in scaled parameters; last_step: (n,) [SI], None where there is none; descend: whether
-    every step must lower the merit; raised: by what the next rejection multiplies the damping.
+    every step must lower the merit; raised: by what the next rejection multiplies the damping;
+    recent: (h, 2, n) [SI] the last undamped steps and the moves made of them, None where the last
+    one was damped.
     """
 
     damping: float = 0.0
     last_step: Array | None = None
     descend: bool = False
     raised: float = _RAISED
+    recent: Array | None = None
 
     def accepted(self, system: Spectrum, step: Array, gain: float) -> Course:
         """After a step that changed the merit by a share of what was predicted."""
@@ -45,12 +49,19 @@ class Course:
         else:
             damping = self.damping / (10.0 if gain > _GOOD else 3.0)
             damping = damping if damping and damping > 1e-3 * _weakest(system) else 0.0
-        return Course(damping, step, self.descend)
+        undamped = not self.damping and not gain < _POOR
+        recent = remembered(self.recent, system.step(), step) if undamped else None
+        return Course(damping, step, self.descend, recent=recent)
 
     def rejected(self, system: Spectrum) -> Course:
         """After a step that was not taken."""
         damping = max(self.raised * self.damping, 0.1 * _weakest(system))
-        return replace(self, damping=damping, raised=min(self.raised * _RAISED, _RAISED_MOST))
+        raised = min(self.raised * _RAISED, _RAISED_MOST)
+        return replace(self, damping=damping, raised=raised, recent=None)
+
+    def unaccelerated(self) -> Course:
+        """Where the last steps have misled: they are forgotten."""
+        return replace(self, recent=None)
 
     def returned(self) -> Course:
         """Back at the lowest point: from there every step must descend."""

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.starting import start_corrections
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.merit import Evaluation, Failed
 from loopcal.estimation.solve.sweep import NEAR, Sweeper
 from loopcal.expressions.domain import explain_domain
@@ -22,7 +23,7 @@ class InMemory:
         self.sweeper = sweeper
         own = sweeper.problem.unknowns
         self.unknowns = own.without_prior() if sweeper.exact else own
-        self.evaluate = sweeper.sweep
+        self.evaluate, self.nearer = sweeper.sweep, sweeper.nearer
 
     @property
     def evaluations(self) -> int:
@@ -32,11 +33,14 @@ class InMemory:
     def first(self, parameters: Array) -> Evaluation[Array]:
         """The evaluation to begin from, where unmeasured quantities are searched first.
 
+        With closed loops where a fit of nearly these readings ended, because it may end there too.
         Raises InputError (DomainError) where a loop has no value or cannot be corrected.
         """
         problem = self.sweeper.problem
         corrections = start_corrections(self.sweeper, parameters)
         closing = NEAR if any(pattern.unmeasured for pattern in problem.patterns) else None
+        if problem.found is not None:
+            closing = NEGLIGIBLE
         found = self.evaluate(parameters, corrections, closing=closing)
         if not found.finite:
             raise outside_domain(problem, parameters)

@@ -124,3 +124,6 @@ class Merit(Protocol[State]):
         self, parameters: Array, state: State, tolerance: float, contraction: float
     ) -> State | None:
         """The state that closes all loops to so many sds; None where some stay open."""
+
+    def nearer(self, parameters: Array, state: State) -> State | None:
+        """The state with poses that are far off closed anew; None where none closes nearer."""

@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 UNMEASURED_SCALE = 1e-3
 """What counts as one sd for the step of an unmeasured quantity: 1 mm or 1 mrad."""
 _MOST, _HALVINGS = 60, 25
+_SHORTEST = 0.75 * 0.5 ** (_HALVINGS - 1)
+"""A length below has been halved as often as allowed."""
 
 
 def close_by_newton(tape: Tape, parameters: Array, block: Block, tolerance: float) -> Closed:
@@ -105,18 +107,20 @@ class _Poses:
         """Corrections (k, b), and the poses (b,) that stay open; closed poses are left alone."""
         y = (np.linalg.pinv(self.T) @ corrections.T[:, :, None])[:, :, 0]
         active, poses = np.arange(len(y)), self
+        open_ = np.ones(len(y), dtype=bool)
         for _ in range(_MOST):
             at = y[active]
             here = poses._linearise(at)
             step, multipliers = poses._step(at, here)
-            y[active] = at + poses._length(at, here, step, multipliers)[:, None] * step
-            rest = ~(np.abs(step).max(axis=1) <= tolerance)
+            length = poses._length(at, here, step, multipliers)
+            y[active] = at + length[:, None] * step
+            done = np.abs(step).max(axis=1) <= tolerance
+            open_[active[done]] = False
+            rest = ~done & (length >= _SHORTEST)  # where no part of a step helps, none will
             if not rest.all():
                 active, poses = active[rest], poses.of(rest)
             if not len(active):
                 break
-        open_ = np.zeros(len(y), dtype=bool)
-        open_[active] = True
         return self._corrections(y), open_
 
     def _corrections(self, y: Array) -> Array:

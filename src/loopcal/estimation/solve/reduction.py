@@ -63,6 +63,11 @@ class Accumulator:
             self.total += other.total
 
     @property
+    def products(self) -> Array:
+        """[D E]^T [D E] over all poses, (n + 1, n + 1)."""
+        return self.total.T @ self.total if self.triangular else self.total
+
+    @property
     def lengths(self) -> Array:
         """Lengths of the columns of D, (n,): the effect of each parameter in sds per unit [SI]."""
         squares = np.square(self.total).sum(axis=0) if self.triangular else np.diag(self.total)
@@ -91,6 +96,11 @@ class Summed:
 
     matrix: Array
     gradient: Array
+
+    def times(self, z: Array) -> Array:
+        """The matrix of the normal equations times scaled steps, (n,) or (n, h)."""
+        found: Array = self.matrix @ z
+        return found
 
     def directions(self) -> Directions:
         """By an eigendecomposition."""
@@ -132,12 +142,26 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray(np.tril(half) + np.tril(half, -1).T)
 
 
+def inverse_of_upper(R: Array) -> Array:
+    """R^-1 of an upper triangle (n, n), whose elimination needs no exchange of rows."""
+    if len(R) < LARGE:
+        return np.asarray(np.linalg.inv(R))
+    from scipy.linalg.lapack import dtrtri
+
+    return np.asarray(dtrtri(R)[0])
+
+
 @dataclass(frozen=True)
 class Stacked:
     """A scaled triangle: matrix (n, n) and its right-hand side (n,)."""
 
     matrix: Array
     right: Array
+
+    def times(self, z: Array) -> Array:
+        """The matrix of the normal equations times scaled steps, (n,) or (n, h)."""
+        found: Array = self.matrix.T @ (self.matrix @ z)
+        return found
 
     def directions(self) -> Directions:
         """By a singular value decomposition, which has twice the digits."""

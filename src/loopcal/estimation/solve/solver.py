@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.solve.acceleration import accelerated
 from loopcal.estimation.solve.checkpoint import Checkpoint, Point
 from loopcal.estimation.solve.course import MOST_DAMPING, Course
 from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
@@ -55,6 +56,9 @@ _NO_LONGER = 0.8
 """The decrement no longer shrinks when it keeps this share from one step to the next."""
 _LAST_STEP = 0.1
 """Steps this small are taken with closed loops, so that the point they end at is final."""
+_SLOW, _NEARBY = 0.1, 1.0
+"""Steps are accelerated where the decrement keeps so much from one to the next, and the step is so
+many sds."""
 _AWAY = 30
 """After so many iterations above its lowest merit the search returns to that point."""
 _FAR, _EXPLAINED = 100.0, 0.9
@@ -63,6 +67,8 @@ them, the loops need not be closed yet."""
 _ONCE, _NEAR, _CLOSED = np.inf, NEAR, NEGLIGIBLE
 """Loops are closed until what is left to correct is at most so many sds: after a single correction
 on the way, where that does not do, and at the end."""
+_WIDE = 100
+"""With so many parameters, loops closed to the end cost little beside the sums over all poses."""
 
 
 def solve(
@@ -198,8 +204,21 @@ class _Solver(Generic[State]):
         point = self._point(start, found)
         assert point.spectrum is not None
         if point.closed is None and not self._far(point, point.spectrum.decrement):
-            return self._evaluate(start, found.state, _NEAR)
-        return point
+            point = self._evaluate(start, found.state, _NEAR)
+        return self._nearer(point) or point
+
+    def _nearer(self, point: Point[State]) -> Point[State] | None:
+        """The same parameters with loops closed nearer to the readings; None where they are not.
+
+        It is tried where the steps that closed the loops did not shrink.
+        """
+        if point.closed is None or point.found.contraction < 1.0:
+            return None
+        state = self.merit.nearer(point.parameters, point.found.state)
+        if state is None:
+            return None
+        other = self._evaluate(point.parameters, state, _CLOSED)
+        return other if other.spectrum is not None and other.merit < point.merit else None
 
     def _checkpoint(self, current: Point[State]) -> Checkpoint[State]:
         return Checkpoint(
@@ -208,6 +227,7 @@ class _Solver(Generic[State]):
             self.lowest,
             self.effects,
             self.course.last_step,
+            self.course.recent,
             self.course.damping,
             self.before,
             self.floor,
@@ -220,7 +240,7 @@ class _Solver(Generic[State]):
 
     def _resumed(self, kept: Checkpoint[State]) -> Point[State]:
         self.before, self.floor, self.away = kept.before, kept.floor, kept.away
-        self.course = Course(kept.damping, kept.last_step, kept.descend)
+        self.course = Course(kept.damping, kept.last_step, kept.descend, recent=kept.recent)
         self.triangular, self.iterations = kept.triangular, kept.iterations
         place = kept.current
         point = self._evaluate(place.parameters, place.state, place.closing)
@@ -256,6 +276,8 @@ class _Solver(Generic[State]):
 
     def _advance(self, current: Point[State]) -> Point[State] | None:
         """The next accepted point; None where no step is accepted."""
+        if (fast := self._fast(current)) is not None:
+            return fast
         while self.course.damping < MOST_DAMPING:
             system = current.spectrum
             assert system is not None
@@ -277,6 +299,31 @@ class _Solver(Generic[State]):
             self.course = self.course.rejected(system)
         return None
 
+    def _fast(self, current: Point[State]) -> Point[State] | None:
+        """The point after an accelerated step; None where there is none that descends.
+
+        Steps are accelerated near the end, where they no longer shrink by much.
+        """
+        system, recent, slow = current.spectrum, self.course.recent, _SLOW * self.before
+        assert system is not None
+        if recent is None or current.closed is None or not slow < system.decrement < math.inf:
+            return None
+        if system.decrement > self._limit(current, _NEARBY):
+            return None
+        step = accelerated(recent, system)
+        if step is not None:
+            parameters = self.unknowns.moved(current.parameters, step)
+            last = self._last(current, system.decrement)
+            closing = _CLOSED if last or self._wide else _ONCE
+            start, contraction = current.found.proposal, current.found.contraction
+            trial = self._evaluate(parameters, start, closing, contraction)
+            if self._worth(current, trial, system.decrement):
+                gain = (current.merit - trial.merit) / system.decrement
+                self.course = self.course.accepted(system, step, max(gain, 0.0))
+                return trial
+        self.course = self.course.unaccelerated()
+        return None
+
     def _try(self, current: Point[State], step: Array, predicted: float) -> Point[State] | None:
         """The point after a step if its merit falls as it should, or may rise; else None."""
         assert current.spectrum is not None
@@ -284,7 +331,7 @@ class _Solver(Generic[State]):
         far = self._far(current, predicted)
         last = self._last(current, predicted)
         start = current.found.state if far else current.found.proposal
-        closings = [None, _NEAR] if far else [_CLOSED] if last else [_ONCE, _NEAR]
+        closings = [None, _NEAR] if far else [_CLOSED] if last or self._wide else [_ONCE, _NEAR]
         for closing in closings:
             trial = self._evaluate(parameters, start, closing, current.found.contraction)
             if self._worth(current, trial, predicted):
@@ -296,6 +343,11 @@ class _Solver(Generic[State]):
     def _far(self, point: Point[State], predicted: float) -> bool:
         """Whether parameters explain nearly all of a large misclosure: then readings can wait."""
         return predicted > max(_EXPLAINED * point.merit, _FAR * point.found.equations)
+
+    @property
+    def _wide(self) -> bool:
+        """Whether a sweep costs so much that none should be made only to close the loops."""
+        return len(self.unknowns.free) >= _WIDE
 
     def _last(self, point: Point[State], predicted: float) -> bool:
         """Whether the step from a point is so small that the next point should be final."""

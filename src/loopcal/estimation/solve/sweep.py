@@ -19,6 +19,7 @@ from loopcal.estimation.problem.patterns import Pattern, Poses
 from loopcal.estimation.problem.problem import BLOCK, Problem
 from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.estimation.solve.block_kernel import BlockKernel, Reduce, kernel_for
+from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.kernel import unweighted, whiten
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import NAMED, NONE_FAILED, Evaluation, Failed
@@ -33,6 +34,9 @@ NEAR = 0.1
 """On the way, loops count as closed when the next correction will be at most so many sds."""
 _SEARCHED = 1024
 """Poses in a block when unmeasured quantities are searched."""
+_ASTRAY, _ANEW, _NEARER = 25.0, 256, 0.999
+"""A pose whose corrections cost so many times those of the middle pose may close nearer; so many of
+a block are tried; one does if it then costs at most this share."""
 _SAMPLE = 64
 """Poses from which the rounding of loop values is estimated."""
 
@@ -161,6 +165,34 @@ class Sweeper:
             done = _with_part(done, closed.corrections, block.poses)
         return Closed(done, late)
 
+    def nearer(self, parameters: Array, corrections: Array) -> Array | None:
+        """Corrections (k, N) with the farthest poses closed by Newton's method from their readings.
+
+        Loops of a stretched arm close at several points, and Gauss-Newton may stray to a far one.
+        None where no pose closes nearer.
+        """
+        if self.exact or not self.corrects:
+            return None
+        self.at(parameters)
+        done, found = corrections.copy(), False
+        for pattern, block in self.blocks(corrections):
+            far = _far(block)
+            if not far.size:
+                continue
+            part = block.of(far)
+            read = np.zeros(part.corrections.shape)
+            read[list(pattern.unmeasured)] = part.corrections[list(pattern.unmeasured)]
+            tape = self.problem.tape(pattern)
+            closed = close_by_newton(tape, parameters, part.at(read), NEGLIGIBLE)
+            before = self.misfit(pattern, part)
+            after = self.misfit(pattern, part.at(closed.corrections))
+            better = ~closed.open & (after < _NEARER * before)
+            own = block.corrections.copy()
+            own[:, far[better]] = closed.corrections[:, better]
+            done = _with_part(done, own, block.poses)
+            found |= bool(better.any())
+        return done if found else None
+
     def searched(self, pattern: Pattern, block: Block) -> Block:
         """The block with unmeasured quantities where they close the loops best.
 
@@ -250,6 +282,16 @@ class Sweeper:
         if key not in self._noises:
             self._noises[key] = _noise(self.problem.uncertainty, pattern)
         return self._noises[key]
+
+
+def _far(block: Block) -> NDArray[np.intp]:
+    """The poses of a block whose corrections cost far more than the others', the farthest first."""
+    sd = block.noise.sd
+    usable = np.isfinite(sd) & (sd > 0.0)
+    shares = np.where(usable, block.corrections / np.where(usable, sd, 1.0), 0.0)
+    cost = np.square(shares).sum(axis=0)
+    far = np.flatnonzero(~(cost <= _ASTRAY * max(float(np.median(cost)), 1.0)))
+    return np.asarray(far[np.argsort(-cost[far], kind="stable")[:_ANEW]])
 
 
 def _noise(uncertainty: ReadingUncertainty, pattern: Pattern) -> BlockNoise:

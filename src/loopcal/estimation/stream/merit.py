@@ -124,6 +124,10 @@ class StreamMerit:
         """Nothing to do: the loops of a chunk are closed when its corrections are asked for."""
         return True
 
+    def nearer(self, parameters: Array, state: bool) -> bool | None:
+        """None: loops are closed from the readings in every pass, with no second look."""
+        return None
+
     def _evaluated(
         self, parameters: Array, *, triangular: bool, closing: float | None, first: bool = False
     ) -> Evaluation[bool]:

@@ -22,7 +22,7 @@ def read_xml(path: str | Path, tag: str, remedy: str) -> Any:
     """
     from lxml import etree
 
-    name, content = shown(path), _declared_first(_content(path))
+    name, content = shown(path), _declared_first(content_of(path))
     if b"<!doctype" in content.replace(b"\0", b"").lower():
         raise _document_type(name)
     parser = etree.XMLParser(
@@ -80,7 +80,8 @@ def _declared_first(content: bytes) -> bytes:
     return bare[:end] + b"\n" * blank.count(b"\n") + bare[end:]
 
 
-def _content(path: str | Path) -> bytes:
+def content_of(path: str | Path) -> bytes:
+    """The bytes of an XML file. Raises InputError for one larger than 50 MB."""
     content = bytes_of(path, MOST_BYTES)
     if len(content) > MOST_BYTES:
         raise InputError(

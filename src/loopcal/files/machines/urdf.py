@@ -6,8 +6,9 @@ Only the joints of this chain are validated. Names must be unique in the whole f
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from loopcal.mechanisms.chain import refuse_long_chain
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.origins import KINDS, LinkJoint, Mimic, joint_chain
 
-_NO_URDF = "name a URDF file, as written by xacro or a CAD exporter (convert SDF or MJCF first)"
+NO_URDF = "name a URDF file, as written by xacro or a CAD exporter (convert SDF or MJCF first)"
 _EXPAND = "expand it first (xacro robot.urdf.xacro > robot.urdf) and name the result"
 
 
@@ -28,7 +29,7 @@ def read_urdf(path: str | Path, base: str, tip: str) -> tuple[LinkJoint, ...]:
     Raises InputError with file and line if the file is not a URDF, if a link does not exist, if the
     tip is not below the base, or if a joint cannot be calibrated.
     """
-    robot = _Robot.of(read_xml(path, "robot", _NO_URDF), shown(path))
+    robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
     chain = robot.chain(base, tip)
     return tuple(robot.joint(element) for element in chain)
 
@@ -52,7 +53,7 @@ def branches(path: str | Path) -> tuple[Branch, ...]:
 
     Raises InputError with file and line if the file is not a URDF.
     """
-    robot = _Robot.of(read_xml(path, "robot", _NO_URDF), shown(path))
+    robot = _Robot.of(read_xml(path, "robot", NO_URDF), shown(path))
     roots = [link for link in robot.links if link not in robot.above]
     parents = {robot._link(element, "parent") for element in robot.joints.values()}
     found = []
@@ -88,6 +89,19 @@ def urdf_machine(
     """
     joints = read_urdf(path, base, tip)
     return joint_chain(joints, axes=axes, name=name or Path(path).stem)
+
+
+def joint_elements(root: Any, file: str) -> dict[str, Callable[[], tuple[Any, LinkJoint]]]:
+    """By joint of a URDF, what gives its XML element and the joint read from it.
+
+    Raises InputError, also as a joint is read, as `read_urdf` does.
+    """
+    robot = _Robot.of(root, file)
+    return {name: partial(_read_joint, robot, element) for name, element in robot.joints.items()}
+
+
+def _read_joint(robot: _Robot, element: Any) -> tuple[Any, LinkJoint]:
+    return element, robot.joint(element)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, listed, nearest
 from loopcal.files.machines.parameter_entries import in_si
 from loopcal.files.project.noise_entries import NoiseSpec
 from loopcal.files.tables.columns import Column
@@ -73,12 +73,19 @@ def data_files(entry: DataEntry, mechanism: Mechanism, noise: NoiseSpec, place: 
     return replace(main, options=options, stream=entry.stream)
 
 
-def refuse_unread(read: set[str], mechanism: Mechanism, noise: NoiseSpec, place: Place) -> None:
-    """Raise InputError for a quantity that has to be read and is not."""
+def refuse_unread(
+    read: Collection[str],
+    mechanism: Mechanism,
+    noise: NoiseSpec,
+    place: Place,
+    there: Collection[str] = (),
+) -> None:
+    """Raise InputError for a quantity that has to be read and is not; there: the file's columns."""
     for quantity in (*mechanism.quantities, *mechanism.known):
         if quantity in read or quantity in mechanism.implied:
             continue
-        remedy = f'add {quantity} = "its column"'
+        of = f", one of {listed(there, 40)}" if there else ""
+        remedy = f'add {quantity} = "its column"{of}'
         if quantity in mechanism.known:
             raise InputError(
                 f"no column is named for the known constant {quantity!r}",

@@ -67,6 +67,18 @@ def _spec(inputs: Mapping[str, Any], mechanism: Mechanism) -> DataSpec:
     return spec
 
 
+def result_columns(inputs: Mapping[str, Any], mechanism: Mechanism) -> dict[str, Column]:
+    """Quantity -> its column and unit in the project of a result; see `read_new_readings`."""
+    spec = _spec(inputs, mechanism)
+    return {q: column for part in (spec, *spec.joins) for q, column in part.columns.items()}
+
+
+def result_pose_column(inputs: Mapping[str, Any], mechanism: Mechanism) -> str | int:
+    """The column of pose ids in the project of a result; "pose" without one."""
+    found: str | int = _spec(inputs, mechanism).options.get("pose") or "pose"
+    return found
+
+
 def _without_absent_sd(column: Column, there: tuple[str, ...]) -> Column:
     if isinstance(column.sd_column, str) and column.sd_column not in there:
         return replace(column, sd_column=None, sd_unit=None, coverage=None)

@@ -100,8 +100,12 @@ def _read(
             remedy=f"create it: loopcal simulate {project.path or '-'} --out {path} --seed 1",
         )
     if not spec.joins:
-        columns = {**spec.columns, **aside}
-        return believed(spec, read_dataset(path, columns, **spec.options)), ()
+        try:
+            return believed(spec, read_dataset(path, {**spec.columns, **aside}, **spec.options)), ()
+        except InputError as error:
+            if error.code == "missing-column":
+                _refuse_unnamed(project, spec, path, place)
+            raise
     parts = [_part(project, spec, path, aside)]
     for i, other in enumerate(spec.joins):
         where = place.at("join", i, "file")
@@ -117,6 +121,14 @@ def _read(
     )
     dataset = joined.dataset.thin(spec.options["every"]).exclude(spec.options["exclude"])
     return dataset, tuple(_left_out(name, ids) for name, ids in joined.left_out)
+
+
+def _refuse_unnamed(project: Project, spec: DataSpec, path: Path, place: Place) -> None:
+    """InputError for a quantity that has no column of its own name, and none that is stated."""
+    how = {key: spec.options[key] for key in spec.options if key not in ("pose", *LEFT_OUT)}
+    there = column_labels(path, **how)
+    read = {*project.inputs["data"].get("columns", ()), *there}
+    refuse_unread(read, project.mechanism, project.noise, place.at("columns"), there)
 
 
 def _part(project: Project, spec: DataSpec, path: Path, aside: Mapping[str, Column]) -> Dataset:

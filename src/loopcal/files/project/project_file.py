@@ -18,9 +18,11 @@ from loopcal.files.project.compare_entries import compare_spec
 from loopcal.files.project.data_entries import DataSpec, data_files
 from loopcal.files.project.fit_entries import FitSpec, fit_spec
 from loopcal.files.project.noise_entries import NoiseSpec, noise_spec
+from loopcal.files.project.plan_entries import plan_settings
 from loopcal.files.project.verdict_entries import VerdictSpec, verdict_spec
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml, shown, toml_data
+from loopcal.measurements.plan_settings import PlanSettings
 from loopcal.mechanisms.effects.model import Model
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameters
@@ -51,6 +53,7 @@ class Project:
     noise: NoiseSpec
     fit: FitSpec
     verdict: VerdictSpec
+    plan: PlanSettings
     simulation: SimulationSpec | None
     inputs: Mapping[str, Any]
     compare: Mapping[str, Model]
@@ -86,6 +89,7 @@ def read_project(
     machine = _mechanism(model, data, folder, mechanism, place)
     noise = noise_spec(model.noise, machine.quantities, machine.quantity_group, place.at("noise"))
     simulation = _simulation(model, machine, noise, place.at("simulation"))
+    verdict = verdict_spec(model.verdict, machine, simulation, place.at("verdict"))
     return Project(
         title=model.title or (real.stem if real else machine.name),
         path=real,
@@ -94,7 +98,8 @@ def read_project(
         data=data_spec(model, machine, place),
         noise=noise,
         fit=fit_spec(model.fit, machine, place.at("fit")),
-        verdict=verdict_spec(model.verdict, machine, simulation, place.at("verdict")),
+        verdict=verdict,
+        plan=plan_settings(model.plan, machine, verdict, place.at("plan")),
         simulation=simulation,
         inputs=plain(data),
         compare=compare_spec(model.compare, machine, place.at("compare")),

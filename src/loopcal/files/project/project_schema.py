@@ -350,13 +350,109 @@ class VerdictEntry(Model):
     )
 
 
-class RecordEntry(Model):
-    """Who measured what, when and with what: copied to result.json and to the report."""
+class BoxEntry(Model):
+    """A box in the frame of the machine's base; a coordinate that is absent is not limited."""
 
-    date: str | None = Field(default=None, description="Day of the measurement.")
-    operator: str | None = Field(default=None, description="Who measured.")
-    instrument: str | None = Field(default=None, description="What measured, with its number.")
+    x: SpanEntry | None = None
+    y: SpanEntry | None = None
+    z: SpanEntry | None = None
+
+
+class SightEntry(Model):
+    """What the instrument can see."""
+
+    station: list[Finite] = Field(
+        default=[0.0, 0.0, 0.0],
+        description="Where the instrument stands in the frame of its readings.",
+    )
+    unit: UnitName | None = Field(default=None, description="Of the station.")
+    normal: list[Finite] | None = Field(
+        default=None,
+        description="Direction in the body's frame that the reflector looks along.",
+        examples=[[0, 0, 1]],
+    )
+    within: Amount | None = Field(
+        default=None,
+        description="Largest angle between that direction and the line to the instrument; "
+        "default: 30 degrees.",
+        examples=[{"value": 30, "unit": "deg"}],
+    )
+
+
+class PlanEntry(Model):
+    """Where `loopcal plan` may choose poses."""
+
+    candidates: Length = Field(default=3000, description="How many random poses to choose among.")
+    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="Of the random poses.")
+    ranges: dict[str, SpanEntry] = Field(
+        default={},
+        description="Of each quantity that is driven; default: the joints' limits, else the ranges "
+        "of [simulation].",
+        examples=[{"theta_1": {"from": -90, "to": 90, "unit": "deg"}}],
+    )
+    reach: BoxEntry | None = Field(default=None, description="Where the end point must be.")
+    keep_out: list[BoxEntry] = Field(
+        default=[],
+        description="Boxes that neither the end point, nor the links of a serial arm, nor the line "
+        "of sight may touch.",
+    )
+    sight: SightEntry | None = Field(
+        default=None, description="Line of sight and incidence at the reflector."
+    )
+    forbidden: str | None = Field(
+        default=None,
+        description="File of readings, in the columns of [data], near which (1 degree, 1 mm) no "
+        "pose may be.",
+    )
+    model_error: Literal["structured", "none"] = Field(
+        default="structured",
+        description="structured: choose poses that also show what geometry does not explain.",
+    )
+
+
+class RecordEntry(Model):
+    """Who measured what, when and with what: for result.json, the report and the record."""
+
+    laboratory: str | None = Field(default=None, description="Laboratory, with its address.")
+    place: str | None = Field(default=None, description="Where the machine was calibrated.")
+    number: str | None = Field(
+        default=None,
+        description="Unique number of the record; by default it follows from its content.",
+    )
+    customer: str | None = Field(default=None, description="Customer, with a way to reach them.")
+    machine: str | None = Field(default=None, description="Make and model of the machine.")
     serial: str | None = Field(default=None, description="Serial number of the machine.")
+    received: str | None = Field(default=None, description="Day on which the machine was received.")
+    date: str | None = Field(default=None, description="Day of the measurement.")
+    issued: str | None = Field(default=None, description="Day on which the record is issued.")
+    procedure: str | None = Field(
+        default=None,
+        description="Procedure by which the machine was measured.",
+    )
+    temperature: str | None = Field(default=None, description="Temperature during the measurement.")
+    payload: str | None = Field(default=None, description="Payload of the machine.")
+    warm_up: str | None = Field(default=None, description="How the machine was warmed up.")
+    speed: str | None = Field(default=None, description="Speed between the poses.")
+    instrument: str | None = Field(default=None, description="What measured: make and model.")
+    instrument_serial: str | None = Field(
+        default=None,
+        description="Serial number of the instrument.",
+    )
+    traceability: str | None = Field(
+        default=None,
+        description="Calibration of the instrument: certificate, laboratory, date.",
+    )
+    adjustment: str | None = Field(
+        default=None,
+        description="What was adjusted after this calibration, and when.",
+    )
+    deviations: str | None = Field(default=None, description="Deviations from the procedure.")
+    operator: str | None = Field(default=None, description="Who measured.")
+    authorised_by: str | None = Field(default=None, description="Who authorises the record.")
+    accreditation: str | None = Field(
+        default=None,
+        description="Accreditation of the laboratory; with it the record is a certificate.",
+    )
     note: str | None = Field(default=None, description="Anything else that a reader should know.")
 
 
@@ -381,6 +477,7 @@ class ProjectModel(Model):
     verdict: VerdictEntry = VerdictEntry()
     record: RecordEntry = RecordEntry()
     compare: CompareEntry | None = None
+    plan: PlanEntry = PlanEntry()
     simulation: SimulationEntry | None = None
 
 

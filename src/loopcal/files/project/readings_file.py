@@ -19,7 +19,11 @@ Array = NDArray[np.float64]
 
 
 def readings_tables(
-    dataset: Dataset, spec: DataSpec | None, sds: Mapping[str, Array], out: Path
+    dataset: Dataset,
+    spec: DataSpec | None,
+    sds: Mapping[str, Array],
+    out: Path,
+    more: Mapping[str, Column] | None = None,
 ) -> dict[str, bytes]:
     """Tables of readings (.csv, .tsv, .parquet) by file name, blank where nothing was read.
 
@@ -27,13 +31,17 @@ def readings_tables(
     column that it knows by number gets the quantity's name. Files that it joins get the names
     they have there, beside `out`. sds: quantity -> (N,) [SI], for the columns of sds it asks for.
 
+    more: further columns of the first file.
+
     Raises InputError for a joined file whose columns are not stated.
     """
     joins = spec.joins if spec else ()
     elsewhere = {q for part in joins for q in part.columns}
     own = [q for q in dataset.readings if q not in elsewhere]
-    tables = {out.name: _table(dataset, own, spec, sds, out.suffix)}
+    columns = {**_columns(dataset, own, spec, sds), **(more or {})}
+    tables = {out.name: table_bytes(columns, out.suffix)}
     for part in joins:
+        its = [q for q in part.columns if q in dataset.readings]
         name = Path(part.file).name
         if not (part.columns or part.instruments):
             raise InputError(
@@ -41,17 +49,14 @@ def readings_tables(
                 code="missing-key",
                 remedy="name its columns in the project: columns = { x = ... }",
             )
-        tables[name] = _table(dataset, list(part.columns), part, sds, Path(name).suffix)
+        if its or part.instruments:
+            tables[name] = table_bytes(_columns(dataset, its, part, sds), Path(name).suffix)
     return tables
 
 
-def _table(
-    dataset: Dataset,
-    quantities: Sequence[str],
-    spec: DataSpec | None,
-    sds: Mapping[str, Array],
-    ending: str,
-) -> bytes:
+def _columns(
+    dataset: Dataset, quantities: Sequence[str], spec: DataSpec | None, sds: Mapping[str, Array]
+) -> dict[str, Column]:
     options = spec.options if spec else {}
     columns: dict[str, Column] = {}
     pose = options.get("pose")
@@ -71,8 +76,8 @@ def _table(
             stated = spec.file_units.get(unit(dataset.units.get(quantity, "1")).dimension)
         its_unit = stated or "1"
         columns[name] = from_si(readings, its_unit)
-        if its and isinstance(its.sd_column, str):
+        if its and isinstance(its.sd_column, str) and quantity in sds:
             sd = np.where(np.isfinite(sds[quantity]), sds[quantity], np.nan)
             sd = difference_from_si(sd, its.sd_unit or its_unit)
             columns[its.sd_column] = sd * (its.coverage or 1.0)
-    return table_bytes(columns, ending)
+    return columns

@@ -153,11 +153,13 @@ def _ranges(
 ) -> tuple[dict[str, Range], str | None]:
     """The ranges by quantity, and one that is missing."""
     units = {**mechanism.quantities, **mechanism.known}
+    read = {n for o in mechanism.orientations for n in (*o.columns, *o.turns)}
+    read |= {*mechanism.outputs}
     found = {}
     for name, given in entry.ranges.items():
         here = place.at(name)
-        if name not in units or name in mechanism.outputs:
-            driven = [n for n in units if n not in mechanism.outputs]
+        if name not in units or name in read:
+            driven = [n for n in units if n not in read and n not in mechanism.implied]
             follows = "follows from the loops" if name in units else "is no quantity"
             raise InputError(
                 f"{name!r} {follows} of the mechanism",
@@ -182,8 +184,7 @@ def _ranges(
             count = math.floor(min((given.to - given.from_) / given.step, 1e15) + 1e-9) + 1
             step = in_si(given.step, given.unit, si, at, difference=True)
         found[name] = Range(start, stop, step, count)
-    elsewhere = {*mechanism.outputs, *mechanism.implied, *mechanism.home}
-    elsewhere |= {column for o in mechanism.orientations for column in o.columns}
+    elsewhere = {*read, *mechanism.implied, *mechanism.home}
     missing = [n for n in units if n not in found and n not in elsewhere]
     if missing and (mechanism.outputs or missing[0] in mechanism.known):
         return found, missing[0]

@@ -13,7 +13,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import distance_unit
 
 if TYPE_CHECKING:
-    from loopcal.files.project.project_schema import VerdictEntry
+    from loopcal.files.project.project_schema import SpanEntry, VerdictEntry
     from loopcal.files.project.simulation_entries import SimulationSpec
 
 
@@ -57,27 +57,44 @@ def verdict_spec(
     return VerdictSpec(tolerance, region, tuple(entry.require))
 
 
-def _region(
-    entry: VerdictEntry, mechanism: Mechanism, place: Place
+def spans(
+    entries: Mapping[str, SpanEntry], units: Mapping[str, str], place: Place
 ) -> dict[str, tuple[float, float]]:
-    driven = [q for q in mechanism.quantities if q not in mechanism.outputs]
+    """Ranges [SI] of readings with these SI units.
+
+    Raises InputError for other names, and for a range that is none.
+    """
     found = {}
-    for name, span in entry.region.items():
+    for name, span in entries.items():
         here = place.at(name)
-        if name not in driven:
+        if name not in units:
             raise InputError(
                 f"{name!r} is no reading that drives the mechanism",
                 code="unknown-name",
                 place=str(here),
-                remedy=nearest(name, driven),
+                remedy=nearest(name, units),
             )
-        if not span.from_ < span.to:
-            raise InputError(
-                f"the range goes from {span.from_:g} to {span.to:g}",
-                code="invalid-value",
-                place=str(here),
-                remedy="give the smaller number first",
-            )
-        at, si = here.at("unit"), mechanism.quantities[name]
-        found[name] = (in_si(span.from_, span.unit, si, at), in_si(span.to, span.unit, si, at))
+        found[name] = one_span(span, units[name], here)
     return found
+
+
+def one_span(span: SpanEntry, si: str, place: Place) -> tuple[float, float]:
+    """A range [SI]. Raises InputError unless it goes from a number to a larger one."""
+    if not span.from_ < span.to:
+        raise InputError(
+            f"the range goes from {span.from_:g} to {span.to:g}",
+            code="invalid-value",
+            place=str(place),
+            remedy="give the smaller number first",
+        )
+    at = place.at("unit")
+    return in_si(span.from_, span.unit, si, at), in_si(span.to, span.unit, si, at)
+
+
+def _region(
+    entry: VerdictEntry, mechanism: Mechanism, place: Place
+) -> dict[str, tuple[float, float]]:
+    units = mechanism.quantities
+    return spans(
+        entry.region, {q: u for q, u in units.items() if q not in mechanism.outputs}, place
+    )

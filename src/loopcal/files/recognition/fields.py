@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, listed
+from loopcal.errors import InputError, listed, short
 from loopcal.files.recognition.headers import Heading, heading, stem
 from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.table import Table
@@ -30,6 +30,9 @@ _IDS = frozenset(
 TIMES = frozenset(("time", "timestamp", "t", "zeit", "date", "datetime", "seconds"))
 
 
+_WORKBOOKS = (".xlsx", ".xlsm")
+_CLEARLY = 3
+"""A sheet with so many times the numbers of any other holds the readings."""
 _MOST_TARGETS = 8
 STILL = 1e-3
 """An axis whose readings span so much less than another's stands still."""
@@ -88,9 +91,10 @@ class Field:
 class Source:
     """A table as it was given.
 
-    path: of its file, None for a table in memory; sheet: of a workbook; ids: one per row, None
-    where no column holds them; pose: that column's name or number; fields: its columns of numbers;
-    names: its header; label: how messages call it without a path.
+    path: of its file, None for a table in memory; sheet: of a workbook, or the variable of a MATLAB
+    file that was asked for; ids: one per row, None where no column holds them; pose: that column's
+    name or number; fields: its columns of numbers; names: its header; label: how messages call it
+    without a path; remark: what was decided in reading it.
     """
 
     path: Path | None
@@ -100,6 +104,7 @@ class Source:
     pose: str | int | None
     names: tuple[str, ...] = ()
     label: str = ""
+    remark: str = ""
 
     @property
     def name(self) -> str:
@@ -111,13 +116,14 @@ class Source:
         return len(self.fields[0].values)
 
 
-def source_of(given: Any, number: int) -> Source:
+def source_of(given: Any, number: int, sheet: str | None = None) -> Source:
     """A file by its path, or a Dataset, dict of arrays or DataFrame.
 
-    Raises InputError for a table without a column of numbers.
+    sheet: of workbooks, or the variable of MATLAB files. Raises InputError for a table without a
+    column of numbers, and for a workbook of which several sheets may hold the readings.
     """
     if isinstance(given, str | Path):
-        return _of_file(Path(given), number)
+        return _of_file(Path(given), number, sheet if _parted(Path(given)) else None)
     if isinstance(given, Dataset):
         fields = [
             Field(number, i, Heading(q, stem(q), given.units.get(q)), values)
@@ -143,8 +149,12 @@ def source_of(given: Any, number: int) -> Source:
     return _with_ids(Source(None, None, tuple(fields), ids, pose), labels)
 
 
-def _of_file(path: Path, number: int) -> Source:
-    table = _table_of(path)
+def _parted(path: Path) -> bool:
+    return path.suffix.lower() in (*_WORKBOOKS, ".mat")
+
+
+def _of_file(path: Path, number: int, sheet: str | None) -> Source:
+    table, remark = _table_of(path, sheet)
     numeric = table.numeric()
     names = [table.names[i] if i < len(table.names) else "" for i in range(_width(table))]
     headings = [heading(name) if name else None for name in names]
@@ -163,30 +173,50 @@ def _of_file(path: Path, number: int) -> Source:
     told = {i: tuple(its[k] for k in every) for i, its in cells.items()}
     ids = None if pose is None else told[pose]
     labels = told[texts[0]] if texts else None
-    sheet = table.sheet
+    sheet = table.sheet if path.suffix.lower() in _WORKBOOKS else sheet
     named = None if pose is None else column_key(names, pose)
     # a row of units is no row of readings: what is below it is written into a file of its own
     header = tuple(names)
-    source = Source(None if units else path, sheet, fields, ids, named, header, path.name)
+    place = None if units else path
+    source = Source(place, sheet, fields, ids, named, header, path.name, remark)
     return _with_ids(source, labels)
 
 
-def _table_of(path: Path) -> Table:
-    """The table of a file; of a workbook that of the first sheet with columns of numbers."""
-    if path.suffix.lower() not in (".xlsx", ".xlsm"):
-        return read_table(path)
+def _table_of(path: Path, sheet: str | None) -> tuple[Table, str]:
+    """The table of a file, and what to say of the choice; of a workbook the sheet with by far the
+    most numbers."""
+    if sheet is not None or path.suffix.lower() not in _WORKBOOKS:
+        return read_table(path, sheet), ""
+    found: list[Table] = []
     first: InputError | None = None
-    for sheet in count(1):
+    for number in count(1):
         try:
-            table = read_table(path, sheet)
+            table = read_table(path, number)
         except InputError as error:
             if error.code == "unknown-name":  # there is no sheet of this number
-                raise first or _no_numbers(path.name) from None
+                break
             first = first or error
             continue
         if len(table.numeric()) > 1 and len(table.rows) > 1:
-            return table
-    raise AssertionError
+            found.append(table)
+    if not found:
+        raise first or _no_numbers(path.name)
+    found.sort(key=_numbers, reverse=True)
+    if len(found) == 1:
+        return found[0], ""
+    which = ", ".join(f"{short(str(one.sheet))!r} ({len(one.rows)} rows)" for one in found[:10])
+    if _numbers(found[0]) < _CLEARLY * _numbers(found[1]):
+        raise InputError(
+            f"several sheets may hold the readings: {which}",
+            code="missing-key",
+            place=path.name,
+            remedy=f"name one: --sheet {found[0].sheet!r}",
+        )
+    return found[0], f"{path.name} has several sheets: {which}; the first is read."
+
+
+def _numbers(table: Table) -> int:
+    return len(table.rows) * len(table.numeric())
 
 
 def _with_ids(source: Source, labels: tuple[str, ...] | None) -> Source:

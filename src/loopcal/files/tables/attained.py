@@ -8,9 +8,9 @@ are pose, cycle, direction, block, time, payload and speed.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -60,15 +60,27 @@ TOGETHER = 1e-6
 TEMPLATE = "performance.csv"
 
 
-@dataclass(frozen=True)
-class _Stated:
-    """What the user states: units by dimension, and the convention of three angles."""
+Ask = Callable[[str, Sequence[str]], int]
+"""Asks a person which answer is right."""
+_OFFERED = {"length": ("mm", "m", "in"), "angle": ("deg", "rad")}
+_MEANINGS = (
+    "turns about fixed x, y, z",
+    "A about z, B about y, C about x (KUKA)",
+    "rotation vector",
+)
 
-    units: Mapping[str, str]
+
+@dataclass
+class _Stated:
+    """What the user states: units by dimension, and the convention of three angles; ask: for what
+    is not stated, None where no person is."""
+
+    units: dict[str, str]
     angles: str | None
+    ask: Ask | None
 
     @classmethod
-    def of(cls, units: str | None, angles: str | None) -> _Stated:
+    def of(cls, units: str | None, angles: str | None, ask: Ask | None) -> _Stated:
         if angles is not None and angles not in ANGLES:
             raise InputError(
                 f"the convention of angles {angles!r} is not known",
@@ -85,7 +97,7 @@ class _Stated:
                     remedy='give the units of positions and angles, say "mm,deg"',
                 )
             found[its.dimension] = its.name
-        return cls(found, angles)
+        return cls(found, angles, ask)
 
 
 @dataclass(eq=False)
@@ -165,6 +177,11 @@ class _Columns:
             return its
         axis = _role(self.headings[position].stem)
         dimension = "length" if axis is not None and axis[1] in _POSITION else "angle"
+        if dimension not in stated.units and stated.ask is not None:
+            offered = _OFFERED[dimension]
+            label = self.table.label(position)
+            chosen = stated.ask(f"Which unit has {label!r} of {self.table.name}?", offered)
+            stated.units[dimension] = offered[chosen]
         if dimension in stated.units:
             return stated.units[dimension]
         raise InputError(
@@ -205,6 +222,9 @@ class _Columns:
                     place=self.table.name,
                     remedy="give all its columns, or none",
                 )
+            if not means and stated.angles is None and stated.ask is not None:
+                question = f"What do {', '.join(names)} of {self.table.name} mean?"
+                stated.angles = ANGLES[stated.ask(question, _MEANINGS)]
             form = means or stated.angles
             if form is None:
                 raise InputError(
@@ -263,14 +283,16 @@ def read_attained(
     commanded: str | Path | None = None,
     units: str | None = None,
     angles: str | None = None,
+    ask: Ask | None = None,
 ) -> AttainedPoses:
     """Attained poses from CSV, XLSX or Parquet.
 
     commanded: a table of pose, x, y, z (and an orientation), where the commanded poses are not in
     the same table; units: of columns whose header states none, "mm,deg"; angles: what columns a, b,
-    c or rx, ry, rz mean, "rpy", "zyx" or "rotvec". Raises InputError with file, row and column.
+    c or rx, ry, rz mean, "rpy", "zyx" or "rotvec"; ask: asks a person for what is not stated.
+    Raises InputError with file, row and column.
     """
-    stated = _Stated.of(units, angles)
+    stated = _Stated.of(units, angles, ask)
     read = _Columns.of(path)
     if not read.has("", _POSITION):
         raise _no_columns(read, "measured", "")
@@ -401,7 +423,7 @@ def _times(read: _Columns) -> Array | None:
         found = []
         for row, cell in enumerate(cells):
             try:
-                found.append(datetime.fromisoformat(cell).timestamp())
+                at = datetime.fromisoformat(cell)
             except ValueError:
                 raise InputError(
                     f"{cell!r} is not a time",
@@ -409,6 +431,8 @@ def _times(read: _Columns) -> Array | None:
                     place=read.place(row, position),
                     remedy="write 2026-03-01T08:30:00, or numbers under time [s], [min] or [h]",
                 ) from None
+            # without a zone, so that no change of clocks in the night stretches an hour
+            found.append((at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp())
         return np.array(found) - min(found)
     its = read.headings[position]
     word = its.unit or its.stem.rpartition("_")[2]

@@ -48,7 +48,8 @@ def read_matlab(
                 f"there are {len(variables)} variables and none is a vector",
                 code="wrong-file-type",
                 place=path.name,
-                remedy=f"state variable = ..., one of {_listed(variables)}",
+                remedy="name the variable with the readings (variable = ... in a project, "
+                f"--sheet of init), one of {_listed(variables)}",
             )
         return _from_vectors(columns, path, None, wanted)
     value, part = variables[chosen], f"variable {chosen!r}"

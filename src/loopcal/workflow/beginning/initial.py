@@ -145,6 +145,7 @@ def init(
     base: str | None = None,
     tip: str | None = None,
     out: str | Path | None = None,
+    sheet: str | None = None,
 ) -> InitialProject:
     """Recognise readings and a robot, and make a finished project of them.
 
@@ -152,17 +153,23 @@ def init(
     order. One of urdf, dh (a table a, d, alpha, theta) and machine (a type with nominal values)
     describes the robot; base, tip: links of the URDF, by default the only ones that fit. Units,
     orders and directions that no header states are those with which the placed nominal machine
-    fits clearly best. out: the folder to write into, by default none.
+    fits clearly best. out: the folder to write into, by default none; sheet: of a workbook, or the
+    variable of a MATLAB file, by default the one with by far the most numbers.
 
     Raises InputError where something remains open, with what is possible, and where files are in
     the way.
     """
     robot = RobotFile(urdf, dh, machine, base, tip)
-    return initial_project(readings, robot, out=out)
+    return initial_project(readings, robot, out=out, sheet=sheet)
 
 
 def initial_project(
-    readings: Sequence[Any], robot: RobotFile, *, out: str | Path | None, ask: Ask | None = None
+    readings: Sequence[Any],
+    robot: RobotFile,
+    *,
+    out: str | Path | None,
+    sheet: str | None = None,
+    ask: Ask | None = None,
 ) -> InitialProject:
     """`init`, where a user can be asked what remains open."""
     if not readings:
@@ -171,7 +178,8 @@ def initial_project(
     if out is not None:
         from_files = all(isinstance(given, str | Path) for given in readings)
         refuse_existing(folder, (PROJECT,) if from_files else (PROJECT, READINGS))
-    fields = joined([source_of(given, i) for i, given in enumerate(readings)])
+    sources = [source_of(given, i, sheet) for i, given in enumerate(readings)]
+    fields = joined(sources)
     made = _robot(robot, fields, folder)
     machine = _machine(made, fields, folder)
     found = understood(machine, _layouts(made, fields), fields, ask)
@@ -186,7 +194,8 @@ def initial_project(
         statement = statement.shrunk(weak)
         project = _read(statement, folder)
     tables = {READINGS: _table(fields, statement)} if statement.converted else {}
-    remarks = tuple(row for rows in statement.parts.remarks.values() for row in rows) + odd
+    remarks = tuple(source.remark for source in sources if source.remark)
+    remarks += tuple(row for rows in statement.parts.remarks.values() for row in rows) + odd
     text = project_text(statement.parts)
     done = InitialProject(
         project.mechanism, dataset, project.noise.noise(), text, tables, statement.fits, remarks

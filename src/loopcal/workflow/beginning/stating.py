@@ -94,6 +94,7 @@ def stated(
     _joint_noise(readings, noise, guesses)
     several = len(found.seen) > 1
     places = _places(found)
+    stands: list[str] = []
     for number, (meaning, place) in enumerate(zip(found.seen, places, strict=True), 1):
         end = f"_{number}" if several else ""
         its = _Instrument(meaning, end, place.target, place.station)
@@ -101,6 +102,7 @@ def stated(
         fits[its.name] = meaning.fit or place.mounted
         parameters |= its.parameters(place.mounted, place.at)
         own = its.readings()
+        stands.append(f"{', '.join(own)}: target {place.target}, station {place.station}")
         readings |= own
         its.noise(own, noise, guesses)
     own_point = bool(robot.point) and [m.seen.kind for m in found.seen] == ["point"]
@@ -123,7 +125,10 @@ def stated(
             f"{', '.join(parameters)}: found by placing the nominal machine on the readings; where "
             "a drawing states them, write its values.",
         ),
-        "data": (*fields.remarks, *_inferred(found), *found.remarks, *_left_out(found)),
+        "data": (
+            *(*fields.remarks, *_inferred(found), *found.remarks, *_left_out(found)),
+            *((f"Several instruments: {'; '.join(stands)}.",) if several else ()),
+        ),
         "noise": tuple(guesses),
     }
     first = next((s.path.stem for s in fields.sources if s.path), "readings")
@@ -398,7 +403,8 @@ def _data(
             continue
         entry: dict[str, Any] = {"file": relative(source.path, folder)}
         if source.sheet is not None:
-            entry["sheet"] = source.sheet
+            matlab = source.path.suffix.lower() == ".mat"
+            entry["variable" if matlab else "sheet"] = source.sheet
         several = len(used) > 1
         if several and fields.by_order:
             entry["pose"] = 0

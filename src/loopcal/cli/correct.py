@@ -1,0 +1,153 @@
+"""The command that corrects the targets of a robot program."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from loopcal.cli.application import JsonOption, app
+from loopcal.cli.output import log, print_json, print_out
+from loopcal.errors import UsageError
+
+
+@app.command()
+def correct(
+    result: Annotated[
+        str, typer.Argument(metavar="RESULT", help="Folder of a result, or its result.json.")
+    ],
+    targets: Annotated[
+        str, typer.Argument(metavar="TARGETS", help="Table of targets or robot program.")
+    ],
+    out: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Corrected file [default: NAME-corrected]."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+    tool: Annotated[
+        str,
+        typer.Option(
+            metavar="TOOL",
+            help="Tool of the program: 'calibrated', 'nominal', or x,y,z[,rz,ry,rx] on the last "
+            "link in mm and degrees.",
+        ),
+    ] = "calibrated",
+    controller: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="Model of the controller: mechanism file or DH table [default: the drawing].",
+        ),
+    ] = None,
+    frame: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z,RZ,RY,RX",
+            help="Frame of Cartesian targets in the base, in mm and degrees [default: the base].",
+        ),
+    ] = None,
+    most_turn: Annotated[
+        float,
+        typer.Option(metavar="DEG", min=0.0, help="Largest change of a turning joint in degrees."),
+    ] = 5.0,
+    most_slide: Annotated[
+        float, typer.Option(metavar="MM", min=0.0, help="Largest change of a slide in mm.")
+    ] = 50.0,
+    least_gain: Annotated[
+        float,
+        typer.Option(
+            metavar="VALUE",
+            min=0.0,
+            help="Smallest singular value of the Jacobian (m and rad) that is not singular.",
+        ),
+    ] = 0.005,
+    line: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MM",
+            min=0.0,
+            help="Insert targets until straight moves are off by less [default: none inserted].",
+        ),
+    ] = None,
+    pulses_per_degree: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N,N,...", help="Pulses per degree of each joint, for programs in pulses."
+        ),
+    ] = None,
+    at: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Constant of the result, such as a temperature."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Correct the targets of a program so that the real machine reaches its poses."""
+    import math
+
+    from loopcal.deployment.corrected import CorrectionBounds
+    from loopcal.workflow.correcting import run_correct
+
+    done = run_correct(
+        result,
+        targets,
+        out=out,
+        force=force,
+        tool=tool if tool in ("calibrated", "nominal") else _numbers(tool, "--tool"),
+        controller=controller,
+        frame=None if frame is None else _numbers(frame, "--frame"),
+        bounds=CorrectionBounds(
+            math.radians(most_turn), 1e-3 * most_slide, least_gain, _metres(line)
+        ),
+        at=_constants(at or []),
+        pulses=() if pulses_per_degree is None else _list(pulses_per_degree),
+    )
+    where = f"written to {done.written}" if done.written else "nothing is written"
+    if as_json:
+        print_json(done.document())
+        log(where)
+    else:
+        print_out(f"{done.words()}\n\n{where}")
+    if not done.corrected.done.all():
+        raise typer.Exit(4)
+
+
+def _metres(value: float | None) -> float | None:
+    return None if value is None else 1e-3 * value
+
+
+def _list(text: str) -> list[float]:
+    """Numbers with commas between; none where one is no number."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        return []
+
+
+def _numbers(text: str, option: str) -> list[float]:
+    """Three or six numbers with commas between."""
+    found = _list(text)
+    if len(found) not in (3, 6):
+        raise UsageError(
+            f"{option} is {text!r}, which is not three or six numbers with commas between them",
+            remedy=f"give {option}=X,Y,Z or {option}=X,Y,Z,RZ,RY,RX in mm and degrees",
+        )
+    return found
+
+
+def _constants(stated: Sequence[str]) -> dict[str, float]:
+    """NAME=VALUE or NAME=VALUE UNIT as SI."""
+    from loopcal.units import to_si
+
+    found = {}
+    for one in stated:
+        name, _, value = one.partition("=")
+        number, _, unit = value.strip().partition(" ")
+        try:
+            found[name.strip()] = float(to_si(float(number), unit.strip() or "1"))
+        except ValueError:
+            raise UsageError(
+                f"--at is {one!r}, which is not NAME=VALUE",
+                remedy="give a number, with its unit if it is not SI: --at 'temperature=24 degC'",
+            ) from None
+    return found

@@ -1,0 +1,145 @@
+"""The commands of a machine's life: update, history, fleet."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from loopcal.cli.application import FunctionOption, HistoryOption, JsonOption, app
+from loopcal.cli.output import log, print_json, print_out
+from loopcal.errors import NoTrustworthyResult
+
+
+@app.command()
+def update(
+    result: Annotated[
+        str, typer.Argument(metavar="RESULT", help="Folder of a calibration, or its result.json.")
+    ],
+    file: Annotated[
+        str,
+        typer.Argument(
+            metavar="FILE",
+            help="Readings of another day in the columns of the project, or another result.",
+        ),
+    ],
+    out: Annotated[
+        str | None,
+        typer.Option(metavar="FOLDER", help="Folder for the new result [default: RESULT-updated]."),
+    ] = None,
+    drift: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KIND=SD",
+            help="Allow this drift since: length=0.01mm, angle=20urad, mounting, gain, effect or "
+            "a parameter; repeatable [default: none].",
+        ),
+    ] = None,
+    same_place: Annotated[
+        bool,
+        typer.Option("--same-place", help="Keep the placement: the instrument was not moved."),
+    ] = False,
+    remounted: Annotated[
+        bool,
+        typer.Option(
+            "--remounted", help="Estimate everything that is mounted on the machine anew."
+        ),
+    ] = False,
+    anew: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Estimate this instrument's target, target or parameter anew; repeatable "
+            "[default: none].",
+        ),
+    ] = None,
+    no_report: Annotated[
+        bool, typer.Option("--no-report", help="Skip report.html and delete an existing one.")
+    ] = False,
+    machine_history: HistoryOption = None,
+    as_json: JsonOption = False,
+    mechanism: FunctionOption = None,
+) -> None:
+    """Update a calibration with readings of another day, beginning from what it knows."""
+    from loopcal.workflow.updating import Mounted, run_update
+
+    done = run_update(
+        result,
+        file,
+        out=out,
+        mounting=Mounted(not same_place, remounted, anew or ()),
+        drift=drift or (),
+        report=not no_report,
+        function=mechanism,
+    )
+    where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
+    if as_json:
+        print_json(done.written.document)
+        log(where)
+    else:
+        print_out(f"{done.written.document}\n\n{where}")
+    if machine_history is not None:
+        from loopcal.workflow.history import add_result
+
+        add_result(machine_history, done.written.folder)
+    if done.objection is not None:
+        raise NoTrustworthyResult(f"no trustworthy result: {done.objection}")
+
+
+@app.command()
+def history(
+    folder: Annotated[
+        str, typer.Argument(metavar="FOLDER", help="Folder of the history.")
+    ] = "machine.history",
+    add: Annotated[
+        list[str] | None,
+        typer.Option(metavar="RESULT", help="Add this calibration; repeatable [default: none]."),
+    ] = None,
+    event: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TEXT", help="Add this event; repeatable [default: none]."),
+    ] = None,
+    out: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Write the page to this file [default: FOLDER.html]."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Print and draw a machine's history, or add a calibration or an event to it."""
+    from loopcal.workflow.history import run_history
+
+    done = run_history(folder, add=add or (), events=event or (), out=out)
+    if as_json:
+        print_json(done.history.document())
+        log(f"written to {done.page}")
+    else:
+        print_out(f"{done.history}\n\nwritten to {done.page}")
+
+
+@app.command()
+def fleet(
+    results: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="RESULT...", help="Folders of calibrations, one of each machine, at least 3."
+        ),
+    ],
+    out: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE",
+            help="Write where the next machine begins to this file [default: fleet.toml].",
+        ),
+    ] = "fleet.toml",
+    as_json: JsonOption = False,
+    mechanism: FunctionOption = None,
+) -> None:
+    """Compare machines of one type: mean and spread, unusual machines, poses for the next one."""
+    from loopcal.workflow.fleet import run_fleet
+
+    done = run_fleet(results, out=out, function=mechanism)
+    if as_json:
+        print_json(done.fleet.document())
+        log(f"written to {done.written}")
+    else:
+        print_out(f"{done.fleet}\n\nwritten to {done.written}")

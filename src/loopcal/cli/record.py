@@ -1,0 +1,66 @@
+"""Calibration records on the command line."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from loopcal.cli.application import JsonOption, app
+from loopcal.cli.output import print_json, print_out
+from loopcal.errors import NoTrustworthyResult, UsageError
+
+
+@app.command()
+def record(
+    result: Annotated[
+        str,
+        typer.Argument(
+            metavar="RESULT", help="Folder of a calibration; with --verify a record.html."
+        ),
+    ],
+    project: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="Take [record] from this project file as it is now [default: that of RESULT].",
+        ),
+    ] = None,
+    out: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE", help="Write the page here [default: record.html in the result folder]."
+        ),
+    ] = None,
+    verify: Annotated[
+        bool,
+        typer.Option("--verify", help="Check whether a record and its files are unaltered."),
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write the calibration record of a result for print, or check one."""
+    from loopcal.workflow.record import record as write_record
+    from loopcal.workflow.record import verify_record
+
+    if not verify:
+        done = write_record(result, project=project, out=out)
+        if as_json:
+            print_json(done.document())
+        else:
+            print_out(str(done))
+        return
+    if project is not None or out is not None:
+        raise UsageError(
+            "--verify checks a record and writes none", remedy="leave --project and --out out"
+        )
+    found = verify_record(result)
+    if as_json:
+        print_json(found.document())
+    else:
+        print_out(str(found))
+    if not found.unaltered:
+        raise NoTrustworthyResult(
+            "the record or a file behind it is not as it was",
+            code="not-verified",
+            remedy="restore the files, or write a new record",
+        )

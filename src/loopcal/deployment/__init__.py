@@ -1,0 +1,1 @@
+"""A calibration in the robot: what is written for its controller."""

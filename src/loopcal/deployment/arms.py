@@ -1,0 +1,186 @@
+"""The two arms of a correction: the machine as it was calibrated, and the model of its controller.
+
+Both give poses of the same tool in the base of the arm, at the same joint readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.deployment.arm_pose import ArmPose
+from loopcal.deployment.rigid import of_yaw_pitch_roll
+from loopcal.deployment.tool import Tool
+from loopcal.errors import InputError, listed
+from loopcal.expressions.tape import Tape
+from loopcal.expressions.trace import trace
+from loopcal.expressions.vectors import vector
+from loopcal.files.machines.further_points import with_points
+from loopcal.mechanisms.chain import Step, product
+from loopcal.mechanisms.frame import ChainFrame
+from loopcal.mechanisms.limits import Limit, joint_limits
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.placement import ChainPlacement, rigid
+from loopcal.mechanisms.station import Station
+
+Array = NDArray[np.float64]
+_BODY = {"body_o": (0.0, 0.0, 0.0), "body_x": (1.0, 0.0, 0.0), "body_y": (0.0, 1.0, 0.0)}
+_TOOL = "body_tool"
+_PLACES = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Arms:
+    """machine, controller: T(q) of the tool; joints: name -> SI unit; limits: of those whose limits
+    are stated."""
+
+    machine: ArmPose
+    controller: ArmPose
+    joints: Mapping[str, str]
+    limits: Mapping[str, Limit]
+    tool: Tool
+
+    def spans(self) -> Array:
+        """(n, 2) lowest and highest readings [SI]; infinite where no limit is stated."""
+        rows = [self.limits.get(q, Limit(-np.inf, np.inf)) for q in self.joints]
+        return np.array([(limit.low, limit.high) for limit in rows])
+
+
+def arms_of(
+    calibrated: Mechanism,
+    nominal: Mapping[str, float],
+    tool: Tool,
+    controller: Mechanism | None = None,
+    at: Mapping[str, float] | None = None,
+) -> Arms:
+    """The arms of a calibrated mechanism and its controller.
+
+    nominal: values [SI] of the controller's parameters, those of the drawing, unless a `controller`
+    is given, an arm with the same joints; at: constants of the programme such as temperatures, name
+    -> value [SI]. Raises InputError for a machine that is no arm of joints, for a controller with
+    other joints, and for constants that are not stated.
+    """
+    joints = arm_joints(calibrated)
+    if controller is not None and arm_joints(controller).keys() != joints.keys():
+        raise InputError(
+            f"the controller's model has the joints {listed(arm_joints(controller))}, the "
+            f"calibrated arm {listed(joints)}",
+            code="unknown-name",
+            remedy="name the joints of the controller's model as those of the result",
+        )
+    of_controller = _controller(controller, calibrated, nominal, tool, tuple(joints))
+    machine = _machine(calibrated, tool, joints, at or {}, of_controller)
+    limits = joint_limits(calibrated) if controller is None else joint_limits(controller)
+    return Arms(machine, of_controller, joints, limits or joint_limits(calibrated), tool)
+
+
+def arm_joints(mechanism: Mechanism) -> dict[str, str]:
+    """The joints of an arm from base to tip, name -> SI unit; refuses what is no arm."""
+    if not mechanism.chain:
+        raise InputError(
+            f"{mechanism.name!r} is not a serial arm",
+            code="unsupported",
+            remedy="correct targets of serial arms; for parallel machines export the parameters",
+        )
+    return {step.joint: step.unit for step in mechanism.chain if step.joint}
+
+
+def _machine(
+    calibrated: Mechanism,
+    tool: Tool,
+    joints: Mapping[str, str],
+    at: Mapping[str, float],
+    controller: ArmPose,
+) -> ArmPose:
+    station = next(
+        (f.placement for f in calibrated.families if isinstance(f.placement, Station)), None
+    )
+    values = {p.name: p.nominal for p in calibrated.parameters}
+    points = {_TOOL: tool.point, **_BODY}
+    looked_at = with_points(calibrated, points, station.name if station else None)
+    looked_at = looked_at.with_nominal(values)
+    tape = looked_at.tape
+    own = [f"{name}_{axis}" for name in points for axis in "xyz"]
+    tape = tape.only([tape.loops.index(name) for name in own])
+    bare = ArmPose(
+        tape,
+        np.array([p.nominal for p in looked_at.parameters]),
+        tuple(joints),
+        _constants(looked_at, tape, at),
+        np.eye(4) if station is None else product(station.steps, {}, values),
+        of_yaw_pitch_roll(tool.of_machine[3:]),
+    )
+    if isinstance(calibrated.placement, ChainPlacement):
+        return _based(bare, controller)
+    return bare
+
+
+def _constants(mechanism: Mechanism, tape: Tape, at: Mapping[str, float]) -> dict[str, float]:
+    """The known constants of every target; those that the pose does not depend on are 0."""
+    stated, names = {**mechanism.latest, **at}, tape.known
+    used = frozenset().union(*tape.depends_on())
+    unknown = [name for name in at if name not in mechanism.known]
+    missing = [n for n in names if n not in stated and n in used]
+    if unknown or missing:
+        words = (
+            f"there is no constant {unknown[0]!r}"
+            if unknown
+            else f"the result depends on {listed(missing)}, which no target states"
+        )
+        raise InputError(
+            words,
+            code="unknown-name" if unknown else "missing-reading",
+            remedy=f"state {listed(missing or [*mechanism.known])} with --at NAME=VALUE",
+        )
+    return {name: stated.get(name, 0.0) for name in names}
+
+
+def _based(machine: ArmPose, controller: ArmPose) -> ArmPose:
+    """The machine in the base that its controller has: the chain alone does not say where it is.
+
+    The base lies where the controller's tool points come nearest to the machine's (Kabsch 1976).
+    """
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-1.0, 1.0, (_PLACES, len(machine.joints)))
+    seen, drawn = (arm(q)[:, :3, 3] for arm in (machine, controller))
+    U, _, V = np.linalg.svd((drawn - drawn.mean(axis=0)).T @ (seen - seen.mean(axis=0)))
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ V))])
+    R = (U @ flip @ V).T
+    base = rigid(R, seen.mean(axis=0) - R @ drawn.mean(axis=0))
+    return replace(machine, base=base)
+
+
+def _controller(
+    controller: Mechanism | None,
+    calibrated: Mechanism,
+    nominal: Mapping[str, float],
+    tool: Tool,
+    joints: tuple[str, ...],
+) -> ArmPose:
+    chain = calibrated.chain if controller is None else controller.chain
+    values = nominal if controller is None else {p.name: p.nominal for p in controller.parameters}
+    names = tuple(dict.fromkeys(step.parameter for step in chain if step.parameter))
+    return ArmPose(
+        _chain_tape(chain, joints, names, tool),
+        np.array([values[name] for name in names]),
+        joints,
+        {},
+        np.eye(4),
+        of_yaw_pitch_roll(tool.of_controller[3:]),
+    )
+
+
+def _chain_tape(
+    chain: tuple[Step, ...], joints: tuple[str, ...], parameters: tuple[str, ...], tool: Tool
+) -> Tape:
+    points = (tuple(tool.of_controller[:3]), *_BODY.values())
+
+    def loops(x: Any, p: Any) -> list[Any]:
+        frame = ChainFrame(chain, x, p)
+        return [value for point in points for value in frame.point(vector(*map(float, point)))]
+
+    return trace(loops, quantities=joints, parameters=parameters)

@@ -1,0 +1,238 @@
+"""What a correction did, for people and for programs: changed, refused, not understood."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.deployment.arms import Arms
+from loopcal.deployment.corrected import Corrected
+from loopcal.deployment.straight import StraightMove
+from loopcal.presentation.shown import with_unit
+
+Array = NDArray[np.float64]
+_SHOWN = 10
+
+
+@dataclass(frozen=True)
+class Left:
+    """A line that was found but not understood, and is left as it is."""
+
+    line: int
+    words: str
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Corrected targets of one file.
+
+    file, kind: of the program; lines: (N,) of the targets; left: lines that are left alone;
+    remarks: what the correction assumes; content: the corrected file; written: where it was
+    written, if anywhere; moves: the straight ones between corrected targets.
+    """
+
+    arms: Arms
+    corrected: Corrected
+    file: str
+    kind: str
+    lines: tuple[int, ...]
+    left: tuple[Left, ...] = ()
+    remarks: tuple[str, ...] = ()
+    content: bytes = field(default=b"", repr=False)
+    written: str | None = None
+    moves: tuple[StraightMove, ...] = ()
+
+    @property
+    def joints(self) -> dict[str, Array]:
+        """Joint -> (N,) corrected readings [SI]; NaN where a target is refused."""
+        q = np.where(self.corrected.done[:, None], self.corrected.joints, np.nan)
+        return dict(zip(self.arms.joints, q.T, strict=True))
+
+    @property
+    def poses(self) -> Array:
+        """(N, 4, 4) the corrected Cartesian targets in the base; NaN where a target is refused."""
+        return np.where(self.corrected.done[:, None, None], self.corrected.poses, np.nan)
+
+    @property
+    def u95(self) -> Array:
+        """(N,) U95 of the distance between the reached and the wanted tool point [m]."""
+        return np.where(self.corrected.done, self.corrected.reached.radial(0), np.nan)
+
+    def __str__(self) -> str:
+        """The summary."""
+        return self.words()
+
+    def words(self) -> str:
+        """What was changed, refused and not understood."""
+        found, done = self.corrected, self.corrected.done
+        lines = [f"{int(done.sum())} of {len(done)} targets corrected ({self.kind})"]
+        if done.any():
+            lines += self._numbers()
+        refused = [
+            (target, line, refusal)
+            for target, line, refusal in zip(
+                found.targets.names, self.lines, found.refused, strict=True
+            )
+            if refusal is not None
+        ]
+        if self.moves:
+            lines.append(self._straight())
+        if refused:
+            counts = Counter(refusal.reason for _, _, refusal in refused)
+            several = ", ".join(f"{n} {reason}" for reason, n in counts.most_common())
+            lines.append(f"REFUSED  {_stay(len(refused), 'target')}: {several}")
+            lines += [f"  line {n}, {t}: {r.words}" for t, n, r in refused[:_SHOWN]]
+            lines += _more(len(refused))
+        if self.left:
+            lines.append(f"NOT UNDERSTOOD  {_stay(len(self.left), 'line')}")
+            lines += [f"  line {one.line}: {one.words}" for one in self.left[:_SHOWN]]
+            lines += _more(len(self.left))
+        return "\n".join([*lines, *self.remarks])
+
+    def _numbers(self) -> list[str]:
+        found, done = self.corrected, self.corrected.done
+        before, after = (
+            np.linalg.norm(part[done, :3], axis=1) for part in (found.before, found.after)
+        )
+        turned = np.linalg.norm(found.before[done, 3:], axis=1)
+        step = np.abs(found.joints - found.targets.joints)[done]
+        lines = [
+            f"error before: median {_m(np.median(before))}, largest {_m(before.max())}; "
+            f"turned by up to {_deg(turned.max())}",
+            f"error left: {_left(after, found.after[done, 3:])}",
+            f"U95 of the reached point: {_spread(self.u95[done])}",
+            f"U95 of the reached turn: {_turns(found.reached.radial(3)[done])}",
+            f"largest change of a joint: {_joint(step, self.arms.joints)}",
+        ]
+        beyond = found.extrapolated & done
+        if beyond.any():
+            lines.append(
+                f"EXTRAPOLATION  {int(beyond.sum())} targets are unlike the calibration poses: the "
+                "stated accuracy of the calibration does not apply there"
+            )
+        if not found.reached.readings:
+            lines.append("U95 without the joints' readings, whose sds are unknown")
+        return lines
+
+    def _straight(self) -> str:
+        """The straight moves."""
+        worst = max(self.moves, key=lambda move: move.error)
+        new = sum(len(move.inserted) for move in self.moves)
+        count = f"{len(self.moves)} straight move{'s' if len(self.moves) > 1 else ''}"
+        error = _m(worst.error) if math.isfinite(worst.error) else "not followed by the controller"
+        words = f"{count}: error in between up to {error} (line {worst.line})"
+        return f"{words}; {new} targets inserted" if new else words
+
+    def document(self) -> dict[str, Any]:
+        """As one JSON document: SI, null for what is not known."""
+        found, half = self.corrected, self.corrected.reached.half_widths
+        shift, turn = found.reached.radial(0), found.reached.radial(3)
+        targets = []
+        for i, name in enumerate(found.targets.names):
+            refusal = found.refused[i]
+            known = refusal is None
+            targets.append(
+                {
+                    "target": name,
+                    "line": self.lines[i],
+                    "corrected": known,
+                    "refused": None
+                    if refusal is None
+                    else {"reason": refusal.reason, "words": refusal.words},
+                    "joints_before": self._named(found.targets.joints[i]),
+                    "joints": self._named(found.joints[i]) if known else None,
+                    "pose": _rows(found.poses[i]) if known else None,
+                    "error_before": _list(found.before[i]),
+                    "error_left": _list(found.after[i]) if known else None,
+                    "u95": _list(half[i]) if known else None,
+                    "u95_point": _plain(shift[i]) if known else None,
+                    "u95_turn": _plain(turn[i]) if known else None,
+                    "ratio": _plain(found.ratio[i]),
+                    "extrapolated": bool(found.extrapolated[i]),
+                }
+            )
+        return {
+            "file": self.file,
+            "format": self.kind,
+            "written": self.written,
+            "units": {"joints": dict(self.arms.joints), "shift": "m", "turn": "rad"},
+            "corrected": int(found.done.sum()),
+            "refused": int((~found.done).sum()),
+            "readings_included": found.reached.readings,
+            "not_understood": [{"line": one.line, "words": one.words} for one in self.left],
+            "remarks": list(self.remarks),
+            "straight_moves": [
+                {
+                    "line": move.line,
+                    "from": found.targets.names[move.begin],
+                    "to": found.targets.names[move.end],
+                    "error": _plain(move.error),
+                    "inserted": [self._named(q) for q in move.inserted],
+                }
+                for move in self.moves
+            ],
+            "targets": targets,
+        }
+
+    def _named(self, q: Array) -> Mapping[str, float | None]:
+        return {name: _plain(v) for name, v in zip(self.arms.joints, q.tolist(), strict=True)}
+
+
+def _stay(count: int, what: str) -> str:
+    return f"1 {what} stays as it is" if count == 1 else f"{count} {what}s stay as they are"
+
+
+def _more(count: int) -> list[str]:
+    return [f"  and {count - _SHOWN} more; --json lists all"] if count > _SHOWN else []
+
+
+def _m(value: float) -> str:
+    return with_unit(float(value), "m") if math.isfinite(value) else "unknown"
+
+
+def _deg(value: float) -> str:
+    return f"{math.degrees(value):.3f} deg"
+
+
+def _left(shifts: Array, turns: Array) -> str:
+    turned = float(np.linalg.norm(turns, axis=1).max())
+    if shifts.max() < 1e-9 and turned < 1e-9:
+        return "below 1 nm"
+    return f"up to {_m(shifts.max())}, turned by up to {_deg(turned)} (the arm has too few joints)"
+
+
+def _spread(values: Array) -> str:
+    if not np.isfinite(values).all():
+        return "unknown: a combination of parameters that moves it is not determined"
+    return f"median {_m(np.median(values))}, largest {_m(values.max())}"
+
+
+def _turns(values: Array) -> str:
+    if not np.isfinite(values).all():
+        return "unknown: a combination of parameters that turns it is not determined"
+    return f"median {_deg(float(np.median(values)))}, largest {_deg(float(values.max()))}"
+
+
+def _joint(step: Array, joints: Mapping[str, str]) -> str:
+    turning = np.array([unit == "rad" for unit in joints.values()])
+    parts = [_deg(float(step[:, turning].max()))] if turning.any() else []
+    parts += [_m(float(step[:, ~turning].max()))] if not turning.all() else []
+    return ", ".join(parts)
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _list(values: Array) -> list[float | None]:
+    return [_plain(v) for v in values.tolist()]
+
+
+def _rows(T: Array) -> list[list[float | None]]:
+    return [_list(row) for row in T]

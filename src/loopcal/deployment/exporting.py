@@ -1,0 +1,355 @@
+"""What of a calibration can be told to a controller or simulator, and what that is worth.
+
+A machine is exported as its geometry. Where the calibration found effects beyond geometry (sag,
+gears, a smooth discrepancy), the geometric parameters are refitted to the full model's predictions
+in the working region, and the accuracy of that is stated. Beside it stands the accuracy of entering
+zeros, tool and base alone, for controllers that keep their nominal geometry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.deployment.last_change import after_last_change
+from loopcal.deployment.refit import Goal, Refit, refit, separable
+from loopcal.deployment.seen_points import SeenPoint, seen_points, traced
+from loopcal.document.accuracy import Distances
+from loopcal.document.exported import Exported, ModelAccuracy, Placed, ZeroOffset
+from loopcal.document.result_document import ResultDocument
+from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.sensitivity import output_sensitivity
+from loopcal.files.machines.further_points import with_points
+from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.calibrated_origins import calibrated_origins
+from loopcal.mechanisms.chain import Step, product
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.origins import LinkJoint
+from loopcal.mechanisms.outputs import points
+from loopcal.mechanisms.placement import ChainPlacement, rigid
+from loopcal.mechanisms.rest import rest_chain
+from loopcal.mechanisms.station import Station
+from loopcal.mechanisms.structure.structured import EFFECT
+from loopcal.small_samples import t_quantile
+from loopcal.statistics.predictor import Predictor
+
+Array = NDArray[np.float64]
+_POSES = 400
+_POINT = "point:"
+_GEOMETRY = ("length", "angle", "placement", "mounting")
+
+
+def exported(
+    document: ResultDocument,
+    mechanism: Mechanism,
+    poses: Dataset | None,
+    known: Predictor | None,
+    *,
+    offsets_apart: bool = False,
+) -> Exported:
+    """A calibrated machine for export.
+
+    document, mechanism: of a result; poses: its readings, without which no accuracy at them is
+    known; known: what predictions need of it, without which no models are compared; offsets_apart:
+    whether the zero offsets of joint origins stand beside them.
+    """
+    values = {p.name: p.value for p in document.parameters}
+    name = document.mechanism.name if document.mechanism else mechanism.name
+    if not mechanism.chain:
+        return Exported(name, None, (), document.parameters, values)
+    beyond = {n: v for its in mechanism.effects.values() for n in its if (v := values[n]) != 0.0}
+    if known is not None and poses is not None:
+        kept = [i for i, pose in enumerate(poses.poses) if pose not in document.data.discarded]
+        poses = after_last_change(known.mechanism, poses.take(kept))
+    full = None if known is None else _Full.of(document, known, poses)
+    bare = {n: 0.0 if n in beyond else v for n, v in values.items()}
+    geometry, warnings = bare, list[str]()
+    if beyond and full is not None:
+        free = [
+            p.name
+            for p in mechanism.parameters
+            if not p.fixed and mechanism.kinds[p.name] in _GEOMETRY
+        ]
+        units = {p.name: p.unit for p in mechanism.parameters}
+        found = refit(full.goals, bare | full.standing, free, units=units)
+        geometry = {n: v for n, v in found.values.items() if n in bare}
+    elif beyond:
+        warnings.append(
+            "The geometry is not refitted to the full model, which is written as a function. "
+            "Expect errors as large as the effects that are left out."
+        )
+    zeros = None if full is None else _zeros(document, mechanism, full, bare)
+    described = mechanism.description or {}
+    joints = [j for j in described.get("joints", ()) if isinstance(j, LinkJoint)]
+    origins = calibrated_origins(
+        joints, geometry, axes=bool(described.get("axes")), apart=offsets_apart
+    )
+    frames = list(_frames(mechanism, geometry, "geometry"))
+    accuracy: tuple[ModelAccuracy, ...] = ()
+    if full is not None and zeros is not None:
+        frames += _frames(mechanism, zeros.refit.values, "zeros and tool")
+        accuracy = _accuracy(document, full, zeros, geometry)
+    return Exported(
+        name,
+        rest_chain(mechanism.chain, geometry),
+        origins,
+        document.parameters,
+        geometry,
+        () if zeros is None else zeros.rows,
+        tuple(frames),
+        accuracy,
+        _omitted(mechanism, beyond),
+        tuple(warnings),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Full:
+    """The full model in the working region: what it predicts there, and from which readings.
+
+    floating: parameters of where the base stands, 0 in the full model, of an arm that has none:
+    lengths alone are measured, which do not tell, or its own transitions hold it.
+    """
+
+    known: Predictor
+    seen: tuple[SeenPoint, ...]
+    goals: tuple[Goal, ...]
+    x: Array
+    constants: Array
+    poses: Dataset | None
+    floating: tuple[str, ...]
+
+    @classmethod
+    def of(cls, document: ResultDocument, known: Predictor, poses: Dataset | None) -> _Full | None:
+        """None for an arm written as a function, or where the region is unknown."""
+        machine, floating = known.mechanism, Station(None)
+        seen = seen_points(machine)
+        if not seen:
+            floating = Station("base:")
+            machine = _looked_at(machine)
+            known = replace(known, mechanism=machine)
+            seen = seen_points(machine)
+        elif isinstance(machine.placement, ChainPlacement):
+            floating = Station("base:")
+        seen = tuple(replace(one, steps=(*floating.steps, *one.steps)) for one in seen)
+        names = machine.tape.quantities
+        stored = document.prediction
+        ranges = {}
+        if stored is not None and stored.region is not None:
+            ranges = {r.quantity: (r.low, r.high) for r in stored.region.ranges}
+        joints = list(dict.fromkeys(s.joint for s in machine.chain if s.joint))
+        if poses is not None:
+            measured = {q: poses.readings[q] for q in joints if q in poses.readings}
+            ranges = {q: (float(v.min()), float(v.max())) for q, v in measured.items()} | ranges
+        if not set(joints) <= ranges.keys():
+            return None
+        rng = np.random.default_rng(0)
+        home = {q: v for q, v in known.typical.items() if q not in machine.disturbances}
+        x = np.repeat([[home.get(q, 0.0)] for q in names], _POSES, axis=1)
+        for q, (low, high) in ranges.items():
+            if q in names:
+                x[names.index(q)] = rng.uniform(low, high, _POSES)
+        constants = _constants(machine, poses, rng)
+        values = np.array([p.nominal for p in machine.parameters])
+        x[[names.index(q) for q in machine.outputs]] = predict_outputs(
+            machine, values, x, constants
+        )
+        good = np.isfinite(x).all(axis=0)
+        x, constants = x[:, good], constants[:, good]
+        at = {q: x[names.index(q)] for q in joints}
+        goals = tuple(
+            Goal(s, at, s.measured({q: x[names.index(q)] for q in s.outputs})) for s in seen
+        )
+        if not good.any():
+            return None
+        return cls(known, seen, goals, x, constants, poses, floating.parameters)
+
+    @property
+    def standing(self) -> dict[str, float]:
+        """The floating parameters in the full model."""
+        return dict.fromkeys(self.floating, 0.0)
+
+    def by_parameter(self) -> Array:
+        """(rows, n) derivatives of all points of the goals by the estimated parameters."""
+        machine = self.known.mechanism.predicting()
+        values = np.array([p.nominal for p in machine.parameters])
+        kept = [self.known.mechanism.tape.quantities.index(q) for q in machine.tape.quantities]
+        S = output_sensitivity(
+            machine, values, self.known.names, self.x[kept], self.constants
+        ).by_parameter
+        parts = []
+        for goal in self.goals:
+            rows = [machine.outputs.index(q) for q in goal.seen.outputs]
+            at = self.x[[self.known.mechanism.tape.quantities.index(q) for q in goal.seen.outputs]]
+            J = _cartesian_by_output(goal.seen, at)
+            parts.append((J @ S[:, rows]).reshape(-1, S.shape[2]))
+        return np.vstack(parts)
+
+
+def _looked_at(machine: Mechanism) -> Mechanism:
+    """An arm of which no point is measured, the point that is looked at as its only output."""
+    mounted = next((f.mounted for f in machine.families if len(f.mounted) >= 3), ())
+    target = [n for n in mounted if machine.parameters[n].unit == "m"][:3]
+    made = with_points(machine, {_POINT: target or (0.0, 0.0, 0.0)}, None)
+    outputs = tuple(f"{_POINT}_{axis}" for axis in "xyz")
+    kept = [made.tape.loops.index(name) for name in outputs]
+    families = tuple(family for family in made.families if family.name == _POINT)
+    made = replace(made, outputs=outputs, families=families)
+    return made.with_tape(lambda tape: tape.only(kept))
+
+
+def _constants(machine: Mechanism, poses: Dataset | None, rng: np.random.Generator) -> Array:
+    """Known constants (c, N) of each pose: as after the last change, else as in measured poses."""
+    names = machine.tape.known
+    found = np.zeros((len(names), _POSES))
+    for i, name in enumerate(names):
+        if name in machine.latest:
+            found[i] = machine.latest[name]
+        elif poses is not None and name in poses.readings:
+            found[i] = poses.readings[name][rng.integers(0, len(poses), _POSES)]
+    return found
+
+
+def _cartesian_by_output(seen: SeenPoint, at: Array) -> Array:
+    """(N, 3, 3) derivatives of x, y, z by the outputs that say where the point is."""
+    step = 1e-6
+    columns = [
+        (points(seen.family, at + step * e[:, None]) - points(seen.family, at - step * e[:, None]))
+        / (2.0 * step)
+        for e in np.eye(3)
+    ]
+    return np.stack(columns, axis=1).transpose(2, 0, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Zeros:
+    """rows; refit: of zeros, tool and base; nominal: of tool and base alone."""
+
+    rows: tuple[ZeroOffset, ...]
+    refit: Refit
+    nominal: Refit
+
+
+def _zeros(
+    document: ResultDocument, mechanism: Mechanism, full: _Full, bare: Mapping[str, float]
+) -> _Zeros:
+    """Zeros, tool and base alone: the drawing's geometry refitted by these to the full model."""
+    kinds = mechanism.kinds
+    nominal = {p.name: p.nominal for p in document.parameters}
+    placed = ("mounting",) if full.floating else ("placement", "mounting")
+    start = {n: v if kinds[n] in placed else nominal[n] for n, v in bare.items()}
+    start |= {n: 0.0 for its in mechanism.effects.values() for n in its}
+    start |= full.standing
+    names = [p.name for p in mechanism.parameters if not p.fixed and kinds[p.name] in placed]
+    names += full.floating
+    joints = {s.joint: s.unit for s in mechanism.chain if s.joint}
+    determined = separable(full.goals, start, names, list(joints))
+    found = refit(full.goals, start, names, determined)
+    spread = full.known.covariance.through(found.map @ full.by_parameter())
+    sd = np.sqrt(np.maximum(np.diag(spread.matrix), 0.0))
+    half = {
+        n: t_quantile(0.95, float(f)) * float(s)
+        for n, s, f in zip(found.names, sd, spread.freedom, strict=True)
+    }
+    rows = tuple(
+        ZeroOffset(q, unit, found.offsets.get(q, 0.0), half.get(q), q in determined)
+        for q, unit in joints.items()
+    )
+    return _Zeros(rows, found, refit(full.goals, start, names))
+
+
+def _accuracy(
+    document: ResultDocument, full: _Full, zeros: _Zeros, geometry: Mapping[str, float]
+) -> tuple[ModelAccuracy, ...]:
+    """The four models beside the measured poses and the full model."""
+    stated = document.accuracy
+    nominal = calibrated = None
+    if stated is not None and stated.unit == "m":
+        nominal, calibrated = stated.nominal, stated.after
+    if full.known.mechanism.latest:  # the stated one is of the machine before its changes too
+        nominal = None
+    alone = Refit({**geometry, **full.standing}, {}, (), np.empty((0, 0)))
+    return (
+        ModelAccuracy(
+            "nominal", nominal or _measured(full, zeros.nominal), _away(full, zeros.nominal)
+        ),
+        ModelAccuracy("zeros and tool", _measured(full, zeros.refit), _away(full, zeros.refit)),
+        ModelAccuracy("geometry", _measured(full, alone), _away(full, alone)),
+        ModelAccuracy("full", calibrated, None),
+    )
+
+
+def _away(full: _Full, model: Refit) -> Distances | None:
+    return _distances(model.distances(full.goals))
+
+
+def _measured(full: _Full, model: Refit) -> Distances | None:
+    """Computed minus measured at the poses of the calibration."""
+    if full.poses is None:
+        return None
+    readings = full.poses.readings
+    found = []
+    for seen in full.seen:
+        if not all(q in readings for q in seen.outputs):
+            continue
+        joints = {s.joint: readings[s.joint] for s in seen.steps if s.joint}
+        moved = {q: v + model.offsets.get(q, 0.0) for q, v in joints.items()}
+        there = traced(seen.steps, seen.target, moved, model.values).points
+        found.append(np.linalg.norm(there - seen.measured(readings), axis=1))
+    return _distances(np.concatenate(found)) if found else None
+
+
+def _distances(d: Array) -> Distances | None:
+    d = d[np.isfinite(d)]
+    if not d.size:
+        return None
+    rms = float(np.sqrt(np.square(d).mean()))
+    return Distances(float(d.mean()), rms, float(np.quantile(d, 0.95)), float(d.max()), int(d.size))
+
+
+def _frames(mechanism: Mechanism, values: Mapping[str, float], model: str) -> tuple[Placed, ...]:
+    """Tools on the flange, stations beside the base; of transitions, which have none, axis 1."""
+    found: dict[str, Placed] = {}
+    for family in mechanism.families:
+        units = [(n, mechanism.parameters[n].unit) for n in family.mounted]
+        shift = [n for n, unit in units if unit == "m"][:3]
+        turns = [n for n, unit in units if unit == "rad"]
+        if len(shift) == 3 and len(turns) in (0, 3):
+            tool = shift[0].removesuffix("_x") if shift[0].endswith("_x") else "tool"
+            steps = _frame_steps([*shift, *turns])
+            T = product(steps, {}, values)
+            found.setdefault(tool, Placed(tool, "flange", T, bool(turns), model))
+        stands = family.placement
+        if isinstance(stands, Station) and stands.name is not None and len(stands.steps) == 6:
+            T = product(stands.steps, {}, values)
+            name = stands.name if stands.name != "base" else "instrument"
+            found.setdefault(f"base in {name}", Placed("base", name, T, True, model))
+            back = rigid(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])
+            found.setdefault(f"{name} in base", Placed(name, "base", back, True, model))
+    if isinstance(mechanism.placement, ChainPlacement):
+        ahead = Station("base:").steps if "base:_x" in values else ()
+        first = rest_chain((*ahead, *mechanism.chain), values).along_z.joints[0]
+        name = f"axis of {first.name} (z)"
+        found[name] = Placed(name, "instrument", first.before, True, model)
+    return tuple(found.values())
+
+
+def _frame_steps(names: Sequence[str]) -> list[Step]:
+    motions = ("tx", "ty", "tz", "rz", "ry", "rx")
+    return [Step(m, n) for m, n in zip(motions, names, strict=False)]
+
+
+def _omitted(mechanism: Mechanism, beyond: Mapping[str, float]) -> tuple[str, ...]:
+    """Names of the effects, and of the terms of the model error, that are not geometry."""
+    found = []
+    for name, its in mechanism.effects.items():
+        if name != EFFECT:
+            found += [name] * any(n in beyond for n in its)
+            continue
+        for term in mechanism.terms:
+            if any(n in beyond for n in term.parameters if n in its):
+                found.append(term.name)
+    return tuple(found)

@@ -1,0 +1,142 @@
+"""Part of a machine's parameters refitted to what its full model predicts.
+
+What goes into a controller is less than what was calibrated: zeros, tool and base alone, or the
+geometry without sag, gears and discrepancy. The half of a joint estimate means little by itself;
+what is exported is therefore the part that predicts best what the full model does in the working
+region:
+
+    min over u of  sum |p_full(q) - p(q; u)|^2 / s^2 + sum (u - u_0)^2 / w^2.
+
+s is 10 um; w, for geometry, 5 mm or 50 mrad: what the region does not determine stays at u_0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.deployment.seen_points import SeenPoint, Traced, traced
+from loopcal.mechanisms.structure.structured import MOUNTED
+
+Array = NDArray[np.float64]
+_NOISE = 1e-5
+_STEPS, _SETTLED = 30, 1e-12
+_ALIKE = 5e-5
+"""Of a column, what is left of one that the columns before it can express."""
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """A point, the readings (N,) of the arm's joints, and where the point is to be (N, 3)."""
+
+    seen: SeenPoint
+    joints: Mapping[str, Array]
+    points: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """values: parameters [SI] by name, the refitted among them; offsets: of joint readings [SI];
+    names: what was refitted; map: (n, rows) change of these per change of the goals' points."""
+
+    values: Mapping[str, float]
+    offsets: Mapping[str, float]
+    names: tuple[str, ...]
+    map: Array
+
+    def distances(self, goals: Sequence[Goal]) -> Array:
+        """[m] from the goals."""
+        return np.concatenate([np.linalg.norm(g.points - p, axis=1) for g, p in self._at(goals)])
+
+    def _at(self, goals: Sequence[Goal]) -> list[tuple[Goal, Array]]:
+        return [(g, _trace(g, self.values, self.offsets).points) for g in goals]
+
+
+def refit(
+    goals: Sequence[Goal],
+    values: Mapping[str, float],
+    names: Sequence[str],
+    joints: Sequence[str] = (),
+    *,
+    units: Mapping[str, str] | None = None,
+) -> Refit:
+    """The parameters `names` and zero offsets of `joints` that come nearest to the goals.
+
+    values: of all parameters, those to be refitted at their start; units: of the parameters, where
+    they are to stay near the start. Gauss-Newton; the offsets start at 0.
+    """
+    start = np.array([*(values[n] for n in names), *(0.0 for _ in joints)])
+    u = start.copy()
+    weight = (
+        np.zeros(len(u)) if units is None else _NOISE / np.array([MOUNTED[units[n]] for n in names])
+    )
+    own = [*names, *joints]
+    A = np.zeros((0, len(own)))
+    for _ in range(_STEPS):
+        now = _with(values, names, u)
+        offsets = dict(zip(joints, u[len(names) :].tolist(), strict=True))
+        A, left = _system(goals, own, now, offsets)
+        scale = np.sqrt(np.square(A).sum(axis=0) + np.square(weight))
+        scale[scale == 0.0] = 1.0
+        B = np.vstack([A, np.diag(weight)]) / scale
+        step = (
+            np.linalg.lstsq(B, np.concatenate([left, weight * (start - u)]), rcond=1e-10)[0] / scale
+        )
+        u = u + step
+        if np.abs(step * scale).max(initial=0.0) < _SETTLED * np.sqrt(len(left)):
+            break
+    back = np.linalg.pinv(np.vstack([A, np.diag(weight)]) / scale, rcond=1e-10)[:, : len(A)]
+    return Refit(
+        _with(values, names, u),
+        dict(zip(joints, u[len(names) :].tolist(), strict=True)),
+        tuple(own),
+        back / scale[:, None],
+    )
+
+
+def separable(
+    goals: Sequence[Goal], values: Mapping[str, float], names: Sequence[str], joints: Sequence[str]
+) -> tuple[str, ...]:
+    """Of the joints those whose zeros do what neither `names` nor zeros of joints before do."""
+    A, _ = _system(goals, [*names, *joints], values, {})
+    size = np.linalg.norm(A, axis=0)
+    A = A / np.where(size > 0.0, size, 1.0)
+    basis = np.zeros((len(A), 0))
+    found = []
+    for i, name in enumerate([*names, *joints]):
+        rest = A[:, i] - basis @ (basis.T @ A[:, i])
+        rest = rest - basis @ (basis.T @ rest)
+        length = float(np.linalg.norm(rest))
+        if length > _ALIKE:
+            basis = np.column_stack([basis, rest / length])
+            if i >= len(names):
+                found.append(name)
+    return tuple(found)
+
+
+def _with(values: Mapping[str, float], names: Sequence[str], u: Array) -> dict[str, float]:
+    return dict(values) | dict(zip(names, u.tolist(), strict=False))
+
+
+def _trace(goal: Goal, values: Mapping[str, float], offsets: Mapping[str, float]) -> Traced:
+    joints = {q: v + offsets.get(q, 0.0) for q, v in goal.joints.items()}
+    return traced(goal.seen.steps, goal.seen.target, joints, values)
+
+
+def _system(
+    goals: Sequence[Goal],
+    names: Sequence[str],
+    values: Mapping[str, float],
+    offsets: Mapping[str, float],
+) -> tuple[Array, Array]:
+    """Derivatives (rows, n) of all points, and what is left to the goals (rows,)."""
+    parts, left = [], []
+    for goal in goals:
+        now = _trace(goal, values, offsets)
+        none = np.zeros(goal.points.shape)
+        parts.append(np.stack([now.by.get(n, none) for n in names], axis=2).reshape(-1, len(names)))
+        left.append((goal.points - now.points).ravel())
+    return np.vstack(parts), np.concatenate(left)

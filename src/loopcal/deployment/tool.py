@@ -1,0 +1,90 @@
+"""Where the tool of a program sits on the last link: for the machine, and for its controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.deployment.rigid import of_yaw_pitch_roll
+from loopcal.errors import InputError
+from loopcal.mechanisms.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+CALIBRATED, NOMINAL = "calibrated", "nominal"
+
+
+@dataclass(frozen=True, eq=False)
+class Tool:
+    """A frame on the body, Tx Ty Tz Rz Ry Rx.
+
+    point: its coordinates [m], or the names of the parameters that hold them, in the machine;
+    turns: names of the parameters of its turns z, y, x, empty where it has none; of_machine,
+    of_controller: numbers (6,) x, y, z [m], rz, ry, rx [rad]; observed: whether its turn was
+    measured.
+    """
+
+    point: tuple[float, ...] | tuple[str, ...]
+    turns: tuple[str, ...]
+    of_machine: Array
+    of_controller: Array
+
+    @property
+    def observed(self) -> bool:
+        """Whether an instrument saw how the tool is turned."""
+        return bool(self.turns)
+
+
+def tool_of(
+    mechanism: Mechanism, nominal: Mapping[str, float], stated: str | Sequence[float] = CALIBRATED
+) -> Tool:
+    """The tool of a program.
+
+    stated: "calibrated": what the first instrument looks at, also entered in the controller;
+    "nominal": the same, but the controller has its drawn values; or x, y, z [m] and rz, ry, rx
+    [rad] (or none) on the last link, in both. Raises InputError for anything else.
+    """
+    if not isinstance(stated, str):
+        numbers = np.array(stated, dtype=float)
+        if numbers.shape not in ((3,), (6,)) or not np.isfinite(numbers).all():
+            raise InputError(
+                f"the tool has {numbers.size} numbers",
+                code="wrong-shape",
+                remedy="give x, y, z and, if it is turned, rz, ry, rx",
+            )
+        numbers = np.concatenate([numbers, np.zeros(6 - numbers.size)])
+        return Tool(tuple(map(float, numbers[:3])), (), numbers, numbers)
+    if stated not in (CALIBRATED, NOMINAL):
+        raise InputError(
+            f"the tool is {stated!r}",
+            code="unknown-name",
+            remedy="give 'calibrated', 'nominal', or the numbers x, y, z, rz, ry, rx",
+        )
+    names = next((f.mounted for f in mechanism.families if f.mounted), ())
+    units = {name: mechanism.parameters[name].unit for name in names}
+    point = tuple(n for n in names if units[n] == "m")[:3]
+    turns = tuple(n for n in names if units[n] == "rad")
+    turns = turns if len(turns) == 3 else ()
+    values = [_numbers(point, turns, {p.name: p.nominal for p in mechanism.parameters})]
+    values.append(_numbers(point, turns, nominal) if stated == NOMINAL else values[0])
+    if len(point) < 3:
+        return Tool((0.0, 0.0, 0.0), (), values[0], values[0])
+    return Tool(point, turns, *values)
+
+
+def _numbers(point: Sequence[str], turns: Sequence[str], values: Mapping[str, float]) -> Array:
+    numbers = np.zeros(6)
+    for begin, names in ((0, point), (3, turns)):
+        for i, name in enumerate(names):
+            numbers[begin + i] = values[name]
+    return numbers
+
+
+def turning(tool: Tool) -> Array:
+    """(3, 3) columns: the turns of the tool by each of rz, ry, rx, in the frame of the body."""
+    rz, ry, _ = tool.of_machine[3:]
+    about_y = of_yaw_pitch_roll(np.array([rz, 0.0, 0.0]))
+    about_x = of_yaw_pitch_roll(np.array([rz, ry, 0.0]))
+    return np.stack([np.array([0.0, 0.0, 1.0]), about_y[:, 1], about_x[:, 0]], axis=1)

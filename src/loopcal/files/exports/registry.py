@@ -1,0 +1,24 @@
+"""All formats of an export, by name."""
+
+from __future__ import annotations
+
+from loopcal.errors import InputError, nearest
+from loopcal.files.exports import geometry_json, simulators, tables, ur, urdf, xacro
+from loopcal.files.exports.format import Format
+
+EXPORTS: dict[str, Format] = {
+    one.name: one
+    for module in (urdf, xacro, ur, tables, simulators, geometry_json)
+    for one in module.FORMATS
+}
+
+
+def format_named(name: str) -> Format:
+    """The format of a name. Raises InputError for one that does not exist."""
+    if name not in EXPORTS:
+        raise InputError(
+            f"there is no export format {name!r}",
+            code="unknown-name",
+            remedy=nearest(name, EXPORTS),
+        )
+    return EXPORTS[name]

@@ -1,0 +1,209 @@
+"""A calibrated robot in its user's own URDF: attribute values replaced, all other bytes kept.
+
+Of the joints calibrated the `xyz` and `rpy` of their origins are replaced where they changed, the
+numbers within them where these changed (and `xyz` of an axis that was calibrated). An origin or an
+attribute that is not there is inserted where it belongs. Values are the shortest decimals that read
+back to the same double; of equivalent rpy the triple nearest to the old one is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loopcal.document.exported import Exported
+from loopcal.errors import InputError, nearest
+from loopcal.files.exports.format import ExportFiles, ExportOptions, Format
+from loopcal.files.exports.xml_text import Edit, StartTag, XmlText
+from loopcal.files.machines.safe_xml import children, content_of, read_xml
+from loopcal.files.machines.urdf import NO_URDF, joint_elements
+from loopcal.files.toml.reader import shown
+from loopcal.mechanisms.calibrated_origins import CalibratedOrigin
+from loopcal.mechanisms.origins import LinkJoint
+from loopcal.mechanisms.rest import roll_pitch_yaw, rotation
+
+_SAME = 1e-9
+"""[m, rad] by which the file's robot may differ from the one calibrated."""
+_ROUNDED = 1e-15
+"""By which rotations differ that are one: what the decimals of rpy leave."""
+
+
+@dataclass(frozen=True)
+class Patched:
+    """content: the new file; changed: joints whose elements were changed; warnings."""
+
+    content: bytes
+    changed: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def patched_urdf(path: str | Path, origins: Sequence[CalibratedOrigin]) -> Patched:
+    """The URDF of a robot with calibrated origins.
+
+    Raises InputError with file and line if the file is not a URDF, or of another robot than the
+    one calibrated: a joint is absent, or its origin is neither the drawing's nor the new one.
+    """
+    root, place = read_xml(path, "robot", NO_URDF), shown(path)
+    source = XmlText.of(content_of(path), root.getroottree().docinfo.encoding, place)
+    tags = dict(
+        zip(
+            (element for element in root.iter() if isinstance(element.tag, str)),
+            source.tags(),
+            strict=True,
+        )
+    )
+    its = joint_elements(root, place)
+    edits: list[Edit] = []
+    changed: list[str] = []
+    rising: list[str] = []
+    for one in origins:
+        name = one.joint.name
+        if name not in its:
+            raise InputError(
+                f"the robot has no joint {name!r}, which was calibrated",
+                code="unknown-name",
+                place=place,
+                remedy=f"name the URDF that was calibrated; {nearest(name, its)}",
+            )
+        element, joint = its[name]()
+        _check_same(one, joint, place)
+        own = _edits(one, joint, element, tags)
+        edits += own
+        changed += [name] * bool(own)
+        rising += [name] * bool(children(element, "calibration"))
+    return Patched(source.edited(edits), tuple(changed), _warnings(rising))
+
+
+def _warnings(rising: list[str]) -> tuple[str, ...]:
+    if not rising:
+        return ()
+    joints = ", ".join(map(repr, rising))
+    return (
+        f"The URDF has <calibration> at {joints}. It was left as it is: it names a reference "
+        "position of the encoder, and forward kinematics ignore it.",
+    )
+
+
+def _check_same(one: CalibratedOrigin, joint: LinkJoint, place: str) -> None:
+    """Raise InputError for a joint that is neither as drawn nor as exported."""
+    drawn = replace(joint, xyz=one.joint.xyz, rpy=one.joint.rpy, limits=one.joint.limits)
+    new_axis = replace(drawn, axis=one.joint.axis)
+    if new_axis != one.joint:
+        words = "its kind, axis or mimic is not the one calibrated"
+    elif np.abs(np.subtract(joint.axis, one.joint.axis)).max() > _SAME and (
+        np.abs(np.subtract(joint.axis, one.axis)).max() > _SAME
+    ):
+        words = "its axis is not the one calibrated"
+    else:
+        T = CalibratedOrigin(joint, one.T, one.axis).drawn
+        if min(np.abs(T - one.drawn).max(), np.abs(T - one.T).max()) <= _SAME:
+            return
+        words = "its origin is neither the nominal nor the calibrated one"
+    raise InputError(
+        f"the joint {joint.name!r} is of another robot: {words}",
+        code="conflicting-keys",
+        place=place,
+        remedy="name the URDF that the calibration began with, or calibrate with this one",
+    )
+
+
+def _edits(
+    one: CalibratedOrigin, joint: LinkJoint, element: Any, tags: dict[Any, StartTag]
+) -> list[Edit]:
+    """What changes in a joint."""
+    attributes: dict[str, str] = {}
+    origin = next(iter(children(element, "origin")), None)
+    old = "" if origin is None else origin.get("xyz", "")
+    if (xyz := tuple(map(float, one.T[:3, 3]))) != joint.xyz:
+        attributes["xyz"] = numbers(xyz, joint.xyz, old)
+    R_file = _rotation(joint.rpy)
+    if np.abs(R_file - one.T[:3, :3]).max() > _ROUNDED:
+        old = "" if origin is None else origin.get("rpy", "")
+        attributes["rpy"] = numbers(roll_pitch_yaw(one.T[:3, :3], joint.rpy), joint.rpy, old)
+    edits = _written(attributes, "origin", origin, tags[element], tags)
+    if one.axis != one.joint.axis and one.axis != joint.axis:
+        axis = next(iter(children(element, "axis")), None)
+        edits += _written({"xyz": numbers(one.axis)}, "axis", axis, tags[element], tags)
+    return edits
+
+
+def _rotation(rpy: Sequence[float]) -> Any:
+    """Rz(yaw) Ry(pitch) Rx(roll)."""
+    roll, pitch, yaw = (rotation(a, v) for a, v in zip(np.eye(3).tolist(), rpy, strict=True))
+    return yaw @ pitch @ roll
+
+
+def _written(
+    attributes: dict[str, str], tag: str, element: Any, parent: StartTag, tags: dict[Any, StartTag]
+) -> list[Edit]:
+    """The edits that give an element, which may not be there, these attributes."""
+    if not attributes:
+        return []
+    if element is None:
+        prefix = parent.tag.rpartition(":")[0]
+        name = f"{prefix}:{tag}" if prefix else tag
+        words = "".join(f' {key}="{value}"' for key, value in attributes.items())
+        return [Edit(parent.after, parent.after, f"<{name}{words}/>")]
+    own = tags[element]
+    edits = []
+    for key, value in attributes.items():
+        if key in own.values:
+            edits.append(Edit(*own.values[key], value))
+        else:
+            edits.append(Edit(own.end, own.end, f' {key}="{value}"'))
+    return edits
+
+
+def numbers(values: Iterable[float], old: Sequence[float] | None = None, written: str = "") -> str:
+    """The shortest decimals that read back to the same doubles.
+
+    old, written: values that stood there and their text, which is kept of those that are the same.
+    """
+    words = written.split()
+    kept = words if old is not None and len(words) == len(old) else None
+    texts = []
+    for i, value in enumerate(values):
+        if kept is not None and old is not None and old[i] == value:
+            texts.append(kept[i])
+        else:
+            texts.append(decimal(value))
+    return " ".join(texts)
+
+
+def decimal(value: float) -> str:
+    """The shortest decimal of a double: 0.1, 0, 1e-05.
+
+    >>> decimal(0.1), decimal(-0.0), decimal(2.0)
+    ('0.1', '0', '2')
+    """
+    text = repr(float(value) + 0.0)
+    return text.removesuffix(".0")
+
+
+def urdf(exported: Exported, options: ExportOptions) -> ExportFiles:
+    """The user's URDF patched, and offsets.csv where zero offsets stand apart."""
+    assert options.source is not None
+    done = patched_urdf(options.source, exported.origins)
+    files = {options.source.name: done.content} | offsets(exported)
+    return ExportFiles(files, done.warnings)
+
+
+def offsets(exported: Exported) -> dict[str, bytes]:
+    """offsets.csv: what the controller adds to each joint's reading; none where origins hold it."""
+    rows = [
+        f"{one.joint.name},{'m' if one.joint.kind == 'prismatic' else 'rad'},{decimal(one.offset)}"
+        for one in exported.origins
+        if one.offset != 0.0
+    ]
+    if not rows:
+        return {}
+    return {"offsets.csv": "\n".join(["joint,unit,offset", *rows, ""]).encode()}
+
+
+FORMATS = (
+    Format("urdf", "your own URDF, patched in place", urdf, "origins", "the URDF calibrated"),
+)

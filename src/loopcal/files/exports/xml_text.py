@@ -1,0 +1,104 @@
+"""XML as its author wrote it: where start tags and attribute values stand in the text.
+
+A parser says what a file means, and forgets how it was written. Here attribute values are found in
+the text itself, so that single ones can be replaced and everything else stays byte for byte. The
+text is known to be well-formed, without a document type (`safe_xml`).
+"""
+
+from __future__ import annotations
+
+import codecs
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from loopcal.errors import InputError
+
+_TOKEN = re.compile(
+    r"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>|</[^>]*>"
+    r"|<(?P<tag>[^\s/>!?]+)(?P<inside>(?:[^\"'>]|\"[^\"]*\"|'[^']*')*)>",
+    re.DOTALL,
+)
+_ATTRIBUTE = re.compile(r"([^\s=/]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')", re.DOTALL)
+_MARKS = (
+    (codecs.BOM_UTF32_LE, "utf-32-le"),
+    (codecs.BOM_UTF32_BE, "utf-32-be"),
+    (codecs.BOM_UTF16_LE, "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "utf-16-be"),
+)
+
+
+@dataclass(frozen=True)
+class StartTag:
+    """A start tag in a text: its tag as written, and where its parts stand.
+
+    end: behind the tag and its blanks and attributes, ahead of "/>" or ">"; after: behind ">";
+    values: attribute as written -> begin and end of its value, without the quotes.
+    """
+
+    tag: str
+    end: int
+    after: int
+    values: Mapping[str, tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class Edit:
+    """A part of a text, from begin to end, and what takes its place."""
+
+    begin: int
+    end: int
+    text: str
+
+
+@dataclass(frozen=True)
+class XmlText:
+    """The text of a file and the codec that makes its bytes again."""
+
+    text: str
+    codec: str
+
+    @classmethod
+    def of(cls, content: bytes, encoding: str | None, place: str) -> XmlText:
+        """The text of a file; encoding: as its parser found it.
+
+        Raises InputError where the bytes do not come back the same.
+        """
+        mark = next((codec for bytes_, codec in _MARKS if content.startswith(bytes_)), None)
+        codec = mark or encoding or "utf-8"
+        try:
+            text = content.decode(codec)
+            same = text.encode(codec) == content
+        except (LookupError, UnicodeError):
+            same = False
+        if not same:
+            raise InputError(
+                f"the bytes of this file are not its text in {codec}, so that it cannot be patched "
+                "in place",
+                code="invalid-syntax",
+                place=place,
+                remedy="save it as UTF-8 and export again",
+            )
+        return cls(text, codec)
+
+    def tags(self) -> Iterator[StartTag]:
+        """Its start tags, in the order of the elements."""
+        for found in _TOKEN.finditer(self.text):
+            if found["tag"] is None:
+                continue
+            inside, begin = found["inside"], found.start("inside")
+            end = begin + len(inside.removesuffix("/").rstrip())
+            values = {
+                a[1]: tuple(begin + place for place in a.span(2 if a[2] is not None else 3))
+                for a in _ATTRIBUTE.finditer(inside)
+            }
+            spans = {name: (span[0], span[1]) for name, span in values.items()}
+            yield StartTag(found["tag"], end, found.end(), spans)
+
+    def edited(self, edits: Sequence[Edit]) -> bytes:
+        """The bytes with the edits made."""
+        parts, at = [], 0
+        for edit in sorted(edits, key=lambda e: e.begin):
+            parts += [self.text[at : edit.begin], edit.text]
+            at = edit.end
+        return "".join([*parts, self.text[at:]]).encode(self.codec)

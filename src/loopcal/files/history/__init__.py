@@ -1,0 +1,1 @@
+"""The history of a machine on the disk."""

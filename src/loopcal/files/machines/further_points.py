@@ -1,0 +1,75 @@
+"""A machine looked at in further points of its body, as if one more instrument read them."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from loopcal.errors import InputError
+from loopcal.files.machines.mechanism_file import mechanism_from_data
+from loopcal.files.machines.mechanism_writer import mechanism_to_toml
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.motoman import motoman_joints
+from loopcal.mechanisms.station import Station
+
+Point = Sequence[float] | Sequence[str]
+"""Coordinates [m] in the frame of the body, or the names of the parameters that hold them."""
+
+
+def with_points(
+    mechanism: Mechanism, points: Mapping[str, Point], station: str | None
+) -> Mechanism:
+    """The mechanism with outputs NAME_x, NAME_y, NAME_z [m] of points of its body alone.
+
+    Effects and the structured model error act on them as on what was measured; its parameters have
+    their names and values. station: of an instrument, whose frame the coordinates are in; None:
+    the first frame of the chain. Raises InputError for a machine that no file describes.
+    """
+    data = tomllib.loads(mechanism_to_toml(mechanism))
+    if data["type"] == "function":
+        raise InputError(
+            f"{mechanism.name!r} is written as a function, so points of its body are unknown",
+            code="unsupported",
+            remedy="describe the arm in a mechanism file, as type = 'serial' or 'urdf'",
+        )
+    data.pop("schema")
+    if "instrument" not in data:
+        data = _listed(data, mechanism)
+    for name, point in points.items():
+        own = [f"{name}_{axis}" for axis in "xyz"]
+        named = [v for v in point if isinstance(v, str)]
+        numbers = [v for v in point if not isinstance(v, str)]
+        target = named or [f"{name}:{axis}" for axis in "xyz"]
+        data["instrument"].append(
+            {
+                "type": "point",
+                "name": name,
+                "readings": own,
+                "station": False if station is None else station,
+                "target": target,
+            }
+        )
+        if not named:
+            data["parameters"] |= {
+                n: {"value": float(v), "unit": "m", "fixed": True}
+                for n, v in zip(target, numbers, strict=True)
+            }
+    return mechanism_from_data(data, mechanism.name)
+
+
+def _listed(data: Mapping[str, Any], mechanism: Mechanism) -> dict[str, Any]:
+    """The same arm with its one instrument listed, which its type has by itself."""
+    (family,) = mechanism.families
+    kept = {k: v for k, v in data.items() if k not in ("base", "point", "tool", "before")}
+    if data["type"] == "motoman-ma1400":
+        joints = motoman_joints()
+        kept["joint"] = [{"name": j.name, "form": j.form, "direction": j.direction} for j in joints]
+        kept["joint"][0]["before"] = data.get("before", {})
+    seen = {
+        "type": "point",
+        "readings": list(family.readings),
+        "station": family.placement.name if isinstance(family.placement, Station) else False,
+        "target": list(family.mounted),
+    }
+    return {**kept, "type": "serial", "fix_redundant": False, "instrument": [seen]}

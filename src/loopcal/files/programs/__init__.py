@@ -1,0 +1,1 @@
+"""Robot programs, whose targets are edited in place."""

@@ -1,0 +1,30 @@
+"""The joints of an arm as programs write them: degrees and millimetres."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.files.tables.columns import Column
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class JointAxes:
+    """joints: name -> SI unit, from base to tip; columns: of tables, by joint; pose: the column of
+    ids, if any; pulses: per degree or millimetre of each joint, for programs in pulses."""
+
+    joints: Mapping[str, str]
+    columns: Mapping[str, Column] = field(default_factory=dict)
+    pose: str | int | None = "pose"
+    pulses: tuple[float, ...] = ()
+
+    @property
+    def scale(self) -> Array:
+        """(n,) SI per degree or millimetre."""
+        return np.array([1e-3 if u == "m" else math.radians(1.0) for u in self.joints.values()])

@@ -1,0 +1,214 @@
+"""A robot program as bytes with targets in it: numbers at places, and nothing else is touched.
+
+Programs are read as Latin-1, in which every byte is one character and comes back as it was. Values
+are SI inside; each number remembers how many decimals it had.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError
+from loopcal.files.programs.joint_axes import JointAxes
+
+Array = NDArray[np.float64]
+NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+LARGEST = 64_000_000
+"""Bytes of a program, at most: a larger file is no program."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number in the text: where it stands, and how many decimals it has."""
+
+    start: int
+    end: int
+    text: str
+
+    @property
+    def value(self) -> float:
+        """As a float; a decimal comma counts as a point."""
+        return float(self.text.replace(",", "."))
+
+    @property
+    def decimals(self) -> int:
+        """Digits behind the decimal mark."""
+        mantissa = self.text.replace(",", ".").lower().split("e")[0]
+        return len(mantissa.partition(".")[2])
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramTarget:
+    """One target of a program.
+
+    name, line: where it stands; cartesian: whether it is a pose; numbers: those that are replaced,
+    in the order of the format; joints (n,) [rad, m]: of a joint target, or the seed of a pose;
+    pose (4, 4): of a pose, in the frame that the program names; step: last digits as they will be
+    written [SI], (n,) of joints or (6,) of a pose; states: what the program says of the
+    configuration, by its own names; label: where its name stands, for copies of its row.
+    """
+
+    name: str
+    line: int
+    cartesian: bool
+    numbers: tuple[Number, ...]
+    joints: Array | None
+    pose: Array | None
+    step: Array
+    states: Mapping[str, int] = field(default_factory=dict)
+    label: Number | None = None
+
+
+@dataclass(frozen=True)
+class Noted:
+    """A line that was found but not understood, and is left as it is."""
+
+    line: int
+    words: str
+
+
+@dataclass(frozen=True)
+class Move:
+    """A move in the order of the program: to which target (its index), and how."""
+
+    target: int
+    line: int
+    straight: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """What a file asks for.
+
+    text: Latin-1; write(target, joints, pose): new texts of its numbers; fits(target, joints):
+    whether joints have the configuration that the target states; chosen(target, several): those of
+    several fitting joints that it means; noted: what is left alone; moves:
+    in their order, None where a move in between is not understood; frame: what the poses are
+    relative to, where it is not the base.
+    """
+
+    kind: str
+    name: str
+    text: str
+    targets: tuple[ProgramTarget, ...]
+    noted: tuple[Noted, ...]
+    write: Callable[[ProgramTarget, Array, Array], list[str]]
+    fits: Callable[[ProgramTarget, Array], bool] = lambda target, joints: True
+    chosen: Callable[[ProgramTarget, list[Array]], list[Array]] = lambda target, several: several
+    moves: tuple[Move | None, ...] = ()
+    frame: str | None = None
+
+    def edited(
+        self,
+        new: Mapping[int, Sequence[str]],
+        ahead: Mapping[int, Sequence[Sequence[str]]] | None = None,
+    ) -> bytes:
+        """The bytes with the numbers of some targets (index -> texts) replaced.
+
+        ahead: copies of the row of a target to put before it, of a table.
+        """
+        places = [
+            (number.start, number.end, text)
+            for index, texts in new.items()
+            for number, text in zip(self.targets[index].numbers, texts, strict=True)
+        ]
+        for index, rows in (ahead or {}).items():
+            start, copies = self._copies(self.targets[index], rows)
+            places.append((start, start, copies))
+        return _replaced(self.text, 0, len(self.text), places).encode("latin-1")
+
+    def _copies(self, target: ProgramTarget, rows: Sequence[Sequence[str]]) -> tuple[int, str]:
+        """Where the row of a target begins, and copies of it with other numbers."""
+        start = max(self.text.rfind(mark, 0, target.numbers[0].start) for mark in "\r\n") + 1
+        ends = [self.text.find(mark, start) for mark in "\r\n"]
+        end = min((e for e in ends if e >= 0), default=len(self.text))
+        mark = re.search(r"\r\n|\n|\r", self.text)
+        copies = []
+        for count, texts in enumerate(rows, 1):
+            own = [(n.start, n.end, t) for n, t in zip(target.numbers, texts, strict=True)]
+            if target.label is not None:
+                own.append((target.label.start, target.label.end, f"{target.label.text}-{count}"))
+            copies.append(_replaced(self.text, start, end, own) + (mark[0] if mark else "\n"))
+        return start, "".join(copies)
+
+
+def _replaced(text: str, begin: int, end: int, places: Sequence[tuple[int, int, str]]) -> str:
+    """A part of the text with other texts at some places (start, end, new)."""
+    parts, at = [], begin
+    for start, stop, new in sorted(places):
+        parts += [text[at:start], new]
+        at = stop
+    return "".join([*parts, text[at:end]])
+
+
+def text_of(data: bytes, name: str) -> str:
+    """The text of a program. Raises InputError for what cannot be edited byte by byte."""
+    if len(data) > LARGEST:
+        raise InputError(
+            f"the program has {len(data):,} bytes; the limit is {LARGEST:,}",
+            code="too-large",
+            place=name,
+            remedy="divide it",
+        )
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data:
+        line = data[: data.find(b"\0")].count(b"\n") + 1 if b"\0" in data else 1
+        raise InputError(
+            "the program is not written in single bytes (UTF-16, or it holds zero bytes)",
+            code="unreadable-file",
+            place=f"{name}, line {line}",
+            remedy="save it as ASCII, Latin-1 or UTF-8",
+        )
+    return data.decode("latin-1")
+
+
+def blanked(text: str, pattern: re.Pattern[str]) -> str:
+    """The text with what matches (comments, strings) as blanks, every place kept."""
+    return pattern.sub(lambda found: re.sub(r"[^\r\n]", " ", found[0]), text)
+
+
+def refuse_redundant(axes: JointAxes, name: str) -> None:
+    """Raise InputError for an arm of more joints than the targets of this format have."""
+    if len(axes.joints) > 6:
+        raise InputError(
+            f"targets of this format have six joints, the arm {len(axes.joints)}",
+            code="unsupported",
+            place=name,
+            remedy="give the joints as a table",
+        )
+
+
+def within(starts: Sequence[int], begin: int, end: int) -> Sequence[int]:
+    """Those of some ascending places that lie from begin to before end."""
+    return starts[bisect_left(starts, begin) : bisect_left(starts, end)]
+
+
+def numbers_of(text: str, at: int) -> tuple[Number, ...]:
+    """The numbers of a list such as "1, -2.5, 9E9", which begins at this place."""
+    return tuple(Number(at + m.start(), at + m.end(), m[0]) for m in NUMBER.finditer(text))
+
+
+class Lines:
+    """Numbers of lines by the position in a text; LF, CRLF and CR alone end a line."""
+
+    def __init__(self, text: str) -> None:
+        self._ends = np.array([m.end() for m in re.finditer(r"\r\n|\n|\r", text)], dtype=np.int64)
+
+    def of(self, position: int) -> int:
+        """The line, counted from 1."""
+        return int(np.searchsorted(self._ends, position, side="right")) + 1
+
+
+def written(value: float, decimals: int) -> str:
+    """A number with so many decimals, never "-0.000".
+
+    >>> written(-1e-9, 3), written(12.5, 0)
+    ('0.000', '12')
+    """
+    text = f"{value:.{decimals}f}"
+    return text.lstrip("-") if float(text) == 0.0 else text

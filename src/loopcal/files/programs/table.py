@@ -1,0 +1,297 @@
+"""Targets as a table: joints in the columns of a result's project, or poses with a seed.
+
+Columns of poses state their unit: `tcp_x [mm]`, `tcp_y [mm]`, `tcp_z [mm]` and `tcp_rz [deg]`,
+`tcp_ry [deg]`, `tcp_rx [deg]`, or `tcp_qw`, `tcp_qx`, `tcp_qy`, `tcp_qz`. A column `move` marks
+straight lines to a target ("linear").
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, listed
+from loopcal.files.programs.joint_axes import JointAxes
+from loopcal.files.programs.poses_text import (
+    pose_of_quaternion,
+    pose_of_turns,
+    quaternion_of_pose,
+    turns_of_pose,
+)
+from loopcal.files.programs.program import Move, Number, Program, ProgramTarget, written
+from loopcal.files.tables.cells import number
+from loopcal.files.tables.dialect import WHITESPACE, Dialect, Row, recognise
+from loopcal.units import unit
+
+Array = NDArray[np.float64]
+_TURNS = ("tcp_x", "tcp_y", "tcp_z", "tcp_rz", "tcp_ry", "tcp_rx")
+_QUATERNION = (*_TURNS[:3], "tcp_qw", "tcp_qx", "tcp_qy", "tcp_qz")
+_HEADING = re.compile(r"\s*([^\[\]]*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*")
+_FINE = 1e-9
+"""Last digits that are written at least [SI]."""
+_MOVES = {"linear": True, "l": True, "movel": True, "joint": False, "j": False, "movej": False}
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """A column: its position and the unit of its numbers."""
+
+    at: int
+    unit: str
+
+    @property
+    def factor(self) -> float:
+        return unit(self.unit).factor
+
+
+def read_table(text: str, name: str, axes: JointAxes) -> Program:
+    """The targets of a table. Raises InputError, with the line, for what is no such table."""
+    lines = _rows(text)
+    rows = [
+        Row(n, line) for n, _, line in lines if line.strip(" \t,;") and line.strip()[0] not in "#%"
+    ]
+    if not rows:
+        raise InputError(
+            "the table is empty", code="no-data", place=name, remedy="give one row per target"
+        )
+    delimiter = next((mark for mark in "\t;," if mark in rows[0].line), None)
+    dialect = recognise(rows[:100], name, delimiter=delimiter)
+    if rows[-1].number <= dialect.header_row:
+        raise InputError(
+            "there is a header, but no target",
+            code="no-data",
+            place=name,
+            remedy="give one row per target",
+        )
+    joints = _joints(dialect, axes, name)
+    places, quaternion = _pose_columns(dialect, name)
+    if not places and len(joints) < len(axes.joints):
+        missing = [j for j in axes.joints if j not in joints]
+        raise InputError(
+            f"no column holds the joints {listed(missing)}",
+            code="missing-column",
+            place=name,
+            remedy=f"name columns {_wanted(axes)}, or the columns of a pose "
+            f"({', '.join(_TURNS[:3])}, ...)",
+        )
+    at = {n: start for n, start, _ in lines}
+    move = next((i for i, n in enumerate(dialect.names) if n.strip().lower() == "move"), None)
+    ids = dialect.names.index(str(axes.pose)) if str(axes.pose) in dialect.names else None
+    reading = _Reading(dialect, axes, joints, places, quaternion, move, ids, name)
+    found = [reading.target(row, at[row.number]) for row in rows if row.number > dialect.header_row]
+    moves = [Move(i, target.line, straight) for i, (target, straight) in enumerate(found)]
+    targets = tuple(target for target, _ in found)
+    return Program("table", name, text, targets, (), reading.write, moves=tuple(moves))
+
+
+def _rows(text: str) -> list[tuple[int, int, str]]:
+    """Number, start and line of each; LF, CRLF or CR end a line."""
+    out, start = [], 0
+    bom = 3 if text.startswith("\xef\xbb\xbf") else 0
+    for n, line in enumerate(re.split(r"(\r\n|\n|\r)", text)[::2], 1):
+        skip = bom if n == 1 else 0
+        out.append((n, start + skip, line[skip:]))
+        start += len(line)
+        ended = re.match(r"\r\n|\n|\r", text[start : start + 2])
+        start += ended.end() if ended else 0
+    return out
+
+
+def _joints(dialect: Dialect, axes: JointAxes, name: str) -> dict[str, _Cell]:
+    """The columns of the joints that are there."""
+    found: dict[str, _Cell] = {}
+    headings = [_HEADING.fullmatch(n) for n in dialect.names]
+    for joint, si in axes.joints.items():
+        column = axes.columns.get(joint)
+        if column is not None and isinstance(column.column, int) and column.column > 0:
+            found[joint] = _Cell(column.column - 1, column.unit or si)
+        elif column is not None and column.column in dialect.names:
+            found[joint] = _Cell(dialect.names.index(str(column.column)), column.unit or si)
+        else:
+            for i, heading in enumerate(headings):
+                if heading and heading[1] == joint:
+                    found[joint] = _Cell(i, heading[2] or si)
+    for joint, cell in found.items():
+        if unit(cell.unit).si != axes.joints[joint]:
+            raise InputError(
+                f"the joint {joint!r} is stated in {cell.unit!r}",
+                code="wrong-unit",
+                place=name,
+                remedy=f"give a unit of {axes.joints[joint]}",
+            )
+    return found
+
+
+def _pose_columns(dialect: Dialect, name: str) -> tuple[list[_Cell], bool]:
+    """The columns of the pose in their order, and whether it is a quaternion; empty: none."""
+    headings = [_HEADING.fullmatch(n) for n in dialect.names]
+    there = {h[1].lower(): (i, h[2]) for i, h in enumerate(headings) if h}
+    if not any(n in there for n in _TURNS):
+        return [], False
+    quaternion = "tcp_qw" in there
+    names = _QUATERNION if quaternion else _TURNS
+    missing = [n for n in names if n not in there]
+    if missing:
+        raise InputError(
+            f"the pose lacks the columns {listed(missing)}",
+            code="missing-column",
+            place=name,
+            remedy=f"name {', '.join(_TURNS)}, or {', '.join(_QUATERNION)}",
+        )
+    cells = []
+    for n in names:
+        i, stated = there[n]
+        if stated is None and n not in _QUATERNION[3:]:
+            raise InputError(
+                f"the column {n!r} states no unit",
+                code="unknown-unit",
+                place=name,
+                remedy=f"name it {n!r} with its unit, such as [mm] or [deg]",
+            )
+        cells.append(_Cell(i, stated or "1"))
+    return cells, quaternion
+
+
+def _wanted(axes: JointAxes) -> str:
+    own = [axes.columns[j].column if j in axes.columns else j for j in axes.joints]
+    return ", ".join(repr(n) for n in own)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reading:
+    """How rows become targets, and targets texts."""
+
+    dialect: Dialect
+    axes: JointAxes
+    joints: Mapping[str, _Cell]
+    places: Sequence[_Cell]
+    quaternion: bool
+    move: int | None
+    ids: int | None
+    name: str
+
+    def target(self, row: Row, start: int) -> tuple[ProgramTarget, bool]:
+        """The target of a row, and whether the move to it is straight."""
+        cells = list(_spans(row.line, self.dialect.delimiter))
+        if len(cells) < self.dialect.width:
+            raise InputError(
+                f"this row has {len(cells)} cells, where {self.dialect.width} are expected",
+                code="invalid-syntax",
+                place=f"{self.name}, line {row.number}",
+                remedy="complete the row",
+            )
+
+        def at(cell: _Cell) -> Number:
+            begin, end = cells[cell.at]
+            text = row.line[begin:end]
+            try:
+                value = number(text, self.dialect.decimal)
+            except ValueError:
+                value = float("nan")
+            if not np.isfinite(value):
+                raise InputError(
+                    f"{text!r} is not a number",
+                    code="invalid-number",
+                    place=f"{self.name}, line {row.number}",
+                    remedy="give a number, or delete the row",
+                )
+            return Number(start + begin, start + end, text)
+
+        own = [self.joints[j] for j in self.axes.joints if j in self.joints]
+        seeds = [at(cell) for cell in own]
+        q = np.array([n.value * c.factor for n, c in zip(seeds, own, strict=True)])
+        places = [at(cell) for cell in self.places]
+        straight = False
+        if self.move is not None:
+            word = row.line[slice(*cells[self.move])].strip('" ').lower()
+            if word not in _MOVES:
+                raise InputError(
+                    f"the move {word!r} is unknown",
+                    code="unknown-name",
+                    place=f"{self.name}, line {row.number}",
+                    remedy="give 'linear' or 'joint'",
+                )
+            straight = _MOVES[word]
+        label = None
+        if self.ids is not None:
+            begin, end = cells[self.ids]
+            label = Number(start + begin, start + end, row.line[begin:end])
+        numbers, used = (places, self.places) if places else (seeds, own)
+        target = ProgramTarget(
+            label.text if label and label.text else f"row {row.number}",
+            row.number,
+            bool(places),
+            tuple(numbers),
+            q if len(own) == len(self.axes.joints) else None,
+            self._pose(places, f"{self.name}, line {row.number}") if places else None,
+            self._steps(numbers, used),
+            label=label,
+        )
+        return target, straight
+
+    def _pose(self, places: Sequence[Number], place: str) -> Array:
+        values = [n.value * c.factor for n, c in zip(places, self.places, strict=True)]
+        if self.quaternion:
+            return pose_of_quaternion([*(1e3 * v for v in values[:3]), *values[3:]], place)
+        return pose_of_turns([*(1e3 * v for v in values[:3]), *np.degrees(values[3:])])
+
+    def _steps(self, numbers: Sequence[Number], cells: Sequence[_Cell]) -> Array:
+        steps = [10.0 ** -_decimals(n, c) * c.factor for n, c in zip(numbers, cells, strict=True)]
+        if self.places and self.quaternion:
+            steps = [*steps[:3], *[2.0 * max(steps[3:])] * 3]
+        return np.array(steps)
+
+    def write(self, target: ProgramTarget, joints: Array, pose: Array) -> list[str]:
+        """The new texts of a row's numbers."""
+        if not target.cartesian:
+            cells = [self.joints[j] for j in self.axes.joints]
+            values = [v / c.factor for v, c in zip(joints.tolist(), cells, strict=True)]
+        else:
+            cells = list(self.places)
+            if self.quaternion:
+                own = quaternion_of_pose(pose, [n.value for n in target.numbers])
+                values = [1e-3 * v / c.factor for v, c in zip(own[:3], cells[:3], strict=True)]
+                values += own[3:]
+            else:
+                own = turns_of_pose(pose)
+                si = [*(1e-3 * v for v in own[:3]), *np.radians(own[3:])]
+                values = [v / c.factor for v, c in zip(si, cells, strict=True)]
+        texts = [
+            written(v, _decimals(n, c))
+            for v, n, c in zip(values, target.numbers, cells, strict=True)
+        ]
+        return [t.replace(".", self.dialect.decimal) for t in texts]
+
+
+def _decimals(number: Number, cell: _Cell) -> int:
+    """As many as the number has, and enough for a nanometre or a nanoradian."""
+    least = int(np.ceil(-np.log10(_FINE / cell.factor)))
+    return max(number.decimals, least, 0)
+
+
+def _spans(line: str, delimiter: str) -> Iterator[tuple[int, int]]:
+    """Where the cells of a row begin and end, without blanks around them and quotes."""
+    if delimiter == WHITESPACE:
+        pattern = r'"[^"]*"|[^\s"]+'
+        found = [(m.start(), m.end()) for m in re.finditer(pattern, line)]
+    else:
+        own = re.escape(delimiter)
+        pattern = rf'((?:"[^"]*"|[^{own}"])*)(?:{own}|$)'
+        found = []
+        for m in re.finditer(pattern, line):
+            found.append((m.start(1), m.end(1)))
+            if m.end() == len(line) and not line.endswith(delimiter):
+                break
+    for start, end in found:
+        while start < end and line[start] in ' \t"':
+            start += 1
+        while start < end and line[end - 1] in ' \t"':
+            end -= 1
+        yield start, end
+
+
+Read = Callable[[str, str, JointAxes], Program]

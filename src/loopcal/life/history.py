@@ -1,0 +1,130 @@
+"""What a machine's history shows: parameters, accuracy and events over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+from loopcal.files.history.folder import Entries, Entry
+from loopcal.life.trends import FEWEST, Chart, chart, drift_rate
+from loopcal.presentation.shown import by_sd, chance, size, unit_shown, with_unit
+from loopcal.presentation.text_table import columns
+
+_YEAR = 365.25 * 86400.0
+
+
+@dataclass(frozen=True)
+class Trend:
+    """A parameter over time: its values and sds [unit] at the calibrations that determined it.
+
+    rate: sd of its drift in a year, None for fewer than five calibrations.
+    """
+
+    name: str
+    unit: str
+    times: tuple[str, ...]
+    values: tuple[float, ...]
+    sds: tuple[float, ...]
+    rate: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """The history of a machine: `loopcal.history`.
+
+    entries: as they were read, with the files that were skipped.
+    """
+
+    entries: Entries
+
+    @cached_property
+    def trends(self) -> tuple[Trend, ...]:
+        """Of the parameters of all calibrations."""
+        points: dict[str, list[tuple[Entry, float, float]]] = {}
+        units: dict[str, str] = {}
+        for entry in self.of_kind("calibration"):
+            for name, its in entry.content["parameters"].items():
+                units[name] = its["unit"]
+                points.setdefault(name, []).append((entry, its["value"], its["sd"]))
+        return tuple(_trend(name, units[name], its) for name, its in points.items())
+
+    @property
+    def accuracy(self) -> tuple[float, ...]:
+        """Rms [m, or the unit of the outputs] of calibrations and verifications that have one."""
+        return tuple(entry.content["rms"] for entry in self.measured)
+
+    @property
+    def measured(self) -> tuple[Entry, ...]:
+        """The entries with an accuracy."""
+        return tuple(e for e in self.entries.whole if e.content.get("rms") is not None)
+
+    @cached_property
+    def chart(self) -> Chart | None:
+        """Of the accuracy; None for fewer than three."""
+        return chart(self.accuracy)
+
+    def of_kind(self, kind: str) -> tuple[Entry, ...]:
+        """The entries of a kind."""
+        return tuple(entry for entry in self.entries.whole if entry.kind == kind)
+
+    def document(self) -> dict[str, Any]:
+        """As one JSON document: SI."""
+        return {
+            "folder": str(self.entries.folder),
+            "entries": [{**asdict(e), "time": e.time.isoformat()} for e in self.entries.whole],
+            "skipped": [asdict(one) for one in self.entries.skipped],
+            "trends": [asdict(one) for one in self.trends],
+            "chart": None if self.chart is None else asdict(self.chart),
+        }
+
+    def __str__(self) -> str:
+        rows = [["number", "day", "entry", "rms", "result"]]
+        rows += [
+            [str(e.sequence), f"{e.time:%Y-%m-%d}", e.kind, _rms(e.content), e.content["words"]]
+            for e in self.entries.whole
+        ]
+        lines = columns(rows) if len(rows) > 1 else ["no entry yet"]
+        lines += [f"SKIPPED  {one.file}: {one.reason}" for one in self.entries.skipped]
+        if self.chart is not None and self.chart.outside:
+            lines += ["", "WARNING  The accuracy is outside its limits (EWMA). Verify the machine."]
+        rated = [trend for trend in self.trends if trend.rate is not None]
+        if rated:
+            lines += ["", *columns(_rates(rated))]
+        elif number := len(self.of_kind("calibration")):
+            lines += ["", f"drift rates: from {FEWEST} calibrations on, {number} so far"]
+        return "\n".join(lines)
+
+
+def _trend(name: str, unit: str, points: list[tuple[Entry, float, float]]) -> Trend:
+    begin = points[0][0].time
+    years = [(entry.time - begin).total_seconds() / _YEAR for entry, _, _ in points]
+    values, sds = tuple(v for _, v, _ in points), tuple(s for _, _, s in points)
+    enough = len(points) >= FEWEST and max(years) > 0.0
+    rate = drift_rate(years, values, sds) if enough else None
+    return Trend(name, unit, tuple(e.time.isoformat() for e, _, _ in points), values, sds, rate)
+
+
+def _rates(trends: list[Trend]) -> list[list[str]]:
+    rows = [["parameter", "first", "last", "sd", "drift in a year", "unit"]]
+    for one in trends:
+        rate = size(one.rate, one.unit, 2)
+        first, last = (by_sd(v, s, one.unit) for v, s in _ends(one))
+        sd = size(one.sds[-1], one.unit, 2)
+        rows.append([one.name, first, last, sd, rate, unit_shown(one.unit)])
+    return rows
+
+
+def _ends(one: Trend) -> list[tuple[float, float]]:
+    return [(one.values[i], one.sds[i]) for i in (0, -1)]
+
+
+def _rms(content: Mapping[str, Any]) -> str:
+    rms = content.get("rms")
+    return "–" if rms is None else with_unit(rms, content["unit"])
+
+
+def verification_words(code: str, p_value: float | None) -> str:
+    """A verification in a few words."""
+    return f"{code}, p = {chance(p_value)}"

@@ -1,0 +1,98 @@
+"""What the readings of one calibration say of the machine itself, without its prior.
+
+A calibration with prior sds s of the machine, P = diag(1 / s^2), found p with the covariance G. The
+readings alone have the information G^-1 - P. With G = R R^T, R^T P R = V diag(1 - f) V^T and f the
+shares of the readings, they say
+
+    p + D P (p - nominal),   D = R V diag(1 / f) V^T R^T,
+
+with the covariance D. What the stated covariance C has beyond G becomes A (C - G) A^T, A = 1 + D P.
+Where f is nothing, the readings determine nothing. Machines of one type are compared by what their
+own readings say: priors that they share would make them alike. Priors of mounting and model error
+stay: what these leave open is part of the covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.structure.structured import EFFECT
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.innovation import root_of
+
+Array = NDArray[np.float64]
+_ELSEWHERE = ("placement", "mounting")
+_SHARE = 1e-3
+"""Of the information: where readings give less, they determine nothing."""
+_TOUCHED = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredMachine:
+    """names: of the parameters of the machine itself; values (n,), covariance (n, n) [SI].
+
+    determined: (n,) whether the readings determine each; fixed: (n,) whether it was not estimated;
+    poses: how many were measured; data: what tells the readings apart from others; fewest: how many
+    poses have as many equations as parameters.
+    """
+
+    name: str
+    mechanism: Mechanism
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    determined: NDArray[np.bool_]
+    fixed: NDArray[np.bool_]
+    poses: int
+    data: str | None
+    fewest: int
+
+    @classmethod
+    def of(cls, known: Calibrated, poses: int, *, updated: bool = False) -> MeasuredMachine:
+        """From a calibration; updated: its prior is of this machine too, and stays."""
+        mechanism, all_ = known.mechanism, known.mechanism.parameters
+        found = np.array([p.nominal for p in all_])
+        names = machine_parameters(mechanism)
+        its = [all_.names.index(name) for name in names]
+        P = np.zeros(len(found))
+        if not updated:
+            P[its] = 1.0 / np.square(known.prior_sd[its])
+        P = np.where([p.fixed for p in all_], 0.0, P)
+        G = known.covariance.plain if known.gain is None else known.gain
+        R = root_of(G)
+        own, V = np.linalg.eigh(np.eye(R.shape[1]) - R.T @ (P[:, None] * R))
+        seen = own > _SHARE
+        half = R @ V[:, seen] / np.sqrt(own[seen])
+        D = half @ half.T
+        A = np.eye(len(found)) + D * P
+        covariance = D + A @ (known.as_its_residuals.covariance.matrix - G) @ A.T
+        values = found + D @ (P * (found - known.nominal))
+        open_ = np.hstack([known.undetermined, R @ V[:, ~seen]])
+        sds = np.sqrt(np.square(np.hstack([R, known.undetermined])).sum(axis=1))
+        scaled = open_ / np.where(sds > 0.0, sds, 1.0)[:, None]
+        sizes = np.abs(scaled).max(axis=0, initial=1e-300)
+        loose = (np.abs(scaled) / sizes).max(axis=1, initial=0.0) > _TOUCHED
+        at, free = np.ix_(its, its), len(all_) - sum(p.fixed for p in all_)
+        return cls(
+            known.name,
+            mechanism,
+            names,
+            values[its],
+            covariance[at],
+            ~loose[its],
+            np.array([all_[all_.names[i]].fixed for i in its], dtype=bool),
+            poses,
+            known.data,
+            -(-free // max(len(mechanism.outputs), 1)),
+        )
+
+
+def machine_parameters(mechanism: Mechanism) -> tuple[str, ...]:
+    """The parameters that no instrument, mounting or structured model error brings."""
+    kinds, added = mechanism.kinds, mechanism.effects.get(EFFECT, ())
+    names = mechanism.parameters.names
+    return tuple(n for n in names if kinds[n] not in _ELSEWHERE and n not in added)

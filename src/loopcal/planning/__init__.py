@@ -1,0 +1,1 @@
+"""Which poses to measure: candidates, their information under the noise, and a choice of them."""

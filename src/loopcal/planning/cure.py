@@ -1,0 +1,130 @@
+"""How many more poses, and which, would raise the verdict of a check.
+
+Poses are added one by one: each time the candidate that most lowers the relative variances of all
+parameters, from the readings alone, without prior. After each the condition number is that of a
+check (`statistics.identifiability`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.document.plain import known
+from loopcal.estimation.calibrate import started
+from loopcal.estimation.noise.learning import with_model
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise
+from loopcal.measurements.plan_settings import PlanSettings
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.planning.candidates import drawn, ranges_of, typical_sds, with_sds
+from loopcal.planning.information import closed_corrections, information, rows_of
+from loopcal.planning.plan import as_problem
+from loopcal.planning.search import Search
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import SHOWN
+from loopcal.presentation.text_table import columns
+from loopcal.statistics.check import FEW
+from loopcal.statistics.identifiability import SCHROER
+from loopcal.units import from_si
+
+Array = NDArray[np.float64]
+MOST, CANDIDATES = 60, 500
+_SHOWN = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Cure:
+    """Poses to add to those measured, the one that helps most first.
+
+    poses: readings to set [SI]; condition: number of the data with them, None where infinite;
+    enough: whether the verdict of a check is then good.
+    """
+
+    poses: Dataset
+    condition: float | None
+    enough: bool
+
+    def document(self) -> dict[str, Any]:
+        """As one JSON document, SI."""
+        readings: Mapping[str, Array] = self.poses.readings
+        return {
+            "enough": self.enough,
+            "condition_number": self.condition,
+            "poses": [
+                {q: float(values[i]) for q, values in readings.items()}
+                for i in range(len(self.poses))
+            ],
+        }
+
+    def __str__(self) -> str:
+        count = len(self.poses)
+        number = "infinite" if self.condition is None else significant(self.condition, 3)
+        if not self.enough:
+            return (
+                f"{count} more poses within the ranges would not cure this: the condition number "
+                f"would be {number}. Widen the ranges ([plan.ranges]), read more quantities, or "
+                "state priors."
+            )
+        some = range(min(count, _SHOWN))
+        units = {q: SHOWN.get(u, u) for q, u in self.poses.units.items()}
+        shown = {q: from_si(v, units[q]) for q, v in self.poses.readings.items()}
+        rows = [[f"{q} [{units[q]}]" for q in shown]]
+        rows += [[significant(float(v[i]), 5) for v in shown.values()] for i in some]
+        poses = "pose" if count == 1 else "poses"
+        words = f"{count} more {poses} would cure this (condition number {number}):"
+        rest = [f"and {count - _SHOWN} more (--json)"] if count > _SHOWN else []
+        return "\n".join([words, *columns(rows), *rest])
+
+
+def cure(mechanism: Mechanism, existing: Dataset, noise: Noise, settings: PlanSettings) -> Cure:
+    """The poses to add to readings that a check calls weak or undetermined.
+
+    Raises InputError where nothing says where poses may be.
+    """
+    with one_blas_thread():
+        machine, data = with_model(mechanism, existing, noise)
+        problem = started(machine, data, noise, "auto")
+        values = dict(zip(machine.parameters.names, problem.start.tolist(), strict=True))
+        placed = mechanism.with_nominal(values)
+        ranges = ranges_of(placed, settings.ranges, existing)
+        pool = drawn(placed, ranges, replace(settings, number=CANDIDATES))
+        like = with_sds(pool.closed, typical_sds(problem))
+        other = as_problem(placed, like, noise)
+        before = rows_of(problem, problem.start, closed_corrections(problem))
+        rows = rows_of(other, other.start, np.zeros(other.readings.shape))
+        return _cured(other, rows, before, problem.equations, pool.driven)
+
+
+def _cured(problem: Problem, rows: Array, before: Array, equations: int, driven: Dataset) -> Cure:
+    n = rows.shape[2]
+    flat = replace(problem, prior_sd=np.full(n, np.inf))
+    every = np.ones(n, dtype=bool)
+    search = Search([information(flat, rows, before, np.empty((0, 1, n)), every)], "A")
+    measured = before.reshape(-1, n)
+    total = measured.T @ measured
+    condition, enough = np.inf, False
+    each = sum(p.equations(1) for p in problem.patterns[:1])
+    while len(search.chosen) < min(MOST, len(rows)) and not enough:
+        i = int(np.argmax(search.gains()))
+        search.add(i)
+        total = total + rows[i].T @ rows[i]
+        condition = _condition(total)
+        share = (equations + each * len(search.chosen)) / n
+        enough = condition <= SCHROER and share >= FEW
+    return Cure(driven.take(search.chosen), known(condition), enough)
+
+
+def _condition(total: Array) -> float:
+    """Largest over smallest singular value of the column-scaled equations."""
+    lengths = np.sqrt(np.diag(total))
+    if not lengths.min() > 0.0:
+        return float(np.inf)
+    values = np.linalg.eigvalsh(total / lengths / lengths[:, None])
+    return float(np.sqrt(values[-1] / values[0])) if values[0] > 1e-13 * values[-1] else np.inf

@@ -1,0 +1,191 @@
+"""What each candidate pose would say of the parameters, in coordinates that suit all of them.
+
+The rows of a pose are its whitened equations D (r, n), those that calibration itself uses. With
+M = sum over all candidates D^T D + poses already measured + prior = (root root^T)^-1, z is the
+step dp = root z; directions that nothing determines are left out. In z a set of poses has the
+information M_0 + sum Z_i^T Z_i, Z_i = D_i root, and the covariance of the parameters is
+root C root^T, C the inverse of that sum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.estimation.problem.pose_equations import pose_equations
+from loopcal.estimation.problem.problem import Problem
+from loopcal.estimation.sensitivity import output_sensitivity
+from loopcal.estimation.solve.reduction import Accumulator, spectrum
+from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.mechanisms.outputs import POLAR, seen_outputs
+
+Array = NDArray[np.float64]
+RIDGE = 1e-7
+"""Information of one average candidate times this stands in where nothing else does."""
+_ROWS = 20_000
+"""Poses whose rows are triangulated at once."""
+_NULL = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """What candidates say at one draw of the parameters.
+
+    rows: (N, r, k) of the candidates; start: (k, k) of the prior, of poses already measured and
+    of the ridge; tests: (T, o, k) how the end point moves at T poses [SI]; root: (n, k) [SI];
+    nuisance: (k, s) directions that move no parameter of interest; interest: (n,) which do count;
+    ridge: the part of `start` that is no information.
+    """
+
+    rows: Array
+    start: Array
+    tests: Array
+    root: Array
+    nuisance: Array
+    interest: NDArray[np.bool_]
+    ridge: float
+
+    def of(self, chosen: NDArray[np.intp] | list[int]) -> Array:
+        """Information (k, k) of these candidates and the start."""
+        some = self.rows[chosen].reshape(-1, self.rows.shape[2])
+        total: Array = self.start + some.T @ some
+        return total
+
+    @cached_property
+    def mean_test(self) -> Array:
+        """(k, k) mean over the test poses of T^T T: tr(C G) is the mean variance."""
+        flat = self.tests.reshape(-1, self.tests.shape[2])
+        found: Array = flat.T @ flat / len(self.tests)
+        return found
+
+    @cached_property
+    def relative(self) -> Array:
+        """(k, k): tr(C G) adds up the variances of parameters, each in units of that after all
+        candidates were measured."""
+        own = self.root[self.interest]
+        least = np.sqrt(np.square(own).sum(axis=1))
+        scaled = own[least > 0.0] / least[least > 0.0, None]
+        found: Array = scaled.T @ scaled
+        return found
+
+
+def rows_of(problem: Problem, parameters: Array, corrections: Array) -> Array:
+    """Whitened equations (N, r, n) of every pose [1/SI]; rows that a pose lacks are zero."""
+    parts = pose_equations(problem, parameters, corrections)
+    most = max((part.D.shape[1] for part in parts), default=0)
+    rows = np.zeros((problem.count, most, len(problem.free)))
+    for part in parts:
+        rows[part.poses, : part.D.shape[1]] = part.D
+    return np.nan_to_num(rows, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def end_point_rows(problem: Problem, parameters: Array, x: Array, known: Array) -> Array:
+    """How the end point moves with the parameters at closed poses x (k, T): (T, o, n) [SI].
+
+    Lengths where any instrument sees a point, its range and angles as coordinates; else angles.
+    """
+    mechanism = problem.mechanism
+    names = mechanism.tape.quantities
+    still = (*mechanism.disturbances, *mechanism.unused)
+    sds = np.broadcast_to(problem.uncertainty.sd, (len(names), problem.count))
+    unread = [i for i, sd in enumerate(sds) if np.isinf(sd).all() and names[i] not in still]
+    S = output_sensitivity(mechanism, parameters, problem.names, x, known, unread).by_parameter
+    seen = [one for one in seen_outputs(mechanism) if one.position or one.turns]
+    lengths = [one for one in seen if one.position]
+    found = []
+    for one in lengths or seen:
+        its = [q for q in (one.position or one.turns) if q in mechanism.outputs]
+        part = S[:, [mechanism.outputs.index(q) for q in its]]
+        if one.form in POLAR:
+            at = x[[mechanism.tape.quantities.index(q) for q in its]]
+            part = cartesian_slopes(at) @ part
+        found.append(part)
+    rows = np.concatenate(found, axis=1) / np.sqrt(len(found))
+    finite: Array = rows[np.isfinite(rows).all(axis=(1, 2))]
+    return finite
+
+
+def placed_anew(tests: Array, stands: NDArray[np.bool_]) -> Array:
+    """How the end point moves (T, o, n) beside what placing the instruments anew makes up for.
+
+    The machine's own parameters may trade against the placement without harm to its accuracy; what
+    is left depends on no choice of the base frame. stands: (n,) the parameters of placements.
+    """
+    flat = tests.reshape(-1, tests.shape[2])
+    P = flat[:, stands]
+    length = np.linalg.norm(P, axis=0)
+    P = P[:, length > 0.0] / length[length > 0.0]
+    if P.size:
+        U, s, _ = np.linalg.svd(P, full_matrices=False)
+        U = U[:, s > _NULL * s.max()]
+        flat = flat - U @ (U.T @ flat)
+    found: Array = np.where(stands, 0.0, flat).reshape(tests.shape)
+    return found
+
+
+def cartesian_slopes(polar: Array) -> Array:
+    """Derivatives (T, d, d) of coordinates by range, azimuth and elevation (d, T)."""
+    r, a = polar[0], polar[1]
+    e = polar[2] if len(polar) == 3 else np.zeros_like(r)
+    ca, sa, ce, se = np.cos(a), np.sin(a), np.cos(e), np.sin(e)
+    zero = np.zeros_like(r)
+    whole = np.array(
+        [
+            [ce * ca, -r * ce * sa, -r * se * ca],
+            [ce * sa, r * ce * ca, -r * se * sa],
+            [se, zero, r * ce],
+        ]
+    )
+    d = len(polar)
+    slopes: Array = np.moveaxis(whole[:d, :d], 2, 0)
+    return slopes
+
+
+def information(
+    problem: Problem, rows: Array, measured: Array, tests: Array, counts: NDArray[np.bool_]
+) -> Information:
+    """Everything in z. rows: (N, r, n) of candidates; measured: (E, r, n); tests: (T, o, n);
+    counts: (n,) which parameters are of interest: the others are a nuisance."""
+    n = rows.shape[2]
+    data = Accumulator(n, True, problem.units)
+    for part in (*_parts(rows), *_parts(measured)):
+        flat = part.reshape(-1, n).T
+        data.add(np.vstack([flat, np.zeros((1, flat.shape[1]))])[:, :, None])
+    root = spectrum(data, np.zeros(n), problem.prior_sd).root
+    k = root.shape[1]
+    Z = np.ascontiguousarray(rows @ root)
+    before = (measured @ root).reshape(-1, k)
+    prior = root / problem.prior_sd[:, None]
+    ridge = RIDGE / max(len(rows), 1)
+    start = before.T @ before + prior.T @ prior + ridge * np.eye(k)
+    return Information(Z, start, tests @ root, root, _unmoved(root[counts]), counts, ridge)
+
+
+def _parts(rows: Array) -> list[Array]:
+    return [rows[i : i + _ROWS] for i in range(0, len(rows), _ROWS)]
+
+
+def _unmoved(own: Array) -> Array:
+    """(k, s) an orthonormal basis of the z that move none of these parameters (q, k)."""
+    length = np.linalg.norm(own, axis=1)
+    scaled = own[length > 0.0] / length[length > 0.0, None]
+    k = own.shape[1]
+    if not len(scaled):
+        return np.eye(k)
+    _, s, Vt = np.linalg.svd(scaled, full_matrices=True)
+    rank = int((s > _NULL * s.max()).sum())
+    basis: Array = Vt[rank:].T
+    return basis
+
+
+def closed_corrections(problem: Problem) -> Array:
+    """Corrections (k, N) that close the loops of measured poses at the parameters of the start."""
+    from loopcal.estimation.problem.starting import start_corrections
+    from loopcal.estimation.solve.sweep import NEAR
+
+    exact = Sweeper(problem, exact=True)
+    corrections = start_corrections(exact, problem.start)
+    return exact.close(problem.start, corrections, NEAR, 1.0).corrections

@@ -1,0 +1,315 @@
+"""Which poses to measure: candidates, their information under the stated noise, and the choice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.errors import InputError, nearest
+from loopcal.estimation.calibrate import started
+from loopcal.estimation.noise.learning import with_model
+from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise, NoiseLike
+from loopcal.measurements.plan_settings import PlanSettings
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.outputs import distance_unit
+from loopcal.mechanisms.structure.smooth import vectors_for
+from loopcal.mechanisms.structure.structured import EFFECT, structured
+from loopcal.planning.candidates import (
+    Candidates,
+    drawn,
+    given,
+    in_shares,
+    ranges_of,
+    too_few,
+    typical_sds,
+    with_sds,
+)
+from loopcal.planning.certificate import certificate
+from loopcal.planning.expected import expected_curve, expected_of, random_sets, to_validate
+from loopcal.planning.information import (
+    Information,
+    closed_corrections,
+    end_point_rows,
+    information,
+    placed_anew,
+    rows_of,
+)
+from loopcal.planning.planned import CALIBRATE, CRITERIA, VALIDATE, Plan
+from loopcal.planning.route import route, travel
+from loopcal.planning.search import Chosen, Criterion, Progress, choose
+from loopcal.simulation.simulate import within_reach
+
+Array = NDArray[np.float64]
+TESTS = 300
+"""Poses at which the end point is predicted."""
+_DRAWS, _LOOKED_AT = 3, 200
+_DEPENDS = 0.05
+"""So much of a candidate's equations must change with a draw of the parameters to count."""
+
+
+def plan(
+    mechanism: Mechanism,
+    poses: int = 30,
+    *,
+    noise: NoiseLike,
+    candidates: Dataset | Mapping[str, Any] | None = None,
+    existing: Dataset | None = None,
+    criterion: str | None = None,
+    settings: PlanSettings | None = None,
+    progress: Progress | None = None,
+) -> Plan:
+    """The poses that show most of the machine, with what they promise.
+
+    candidates: poses to choose among [SI], by default random ones (`PlanSettings`); existing: poses
+    already measured, which the plan adds to. criterion: "I", the mean variance of the predicted end
+    point over test poses, is the default where there is an end point; "G" is the largest. "D" is
+    the determinant of the covariance of the parameters, the default elsewhere; "A" its trace in
+    relative units. The placement of instruments is estimated but does not count. Fedorov's exchange
+    (1972) from a greedy start; the stated efficiency is a bound. Raises InputError for what cannot
+    be used.
+
+    >>> from loopcal.measurements.plan_settings import PlanSettings
+    >>> from loopcal.mechanisms.planar import planar_two_link
+    >>> arm = planar_two_link()
+    >>> where = PlanSettings({"phi2": (-1.0, 1.0), "phi3": (0.3, 2.0)}, number=200)
+    >>> made = plan(arm, 10, noise={"*": 1e-4}, settings=where)
+    >>> len(made.poses), made.use.count("validate"), made.efficiency > 0.8
+    (10, 2, True)
+    """
+    settings, told = settings or PlanSettings(), Noise.of(noise)
+    if told is None:
+        raise InputError(
+            "no noise is given", code="missing-sd", remedy="give the sds of the readings"
+        )
+    if poses < 1:
+        raise InputError(
+            f"{poses} poses are requested", code="invalid-value", remedy="request at least one"
+        )
+    how = _criterion(mechanism, criterion)
+    if settings.model_error == "structured" and EFFECT not in mechanism.effects:
+        count = poses + (0 if existing is None else len(existing))
+        mechanism = structured(mechanism, discrepancy=vectors_for(count))
+    with one_blas_thread():
+        measured = None if existing is None else _measured(mechanism, existing, told)
+        if measured is not None:
+            mechanism = measured.start
+        pool = _pool(mechanism, candidates, existing, settings)
+        if len(pool.driven) < poses:
+            raise too_few(len(pool.driven), pool.considered, pool.refused, poses)
+        made = pooled(mechanism, pool, measured, told, settings)
+        best = choose(made.draws, poses, how, progress=progress)
+        return _planned(mechanism, pool, made, best, existing, how)
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """Poses already measured, closed at the mechanism with its instruments placed."""
+
+    problem: Problem
+    corrections: Array
+    start: Mechanism
+
+
+@dataclass(frozen=True, eq=False)
+class Pooled:
+    """What the candidates say: at the nominal machine first, then at further draws of its
+    parameters; problem: the candidates as readings."""
+
+    draws: tuple[Information, ...]
+    problem: Problem
+
+
+def _criterion(mechanism: Mechanism, stated: str | None) -> Criterion:
+    how = stated or ("I" if mechanism.outputs else "D")
+    if how not in CRITERIA:
+        raise InputError(
+            f"there is no criterion {how!r}", code="unknown-name", remedy=nearest(how, CRITERIA)
+        )
+    if how in ("I", "G") and not mechanism.outputs:
+        raise InputError(
+            f"{mechanism.name!r} predicts no end point, which the criterion {how} needs",
+            code="no-outputs",
+            remedy="use criterion D or A",
+        )
+    return how  # type: ignore[return-value]
+
+
+def _measured(mechanism: Mechanism, existing: Dataset, noise: Noise) -> _Measured:
+    machine, data = with_model(mechanism, existing, noise)
+    problem = started(machine, data, noise, "auto")
+    values = dict(zip(machine.parameters.names, problem.start.tolist(), strict=True))
+    return _Measured(problem, closed_corrections(problem), mechanism.with_nominal(values))
+
+
+def _pool(
+    mechanism: Mechanism,
+    candidates: Dataset | Mapping[str, Any] | None,
+    existing: Dataset | None,
+    settings: PlanSettings,
+) -> Candidates:
+    if candidates is not None:
+        stated = candidates if isinstance(candidates, Dataset) else Dataset.from_arrays(candidates)
+        return given(mechanism, stated, settings)
+    ranges = ranges_of(mechanism, settings.ranges, existing)
+    return drawn(mechanism, ranges, settings)
+
+
+def pooled(
+    mechanism: Mechanism,
+    pool: Candidates,
+    measured: _Measured | None,
+    noise: Noise,
+    settings: PlanSettings,
+) -> Pooled:
+    """The information of candidates: at the nominal machine, and at draws from the prior where the
+    equations depend on it."""
+    tests = _tests(mechanism, pool, settings)
+    first = _at(mechanism, pool, tests, measured, noise)
+    found = [first.information]
+    rng = np.random.default_rng(settings.seed)
+    some = np.unique(np.linspace(0, len(pool.driven) - 1, _LOOKED_AT).astype(np.intp))
+    for number in range(_DRAWS):
+        values = {
+            p.name: p.nominal + p.prior_sd * float(rng.standard_normal())
+            for p in mechanism.parameters
+            if not p.fixed and np.isfinite(p.prior_sd)
+        }
+        if not values:
+            break
+        other = mechanism.with_nominal(values)
+        if number == 0 and not _depends(first, other, pool.take(some), some, noise):
+            break
+        if within_reach(other, pool.driven).all():
+            found.append(_at(other, pool, tests, measured, noise).information)
+    return Pooled(tuple(found), first.problem)
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    information: Information
+    problem: Problem
+    rows: Array
+
+
+def _tests(mechanism: Mechanism, pool: Candidates, settings: PlanSettings) -> Dataset:
+    """Driven readings of the poses whose end point counts."""
+    if settings.region:
+        ranges = ranges_of(mechanism, {**settings.ranges, **settings.region}, None)
+        return drawn(mechanism, ranges, PlanSettings(number=TESTS, seed=settings.seed + 1)).driven
+    index = np.unique(np.linspace(0, len(pool.even) - 1, TESTS).astype(np.intp))
+    return pool.driven.take(pool.even[index])
+
+
+def _problem(mechanism: Mechanism, driven: Dataset, noise: Noise, like: Dataset | None) -> Problem:
+    closed = given(mechanism, driven, PlanSettings()).closed
+    return as_problem(mechanism, with_sds(closed, like), noise)
+
+
+def as_problem(mechanism: Mechanism, closed: Dataset, noise: Noise) -> Problem:
+    """Closed candidates as readings of a calibration."""
+    machine, data = with_model(mechanism, closed, noise)
+    return build_problem(machine, data, noise, whole=False)
+
+
+def _at(
+    mechanism: Mechanism,
+    pool: Candidates,
+    tests: Dataset,
+    measured: _Measured | None,
+    noise: Noise,
+) -> _Drawn:
+    like = None if measured is None else typical_sds(measured.problem)
+    problem = _problem(mechanism, pool.driven, noise, like)
+    rows = rows_of(problem, problem.start, np.zeros(problem.readings.shape))
+    before = np.empty((0, *rows.shape[1:]))
+    if measured is not None:
+        parameters = problem.start
+        before = rows_of(
+            replace(measured.problem, start=parameters), parameters, measured.corrections
+        )
+    T = np.empty((0, 1, rows.shape[2]))
+    if mechanism.outputs:
+        at = _problem(mechanism, tests, noise, like)
+        T = end_point_rows(at, at.start, at.readings, at.known)
+    kinds = mechanism.kinds
+    beyond = set(mechanism.effects.get(EFFECT, ()))
+    counts = np.array(
+        [kinds.get(n, "placement") != "placement" and n not in beyond for n in problem.names]
+    )
+    stands = np.array([kinds.get(n, "placement") == "placement" for n in problem.names])
+    made = information(problem, rows, before, placed_anew(T, stands), counts)
+    return _Drawn(made, problem, rows)
+
+
+def _depends(
+    first: _Drawn, other: Mechanism, pool: Candidates, some: NDArray[np.intp], noise: Noise
+) -> bool:
+    """Whether a draw of the parameters changes what these candidates say."""
+    if not within_reach(other, pool.driven).all():
+        return True
+    problem = _problem(other, pool.driven, noise, None)
+    rows = rows_of(problem, problem.start, np.zeros(problem.readings.shape))
+    here = first.rows[some] @ first.information.root
+    there = rows @ first.information.root
+    return bool(np.linalg.norm(there - here) > _DEPENDS * np.linalg.norm(here))
+
+
+def _planned(
+    mechanism: Mechanism,
+    pool: Candidates,
+    made: Pooled,
+    best: Chosen,
+    existing: Dataset | None,
+    how: Criterion,
+) -> Plan:
+    draw, names = made.draws[0], made.problem.names
+    chosen = list(best.poses)
+    bound = certificate(made.draws, chosen, how)
+    curve = expected_curve(draw, names, chosen, how)
+    marked = to_validate(made.draws, chosen, how)
+    shares = in_shares(pool.driven, pool.driven)[:, chosen]
+    order = route(shares)
+    way, before = travel(shares, order), travel(shares, list(range(len(chosen))))
+    taken = pool.take([chosen[i] for i in order])
+    kept = [i for i in chosen if i not in marked]
+    shown = [n for n in names if n not in set(mechanism.effects.get(EFFECT, ()))]
+    shown = [n for n in shown if n in mechanism.parameters.names]
+    units = {n: mechanism.parameters[n].unit for n in shown}
+    fitted = expected_of(draw, names, draw.of(kept), len(kept))
+    return Plan(
+        taken.driven,
+        taken.closed,
+        tuple(VALIDATE if chosen[i] in marked else CALIBRATE for i in order),
+        0 if existing is None else len(existing),
+        len(pool.driven),
+        pool.considered,
+        pool.refused,
+        how,
+        bound.efficiency,
+        curve,
+        fitted,
+        random_sets(draw, names, pool.even, curve[-1]) if mechanism.outputs else None,
+        way,
+        way / before if before else 1.0,
+        len(made.draws),
+        distance_unit(mechanism),
+        units,
+        _remarks(curve[-1].parameters, units),
+    )
+
+
+def _remarks(sds: Mapping[str, float | None], units: Mapping[str, str]) -> tuple[str, ...]:
+    loose = [n for n in units if sds[n] is None]
+    if not loose:
+        return ()
+    return (
+        f"These poses do not determine {', '.join(map(repr, loose))}. Plan more poses, widen the "
+        "ranges, or state how well these are known ([prior]).",
+    )

@@ -1,0 +1,270 @@
+"""The choice: greedy, then Fedorov's exchange, every candidate weighed at once.
+
+With C the covariance in z, B (r, k) the rows of a candidate and S = I + B C B^T, adding it leaves
+C' = C - K K^T, K = C B^T S^-1/2 (Woodbury). Kept for every candidate are A = B C B^T and, for a
+criterion tr(C G), Q = B C G C B^T; both follow C by products of the rows with K alone. Gains:
+
+    D   log det(I + A) - log det(I + A_n),   n: of the nuisance parameters alone,
+    I, A   tr[(I + A)^-1 Q],
+    G   the fall of the largest variance over the test poses.
+
+Fedorov (1972), Theory of Optimal Experiments; Miller and Nguyen (1994) for its exchange in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.planning.information import Information
+
+Array = NDArray[np.float64]
+Criterion = Literal["I", "G", "D", "A"]
+Progress = Callable[[int, int], None]
+"""Called with how many poses were chosen or tried for exchange, and how many there will be."""
+_SUDDEN = 1e4
+"""So large a fall of variance leaves A and Q without digits: they are computed anew."""
+_SINGULAR = 1e-9
+_BETTER = 1e-9
+_PASSES = 20
+_SHORTLIST = 128
+_PEAK = 8.0
+"""The worst test poses weigh by this power of their variance in the shortlist of G."""
+_EFFORT, _STARTS = 3e6, 20
+
+
+class _System:
+    """Covariance, A and Q of all candidates, as poses come and go."""
+
+    def __init__(self, rows: Array, start: Array, aim: Array | None = None) -> None:
+        self.rows, self.aim, self.total = rows, aim, start.copy()
+        self.flat = rows.reshape(-1, rows.shape[2])
+        self.refresh()
+
+    def refresh(self) -> None:
+        self.C = inverse(self.total)
+        self.A = self._blocks(self.C)
+        self.Q = None if self.aim is None else self._blocks(self.C @ self.aim @ self.C)
+
+    def _blocks(self, matrix: Array) -> Array:
+        right = (self.flat @ matrix).reshape(self.rows.shape)
+        found: Array = right @ self.rows.transpose(0, 2, 1)
+        return found
+
+    def change(self, i: int, sign: float) -> None:
+        """Add (sign 1) or remove (sign -1) a candidate."""
+        B = self.rows[i]
+        self.total += sign * (B.T @ B)
+        half = self.C @ B.T
+        S = np.eye(len(B)) + sign * (B @ half)
+        values, vectors = np.linalg.eigh(S)
+        if values.min() < _SINGULAR or values.max() > _SUDDEN:
+            self.refresh()
+            return
+        K = half @ vectors / np.sqrt(values)
+        r = K.shape[1]
+        N, own = len(self.rows), self.rows.shape[1]
+        if self.Q is None or self.aim is None:
+            BK = (self.flat @ K).reshape(N, own, r)
+        else:
+            V = self.C @ (self.aim @ K)
+            both = (self.flat @ np.hstack([K, V])).reshape(N, own, 2 * r)
+            BK, BV = both[..., :r], both[..., r:]
+            cross = BV @ BK.transpose(0, 2, 1)
+            W = K.T @ (self.aim @ K)
+            self.Q -= sign * (cross + cross.transpose(0, 2, 1))
+            self.Q += BK @ W @ BK.transpose(0, 2, 1)
+        self.A -= sign * (BK @ BK.transpose(0, 2, 1))
+        self.C -= sign * (K @ K.T)
+
+    def log_gain(self) -> Array:
+        """(N,) log det(I + A)."""
+        found: Array = np.linalg.slogdet(np.eye(self.A.shape[1]) + self.A)[1]
+        return found
+
+    def linear_gain(self) -> Array:
+        """(N,) tr[(I + A)^-1 Q]."""
+        assert self.Q is not None
+        solved = np.linalg.solve(np.eye(self.A.shape[1]) + self.A, self.Q)
+        return np.asarray(np.trace(solved, axis1=1, axis2=2))
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Positions of the chosen candidates and the criterion, the less the better."""
+
+    poses: tuple[int, ...]
+    value: float
+
+
+class Search:
+    """The state of a choice under one criterion, averaged over draws of the parameters."""
+
+    def __init__(self, draws: Sequence[Information], criterion: Criterion) -> None:
+        self.draws, self.criterion = draws, criterion
+        self.systems = [_System(d.rows, d.start, linear_aim(d, criterion)) for d in draws]
+        self.without: list[_System | None] = [
+            _System(d.rows @ d.nuisance, d.nuisance.T @ d.start @ d.nuisance)
+            if criterion == "D" and d.nuisance.shape[1]
+            else None
+            for d in draws
+        ]
+        self.chosen: list[int] = []
+
+    def add(self, i: int) -> None:
+        """Choose a candidate."""
+        self._change(i, 1.0)
+        self.chosen.append(i)
+
+    def remove(self, i: int) -> None:
+        """Let a chosen candidate go."""
+        self._change(i, -1.0)
+        self.chosen.remove(i)
+
+    def _change(self, i: int, sign: float) -> None:
+        for system in (*self.systems, *self.without):
+            if system is not None:
+                system.change(i, sign)
+
+    def gains(self, also: int | None = None) -> Array:
+        """(N,) by how much each candidate would lower the criterion; -inf for those chosen.
+
+        also: a candidate that is weighed in any case; under G others may be left out.
+        """
+        if self.criterion == "D":
+            parts = [
+                system.log_gain() - (0.0 if less is None else less.log_gain())
+                for system, less in zip(self.systems, self.without, strict=True)
+            ]
+        elif self.criterion == "G":
+            parts = [
+                _worst_gains(s, d, also) for s, d in zip(self.systems, self.draws, strict=True)
+            ]
+        else:
+            parts = [system.linear_gain() for system in self.systems]
+        total: Array = np.mean(parts, axis=0)
+        total[self.chosen] = -np.inf
+        return total
+
+    def value(self) -> float:
+        """The criterion of what is chosen."""
+        values = [
+            criterion_value(d, s.total, self.criterion)
+            for d, s in zip(self.draws, self.systems, strict=True)
+        ]
+        return float(np.mean(values))
+
+
+def linear_aim(draw: Information, criterion: Criterion) -> Array | None:
+    """G (k, k) of a criterion tr(C G), None for one that has none."""
+    if criterion in ("I", "G"):
+        return draw.mean_test
+    return draw.relative if criterion == "A" else None
+
+
+def criterion_value(draw: Information, total: Array, criterion: Criterion) -> float:
+    """The criterion of an information (k, k): a variance, or a log determinant."""
+    if criterion == "D":
+        V = draw.nuisance
+        inner = np.linalg.slogdet(V.T @ total @ V)[1] if V.shape[1] else 0.0
+        return float(inner - np.linalg.slogdet(total)[1])
+    C = inverse(total)
+    if criterion == "G":
+        return float(test_variances(draw, C).max())
+    aim = linear_aim(draw, criterion)
+    assert aim is not None
+    return float((C * aim).sum())
+
+
+def test_variances(draw: Information, C: Array) -> Array:
+    """(T,) variance of the end point at the test poses [SI]."""
+    found: Array = np.einsum("tok,tok->t", draw.tests @ C, draw.tests)
+    return found
+
+
+def _worst_gains(system: _System, draw: Information, also: int | None) -> Array:
+    """(N,) fall of the largest test variance; of those alone that promise most."""
+    before = test_variances(draw, system.C)
+    worst = float(before.max())
+    N = len(system.rows)
+    some = np.arange(N)
+    if N > 2 * _SHORTLIST:
+        weight = np.power(before / worst, _PEAK)
+        pull = np.einsum("t,tok,tol->kl", weight, draw.tests, draw.tests, optimize=True)
+        Q = system._blocks(system.C @ pull @ system.C)
+        promised = np.trace(np.linalg.solve(np.eye(Q.shape[1]) + system.A, Q), axis1=1, axis2=2)
+        some = np.argpartition(-promised, _SHORTLIST)[:_SHORTLIST]
+        some = some if also is None else np.union1d(some, [also])
+    gains = np.full(N, -np.inf)
+    half = system.C @ system.rows[some].transpose(0, 2, 1)
+    S = np.eye(half.shape[2]) + system.A[some]
+    flat = draw.tests.reshape(-1, draw.tests.shape[2])
+    for at, h, s in zip(some, half, S, strict=True):
+        seen = flat @ h
+        fall = np.einsum("ij,ij->i", seen, np.linalg.solve(s, seen.T).T)
+        after = before - fall.reshape(before.size, -1).sum(axis=1)
+        gains[at] = worst - float(after.max())
+    return gains
+
+
+def choose(
+    draws: Sequence[Information],
+    number: int,
+    criterion: Criterion,
+    *,
+    progress: Progress | None = None,
+) -> Chosen:
+    """The best `number` candidates that greedy choice and exchange find, in order of choice.
+
+    Small problems are begun several times: the best end is kept.
+    """
+    size = draws[0].rows.size * len(draws)
+    starts = int(np.clip(_EFFORT / max(size * number, 1), 1, _STARTS))
+    rng = np.random.default_rng(0)
+    best: Chosen | None = None
+    for start in range(starts):
+        search = Search(draws, criterion)
+        if start:
+            for i in rng.permutation(len(draws[0].rows))[:number]:
+                search.add(int(i))
+        else:
+            for done in range(number):
+                search.add(int(np.argmax(search.gains())))
+                if progress is not None:
+                    progress(done + 1, number)
+        _exchange(search, progress)
+        found = Chosen(tuple(search.chosen), search.value())
+        if best is None or found.value < best.value:
+            best = found
+    assert best is not None
+    return best
+
+
+def _exchange(search: Search, progress: Progress | None) -> None:
+    """Exchange each chosen pose in turn for the best candidate until no exchange helps."""
+    number, tried = len(search.chosen), 0
+    for _ in range(_PASSES):
+        changed = False
+        for old in list(search.chosen):
+            search.remove(old)
+            gains = search.gains(old)
+            new, kept = int(np.argmax(gains)), float(gains[old])
+            better = bool(gains[new] > kept + _BETTER * abs(kept))
+            search.add(new if better else old)
+            changed |= better and new != old
+            tried += 1
+            if progress is not None:
+                progress(number + tried, number * (2 + tried // number))
+        if not changed:
+            return
+
+
+def inverse(matrix: Array) -> Array:
+    """Of a symmetric positive definite matrix, scaled first."""
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    found: Array = np.linalg.inv(matrix * scale * scale[:, None]) * scale * scale[:, None]
+    return 0.5 * (found + found.T)

@@ -1,0 +1,111 @@
+"""The page of a plan: what it promises, the chosen poses in space, and the list of them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.figures.figure import Figure, plotly_javascript
+from loopcal.figures.planning import Line, by_number, chosen_points, parameters_by_number
+from loopcal.figures.space import Machine
+from loopcal.files.versions import version
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.outputs import measured_points, points
+from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
+from loopcal.planning.planned import Plan
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import SHOWN, factor, in_unit, size, unit_shown
+from loopcal.report.page import environment, part, sha256
+from loopcal.report.tables import Table
+from loopcal.units import from_si
+
+Array = NDArray[np.float64]
+
+
+def plan_html(plan: Plan, title: str, mechanism: Mechanism) -> str:
+    """The page: nothing in it is asked of any network."""
+    program, drawing = plotly_javascript(), part("draw.js")
+    figures = [_curve(plan), _chosen(plan, mechanism), _parameters(plan)]
+    return (
+        environment()
+        .get_template("plan.html")
+        .render(
+            title=title,
+            version=version(),
+            words=plan.summary(),
+            plan={"id": "plan", "figures": {f.key: f for f in figures if f is not None}},
+            tables=[_poses(plan), _sds(plan)],
+            style=part("style.css"),
+            program=program,
+            drawing=drawing,
+            hashes=" ".join(f"'sha256-{sha256(text)}'" for text in (program, drawing)),
+        )
+    )
+
+
+def _curve(plan: Plan) -> Figure | None:
+    scale, count = factor(plan.unit), [p.poses for p in plan.curve]
+    lines = [
+        Line("planned, rms", count, _array([p.end_point for p in plan.curve]) / scale),
+        Line("planned, largest", count, _array([p.largest for p in plan.curve]) / scale),
+    ]
+    if plan.random is not None:
+        random = plan.random
+        lines.append(Line("random, rms", random.poses, _array(random.end_point) / scale))
+    return by_number(lines, unit_shown(plan.unit), len(plan.use))
+
+
+def _parameters(plan: Plan) -> Figure | None:
+    groups: dict[str, list[Line]] = {}
+    count = [p.poses for p in plan.curve]
+    for name, unit in plan.units.items():
+        sds = _array([p.parameters[name] for p in plan.curve])
+        shown = np.array([in_unit(v, unit, fine=True) for v in sds])
+        groups.setdefault(unit_shown(unit, fine=True), []).append(Line(name, count, shown))
+    return parameters_by_number(groups)
+
+
+def _chosen(plan: Plan, mechanism: Mechanism) -> Figure | None:
+    seen = next((names for names in measured_points(mechanism) if len(names) in (2, 3)), ())
+    if not seen or any(q not in plan.closed.readings for q in seen):
+        return None
+    at = np.array([plan.closed.readings[q] for q in seen])
+    family = next((f for f in mechanism.families if set(seen) <= set(f.readings)), None)
+    at = at if family is None else points(family, at)
+    readings = {q: float(v[0]) for q, v in plan.closed.readings.items()}
+    try:
+        lines = skeleton(mechanism, readings)
+    except KeyError:
+        lines = None
+    machine = None if lines is None else Machine(lines, skeleton_labels(mechanism))
+    return chosen_points(at, plan.use, plan.poses.poses, machine)
+
+
+def _poses(plan: Plan) -> Table:
+    units = {q: SHOWN.get(u, u) for q, u in plan.closed.units.items()}
+    shown = {q: units.get(q, "") for q in plan.poses.readings}
+    columns = {q: from_si(v, shown[q] or "1") for q, v in plan.poses.readings.items()}
+    rows = [
+        (str(i + 1), pose, plan.use[i], *(significant(float(v[i]), 6) for v in columns.values()))
+        for i, pose in enumerate(plan.poses.poses)
+    ]
+    head = ("order", "pose", "use", *(f"{q} [{u}]" if u else q for q, u in shown.items()))
+    return Table("The poses in the order to measure them", head, tuple(rows))
+
+
+def _sds(plan: Plan) -> Table:
+    rows = [
+        (name, unit_shown(unit, fine=True), *(_size(v, unit) for v in pair))
+        for name, unit in plan.units.items()
+        for pair in [(plan.expected.parameters[name], plan.fitted.parameters[name])]
+    ]
+    head = ("parameter", "unit", "expected sd", "without the poses to validate")
+    return Table("Expected sds of the parameters", head, tuple(rows))
+
+
+def _size(value: float | None, unit: str) -> str:
+    return "-" if value is None else size(value, unit, fine=True)
+
+
+def _array(values: object) -> Array:
+    return np.array(values, dtype=float)

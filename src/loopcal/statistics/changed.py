@@ -1,0 +1,205 @@
+"""What changed on a machine since its calibration, as values, a document and words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from loopcal.presentation.shown import by_sd, chance, percent, size, unit_shown, with_unit
+from loopcal.statistics.innovation import Innovation
+
+LEVEL = 0.025
+"""p-value of either test, of the whole and of single changes: together 5 %."""
+POWER = 0.9
+"""With which a change of the stated smallest size is seen."""
+VERDICTS = ("unchanged", "re-master", "calibrate-anew")
+_WORDS = {
+    "zero": "joint zeros",
+    "angle": "angles",
+    "length": "lengths",
+    "mounting": "mountings",
+    "gain": "gains",
+}
+_MOST_NAMED = 4
+_WIDER = 1.5
+"""A ratio of variances from which it is told."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What may have changed: the zero of a joint, or a parameter.
+
+    kind: "zero" of the joint `name`, else the kind of the parameter `name`; p_value: of its own
+    test, adjusted for the others (Holm), None where these poses do not show it; smallest: the
+    change [unit] that is seen with probability `POWER`, None likewise.
+    """
+
+    name: str
+    kind: str
+    unit: str
+    p_value: float | None
+    smallest: float | None
+
+    @property
+    def words(self) -> str:
+        """The candidate in words."""
+        return f"the zero of {self.name}" if self.kind == "zero" else self.name
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change that was found.
+
+    value, low, high: [unit] how much, with its 95 % interval; p_value: adjusted for the search;
+    alike: further candidates which explain these poses about as well.
+    """
+
+    name: str
+    kind: str
+    unit: str
+    value: float
+    sd: float
+    low: float
+    high: float
+    p_value: float
+    alike: tuple[Candidate, ...]
+
+    @property
+    def zeros(self) -> tuple[str, ...]:
+        """The joints whose zero explains the change."""
+        own = (self.name,) if self.kind == "zero" else ()
+        return (*own, *(other.name for other in self.alike if other.kind == "zero"))
+
+    @property
+    def mounted(self) -> bool:
+        """Whether something that was mounted anew explains the change."""
+        return "mounting" in (self.kind, *(other.kind for other in self.alike))
+
+    @property
+    def words(self) -> str:
+        """The change in a sentence without its end."""
+        moved = by_sd(self.value, self.sd, self.unit)
+        half = size(0.5 * (self.high - self.low), self.unit, 2)
+        unit = unit_shown(self.unit)
+        verb = "moved" if self.kind in ("zero", "mounting") else "changed"
+        name = f"the zero of {self.name}" if self.kind == "zero" else self.name
+        return f"{name} {verb} by {moved} {unit} ± {half} {unit}"
+
+
+@dataclass(frozen=True)
+class WhatChanged:
+    """The changes of a machine since its calibration, and what would not have been seen.
+
+    verdict: one of `VERDICTS`; found: the changes, in the order of the search; candidates: all that
+    was tested; test: of the whole; spread: by how much these poses vary more than stated, where
+    that is not taken as a change; left: p-value of the whole after these changes, None without
+    redundancy.
+    """
+
+    verdict: str
+    found: tuple[Change, ...]
+    candidates: tuple[Candidate, ...]
+    test: Innovation
+    spread: float
+    left: float | None
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joints to master again: for each change, the first whose zero explains it."""
+        if self.verdict != "re-master":
+            return ()
+        return tuple(dict.fromkeys(change.zeros[0] for change in self.found))
+
+    @property
+    def next(self) -> str | None:
+        """What to do."""
+        if self.verdict == "unchanged":
+            return None
+        if self.verdict == "re-master":
+            named = ", ".join(self.joints)
+            if all(change.kind == "zero" for change in self.found):
+                return f"Re-master {named}, then verify again."
+            return (
+                f"The zero of {named} explains these poses about as well: re-master it, then "
+                "verify again. If the machine is still not as calibrated, calibrate anew."
+            )
+        if self.found and all(change.mounted for change in self.found):
+            return (
+                "If it was mounted anew, state it (--remounted). Otherwise inspect the mounting, "
+                "or calibrate anew."
+            )
+        return (
+            "Inspect the worst poses. If the reflector was mounted anew, state it (--remounted). "
+            "Otherwise calibrate anew."
+        )
+
+    def document(self) -> dict[str, Any]:
+        """As one JSON document: SI."""
+        return {
+            "verdict": self.verdict,
+            "joints": list(self.joints),
+            "found": [
+                {**asdict(one), "alike": [other.name for other in one.alike]} for one in self.found
+            ],
+            "left_p_value": self.left,
+            "spread": self.spread,
+            "power": POWER,
+            "candidates": [asdict(one) for one in self.candidates],
+        }
+
+    def lines(self) -> list[str]:
+        """For the summary."""
+        return [*self._found(), *self._unseen()]
+
+    def _found(self) -> list[str]:
+        lines = ["what changed"]
+        for change in self.found:
+            lines.append(f"  {change.words} (95 %), {_p(change.p_value)}")
+            if change.alike:
+                names = _some([other.words for other in change.alike])
+                lines.append(f"    not distinguishable at these poses: {names}")
+        if self.found:
+            lines.append(
+                "  no other change is seen"
+                if (self.left or 0.0) >= LEVEL
+                else f"  these changes do not explain all differences ({_p(self.left)})"
+            )
+        elif self.verdict == "unchanged":
+            lines.append("  no change is seen")
+        else:
+            lines.append("  no single change explains the differences")
+        if self.spread > _WIDER:
+            ratio = f"{math.sqrt(self.spread):.1f} times"
+            lines.append(f"  an error that no change explains is {ratio} as large as stated")
+        return lines
+
+    def _unseen(self) -> list[str]:
+        seen: dict[str, list[Candidate]] = {}
+        for one in self.candidates:
+            if one.smallest is not None:
+                seen.setdefault(f"{one.kind} {one.unit}", []).append(one)
+        lines = [f"smaller changes are not always seen (seen with {percent(POWER)})"]
+        for its in seen.values():
+            its = sorted(its, key=lambda one: one.smallest or 0.0)
+            kind, unit = _WORDS.get(its[0].kind, its[0].kind), its[0].unit
+            least, most = its[0], its[-1]
+            told = f"  {kind}: from {with_unit(least.smallest, unit, 2)} ({least.name})"
+            if most is not least:
+                told += f" to {with_unit(most.smallest, unit, 2)} ({most.name})"
+            lines.append(told)
+        hidden = [one.words for one in self.candidates if one.smallest is None]
+        if hidden:
+            lines.append(f"  not visible at these poses: {_some(hidden)}")
+        return lines
+
+
+def _p(value: float | None) -> str:
+    return f"p = {chance(value)}" if value is None or value > 1e-12 else "p < 1e-12"
+
+
+def _some(names: Sequence[str]) -> str:
+    more = len(names) - _MOST_NAMED
+    shown = ", ".join(names[:_MOST_NAMED])
+    return f"{shown} and {more} more" if more > 0 else shown

@@ -1,0 +1,85 @@
+"""Results of several machines of one type, and the start of the next project."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from loopcal.document.result_document import ResultDocument
+from loopcal.errors import InputError
+from loopcal.estimation.result import Result
+from loopcal.files.atomic import write_atomic
+from loopcal.files.machines.python_function import load_function
+from loopcal.files.project.start_writer import Start, start_to_toml
+from loopcal.files.result.result_folder import ReadResult, read_result_folder
+from loopcal.life.fleet import Fleet, learn
+from loopcal.life.measured_machine import MeasuredMachine
+from loopcal.life.updating import LABEL
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.workflow.saved_result import SavedResult
+
+
+@dataclass(frozen=True, eq=False)
+class FleetDone:
+    """A fleet, and the part of a project file that was written of it."""
+
+    fleet: Fleet
+    written: Path
+
+
+def run_fleet(
+    results: Sequence[str | Path], *, out: str | Path = "fleet.toml", function: str | None = None
+) -> FleetDone:
+    """Compare the results of folders and write where the next project begins.
+
+    Raises InputError for what cannot be read, compared or written.
+    """
+    loops = None if function is None else load_function(function)
+    found = learn([_read(read_result_folder(path, function=loops), str(path)) for path in results])
+    starts = {p.name: Start(p.mean, p.prior_sd, p.unit) for p in found.parameters}
+    remarks = (
+        f"Where the next machine of this type begins: {found.machine}.",
+        f"Learnt from {len(found.machines)} machines. Put this into its project file.",
+        "value: mean of the machines; sd: of one more machine, lengths in m, angles in rad.",
+    )
+    write_atomic(out, start_to_toml(remarks, starts))
+    return FleetDone(found, Path(out))
+
+
+def fleet(results: Sequence[Result | SavedResult | str | Path]) -> Fleet:
+    """Learn what machines of one type have in common, and which one is unusual.
+
+    results: one of each machine, at least three; in memory or as folders. Each parameter of the
+    machine is p_r ~ N(mean, spread^2), the spread by restricted likelihood (Patterson and Thompson
+    1971) with limits by Q (Viechtbauer 2007). Placement and mounting do not count.
+
+    Raises InputError for fewer than three results, and for machines of several types.
+    """
+    return learn([_measured(one, f"result {i}") for i, one in enumerate(results, 1)])
+
+
+def _measured(result: Result | SavedResult | str | Path, name: str) -> MeasuredMachine:
+    if isinstance(result, Result):
+        known = Calibrated.of(result, name)
+        return _machine(known, result.document)
+    if isinstance(result, SavedResult):
+        return _read(result.folder, str(result.path.parent))
+    return _read(read_result_folder(result), str(result))
+
+
+def _read(read: ReadResult, name: str) -> MeasuredMachine:
+    return _machine(
+        Calibrated.from_document(read.document, read.mechanism, None, name), read.document
+    )
+
+
+def _machine(known: Calibrated, document: ResultDocument) -> MeasuredMachine:
+    if not document.status.converged:
+        raise InputError(
+            f"the result {known.name!r} did not converge",
+            code="not-converged",
+            remedy="calibrate this machine again, or leave it out",
+        )
+    updated = document.method_label == LABEL
+    return MeasuredMachine.of(known, document.data.used, updated=updated)

@@ -1,0 +1,191 @@
+"""Plans: which poses to measure for a project, written beside it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loopcal.document.plain import plain
+from loopcal.errors import InputError
+from loopcal.estimation.result import Result
+from loopcal.files.atomic import write_files
+from loopcal.files.paths import expanded
+from loopcal.files.project.new_readings import read_new_readings
+from loopcal.files.project.project_file import Project
+from loopcal.files.project.readings_file import readings_tables
+from loopcal.files.result.result_folder import read_result_folder
+from loopcal.files.result.result_poses import poses_of_result, read_result_poses
+from loopcal.files.toml.place import Place
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import MODEL, Noise
+from loopcal.measurements.plan_settings import PlanSettings
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.planning.plan import plan
+from loopcal.planning.planned import Plan
+from loopcal.planning.search import Progress
+from loopcal.report.plan_page import plan_html
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.workflow.projects import named_project
+
+POSES, DOCUMENT, PAGE = "plan.csv", "plan.json", "plan.html"
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A plan and where it was written."""
+
+    plan: Plan
+    title: str
+    folder: Path
+    files: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """What the options of `loopcal plan` ask for. candidates, existing: paths; report: write the
+    page."""
+
+    poses: int = 30
+    criterion: str | None = None
+    candidates: str | None = None
+    existing: str | None = None
+    report: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What a plan begins from: the machine, its noise, and poses already measured.
+
+    calibrated: by a fit, whose own terms say what geometry does not explain.
+    """
+
+    mechanism: Mechanism
+    noise: Noise
+    existing: Dataset | None = None
+    calibrated: bool = False
+
+    def settled(self, settings: PlanSettings) -> PlanSettings:
+        """The settings, without further terms beside those of a calibration."""
+        return replace(settings, model_error="none") if self.calibrated else settings
+
+
+def run_plan(
+    project: str | Path,
+    request: PlanRequest,
+    *,
+    out: str | Path | None = None,
+    function: str | None = None,
+    progress: Progress | None = None,
+) -> Planned:
+    """Choose poses for a project; write plan.csv, plan.json and plan.html.
+
+    out: the folder, by default NAME-plan beside NAME.toml. Raises InputError for what cannot be
+    used.
+    """
+    read = named_project(project, function)
+    folder = Path(out) if out is not None else plan_folder(read)
+    known = known_of(read, request.existing)
+    try:
+        made = plan(
+            known.mechanism,
+            request.poses,
+            noise=known.noise,
+            candidates=candidates_of(read, request.candidates),
+            existing=known.existing,
+            criterion=request.criterion,
+            settings=known.settled(settings_of(read)),
+            progress=progress,
+        )
+    except InputError as error:
+        raise error.at(read.name) from None
+    files: dict[str, str | bytes] = dict(_tables(made, read, folder))
+    document = {"title": read.title, **made.document()}
+    files[DOCUMENT] = json.dumps(plain(document), indent=1, ensure_ascii=False) + "\n"
+    if request.report:
+        files[PAGE] = plan_html(made, read.title, known.mechanism)
+    write_files(folder, files, remove=() if request.report else (PAGE,))
+    return Planned(made, read.title, folder, tuple(files))
+
+
+def plan_folder(project: Project) -> Path:
+    """NAME-plan beside the project."""
+    name = "loopcal" if project.path is None else project.path.stem
+    return project.folder / f"{name}-plan"
+
+
+def settings_of(project: Project) -> PlanSettings:
+    """The [plan] of a project, its forbidden rows read."""
+    name = project.inputs.get("plan", {}).get("forbidden")
+    if name is None:
+        return project.plan
+    path = expanded(name, project.folder, Place(project.name).at("plan", "forbidden"))
+    rows = read_new_readings(path, project.inputs, project.mechanism)
+    return replace(project.plan, forbidden=rows)
+
+
+def known_of(project: Project, existing: Any = None) -> Known:
+    """The machine and noise of a project, or those that a calibration has found.
+
+    existing: a result, the folder of one, or a file of readings in the project's columns.
+    """
+    if existing is None:
+        return Known(project.mechanism, project.noise.noise())
+    if isinstance(existing, Dataset):
+        return Known(project.mechanism, project.noise.noise(), existing)
+    if isinstance(existing, str | Path) and poses_of_result(existing, project.mechanism) is None:
+        data = read_new_readings(existing, project.inputs, project.mechanism, whole=True)
+        return Known(project.mechanism, project.noise.noise(), data)
+    return of_calibration(existing)
+
+
+def of_calibration(result: Any) -> Known:
+    """What a calibration leaves to plan from: its machine, learnt sds and poses."""
+    known = _calibrated(result)
+    if known.poses is None:
+        raise InputError(
+            "the result has no residuals.csv, which holds its readings",
+            code="missing-file",
+            place=known.name,
+            remedy="give the file of readings",
+        )
+    names = known.mechanism.parameters.names
+    sds = dict(zip(names, known.prior_sd.tolist(), strict=True))
+    mechanism = known.mechanism.with_parameters(known.mechanism.parameters.with_prior(sds))
+    entries: dict[str, float] = dict.fromkeys(mechanism.quantities, np.inf)
+    entries |= {q: e.sd for e in known.noise for q in e.quantities if q in entries}
+    model = [e.sd for e in known.noise if e.role == "disturbance"]
+    entries |= {MODEL: model[0]} if model else {}
+    kept = {q: v for q, v in known.poses.readings.items() if q not in mechanism.disturbances}
+    data = Dataset(kept, known.poses.units, known.poses.poses, {}, known.poses.source)
+    return Known(mechanism, Noise(entries), data, calibrated=True)
+
+
+def _calibrated(result: Any) -> Calibrated:
+    if isinstance(result, Calibrated):
+        return result
+    if isinstance(result, Result):
+        return Calibrated.of(result, "the result")
+    path = getattr(result, "path", result)
+    read = read_result_folder(path)
+    poses = read_result_poses(read.path.parent, read.mechanism)
+    return Calibrated.from_document(read.document, read.mechanism, poses, str(path))
+
+
+def candidates_of(project: Project, path: str | Path | None) -> Dataset | None:
+    """The poses of a file in the project's columns, or of a result."""
+    if path is None:
+        return None
+    poses = poses_of_result(path, project.mechanism)
+    if poses is not None:
+        return poses
+    return read_new_readings(path, project.inputs, project.mechanism)
+
+
+def _tables(made: Plan, project: Project, folder: Path) -> Mapping[str, bytes]:
+    """plan.csv in the columns of the project, with the use of each pose."""
+    return readings_tables(made.poses, project.data, {}, folder / POSES, {"use": made.use})

@@ -1,0 +1,54 @@
+"""Rigid motions against SciPy's rotations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from loopcal.deployment.rigid import (
+    between,
+    inverse,
+    moved,
+    of_quaternion,
+    of_yaw_pitch_roll,
+    pose,
+    quaternion_of,
+    turn_of,
+    turned,
+    yaw_pitch_roll_of,
+)
+
+RNG = np.random.default_rng(0)
+VECTORS = np.vstack(
+    [
+        RNG.normal(0.0, 1.0, (200, 3)),
+        np.pi * np.eye(3),
+        1e-9 * RNG.normal(0.0, 1.0, (20, 3)),
+        np.zeros((1, 3)),
+    ]
+)
+R = Rotation.from_rotvec(VECTORS).as_matrix()
+
+
+def test_turns_are_those_of_rotation_vectors_and_back() -> None:
+    assert turned(VECTORS) == pytest.approx(R, abs=1e-12)
+    assert turned(turn_of(R)) == pytest.approx(R, abs=1e-12)
+    assert turn_of(R)[:200] == pytest.approx(Rotation.from_matrix(R[:200]).as_rotvec(), abs=1e-9)
+
+
+def test_quaternions_and_yaw_pitch_roll_agree_with_scipy() -> None:
+    q = quaternion_of(R)
+    assert of_quaternion(q) == pytest.approx(R, abs=1e-12)
+    assert of_quaternion(7.0 * q) == pytest.approx(R, abs=1e-12)
+    angles = RNG.uniform(-1.5, 1.5, (50, 3))
+    made = Rotation.from_euler("ZYX", angles).as_matrix()
+    assert of_yaw_pitch_roll(angles) == pytest.approx(made, abs=1e-12)
+    assert yaw_pitch_roll_of(made) == pytest.approx(angles, abs=1e-12)
+
+
+def test_a_twist_leads_from_one_pose_to_the_other() -> None:
+    T = pose(R, RNG.normal(0.0, 1.0, (len(R), 3)))
+    other = T[::-1]
+    assert moved(T, between(T, other), 1.0) == pytest.approx(other, abs=1e-12)
+    assert inverse(T) @ T == pytest.approx(np.broadcast_to(np.eye(4), T.shape), abs=1e-12)

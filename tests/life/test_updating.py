@@ -1,0 +1,165 @@
+"""An update: yesterday's covariance is as good as yesterday's poses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from analyses.instruments import setup
+from analyses.verify import another_day
+from tests.command_line import run
+from tests.reference.simulated import planar_arm
+from tests.refusals import refused
+from tests.statistics.test_comparison import sds_of
+
+FIRST, SECOND = np.arange(50), np.arange(50, 100)
+
+
+def values(result: lc.Result) -> np.ndarray:
+    return np.array([result.value[name] for name in result.estimated])
+
+
+def sds(result: lc.Result) -> np.ndarray:
+    return np.array([result.sd[name] for name in result.estimated], dtype=float)
+
+
+def test_in_a_linear_problem_it_equals_fitting_everything_at_once() -> None:
+    line = lc.Mechanism.from_function(
+        lambda x, p: [x.y - p.a * x.q - p.b],
+        {"q": "m", "y": "m"},
+        {"a": (1.0, "1"), "b": (0.0, "m")},
+        outputs=("y",),
+    )
+    rng = np.random.default_rng(0)
+    q = rng.uniform(0.0, 1.0, 40)
+    y = 1.1 * q + 0.2 + 1e-3 * rng.standard_normal(40)
+    noise = lc.Noise({"q": 0.0, "y": 1e-3})
+    first = lc.calibrate(line, {"q": q[:20], "y": y[:20]}, noise=noise, method="implicit-loop")
+    every = lc.calibrate(line, {"q": q, "y": y}, noise=noise, method="implicit-loop")
+    found = lc.update(first, {"q": q[20:], "y": y[20:]})
+    assert values(found) == pytest.approx(values(every), rel=1e-12)
+    assert found.covariance == pytest.approx(every.covariance, rel=1e-10)
+    assert found.chi_squared is not None
+    assert every.chi_squared is not None
+    assert first.chi_squared is not None
+    both = first.chi_squared.value + found.chi_squared.value
+    assert both == pytest.approx(every.chi_squared.value, rel=1e-10)
+    assert found.chi_squared.degrees_of_freedom == 20
+
+
+def half(same_place: bool) -> tuple[lc.Result, lc.Result]:
+    """An arm updated by its second half of poses, and calibrated by all."""
+    given = setup("six-axis spherical")
+    data = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1).dataset
+    nominal = given.truth.with_parameters(given.truth.parameters.with_fixed(given.held))
+    every, first = (
+        lc.calibrate(nominal, part, noise=given.noise, method="implicit-loop")
+        for part in (data, data.take(FIRST))
+    )
+    return lc.update(first, data.take(SECOND), moved=not same_place), every
+
+
+def test_an_arm_is_within_a_tenth_of_an_sd_of_fitting_everything_at_once() -> None:
+    found, every = half(same_place=True)
+    assert np.abs((values(found) - values(every)) / sds(every)).max() < 0.1
+    assert sds(found) / sds(every) == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_placement_that_is_an_arm_of_its_own_is_kept_too() -> None:
+    arm = planar_arm(60)
+    data, noise = arm.read(sds_of(arm), 1), lc.Noise(sds_of(arm))
+    first, every = (
+        lc.calibrate(arm.truth, part, noise=noise, method="implicit-loop")
+        for part in (data.take(np.arange(30)), data)
+    )
+    found = lc.update(first, data.take(np.arange(30, 60)), moved=False)
+    assert np.abs((values(found) - values(every)) / sds(every)).max() < 0.1
+
+
+def test_intervals_hold_the_truth_where_the_tracker_was_moved() -> None:
+    given = setup("six-axis spherical")
+    nominal = given.truth.with_parameters(given.truth.parameters.with_fixed(given.held))
+    there, z = another_day(given, 1), []
+    true = {p.name: p.nominal for p in there.parameters}
+    for seed in range(6):
+        data = lc.simulate(given.truth, given.driven, noise=given.noise, seed=seed).dataset
+        first = lc.calibrate(nominal, data.take(FIRST), noise=given.noise, method="implicit-loop")
+        day = lc.simulate(there, given.driven, noise=given.noise, seed=seed + 100).dataset
+        found = lc.update(first, day.take(SECOND))
+        z.append((values(found) - [true[n] for n in found.estimated]) / sds(found))
+    assert np.std(z) == pytest.approx(1.0, abs=0.2)
+    assert np.mean(np.abs(z) < 1.96) > 0.9
+
+
+def test_a_drift_allowance_gives_the_new_readings_more_weight() -> None:
+    arm = planar_arm(60)
+    data, noise = arm.read(sds_of(arm), 1), lc.Noise(sds_of(arm))
+    first = lc.calibrate(arm.truth, data, noise=noise, method="implicit-loop")
+    longer = arm.truth.with_nominal({"l2": arm.values["l2"] + 1e-3})
+    day = lc.simulate(
+        longer, {q: v for q, v in arm.exact.items() if q in ("phi2", "phi3")}, noise=noise, seed=2
+    ).dataset
+    held, free = lc.update(first, day), lc.update(first, day, drift={"length": 1e-2})
+    assert 0.3e-3 < held.value["l2"] - first.value["l2"] < 0.7e-3
+    assert free.value["l2"] - first.value["l2"] == pytest.approx(1e-3, abs=2e-4)
+    assert float(free.sd["l2"] or 0.0) > float(held.sd["l2"] or 0.0)
+    with refused("unknown-name", "lenght"):
+        lc.update(first, day, drift={"lenght": 1e-3})
+    with refused("invalid-value", "length"):
+        lc.update(first, day, drift={"length": -1e-3})
+
+
+def test_without_sds_there_is_nothing_to_weigh_the_readings_with() -> None:
+    arm = planar_arm(30)
+    first = lc.calibrate(arm.truth, arm.read({}, 1), method="least-squares")
+    with refused("missing-sd"):
+        lc.update(first, arm.read({}, 2))
+
+
+PROJECT = """
+schema = 1
+[mechanism]
+type = "planar-two-link"
+[data]
+file = "a.csv"
+[noise]
+"?P" = { sd = 0.1, unit = "mm" }
+"phi?" = { sd = 1, unit = "mrad" }
+[fit]
+method = "implicit-loop"
+[simulation]
+poses = 40
+[simulation.ranges]
+phi2 = { from = -90, to = 90, unit = "deg" }
+phi3 = { from = -90, to = 90, unit = "deg" }
+"""
+
+
+def test_the_command_writes_a_result_that_can_be_verified_and_updated(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text(PROJECT)
+    for name, seed in (("a", "1"), ("b", "2")):
+        made = run(
+            "simulate", str(tmp_path / "a.toml"), "--out", str(tmp_path / f"{name}.csv"),
+            "--seed", seed,
+        )  # fmt: skip
+        assert made.returncode == 0, made.stderr
+    assert run("calibrate", str(tmp_path / "a.toml"), "--no-report").returncode == 0
+    first, day = str(tmp_path / "a-result"), str(tmp_path / "b.csv")
+    done = run("update", first, day, "--drift", "length=0.01mm", "--json", "--no-report")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    before = json.loads((tmp_path / "a-result" / "result.json").read_text())
+    sd = {p["name"]: p["sd"] for p in before["parameters"]}
+    assert all(p["sd"] < 1.01 * sd[p["name"]] for p in document["parameters"] if p["name"] == "l2")
+    again = f"{first}-updated"
+    assert run("verify", again, day).returncode == 0
+    assert run("update", again, day, "--no-report").returncode == 0
+    assert (tmp_path / "a-result-updated-updated" / "mechanism.toml").exists()
+    wrong = run("update", first, day, "--drift", "length")
+    assert wrong.returncode == 2
+    assert "length=0.01mm" in wrong.stderr
+    assert run("update", first, day, "--out", first).returncode == 2

@@ -1,0 +1,189 @@
+"""The calibration record: all that it must hold, empty fields said, page and files sealed."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import loopcal as lc
+from loopcal.document.verdict import Answer
+from loopcal.files.result.record_file import OPEN, RecordFile, check_record
+from loopcal.files.result.result_file import read_result
+from loopcal.report.record_page import FIELDS, OTHERS, PEOPLE, RULE, UNSTATED, record_page
+from loopcal.small_samples import t_quantile
+from tests.browser import chromium
+from tests.refusals import refused
+
+KEYS = (*(key for fields in FIELDS.values() for key in fields), *PEOPLE, *OTHERS)
+STATED = {key: f"the {key} <b>&amp;" for key in KEYS}
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+@pytest.fixture
+def folder(planar: Path, tmp_path: Path) -> Path:
+    """A copy of a result with its project and readings where a user has them."""
+    shutil.copytree(EXAMPLES / "planar", tmp_path / "planar")
+    shutil.copytree(planar, tmp_path / "planar" / "result")
+    return tmp_path / "planar" / "result"
+
+
+def text_of(page: str) -> str:
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page.split("<body")[1]))
+
+
+def test_every_key_of_the_project_is_printed(planar: Path) -> None:
+    from loopcal.files.project.project_schema import RecordEntry
+
+    assert set(KEYS) == set(RecordEntry.model_fields)
+    made = record_page(read_result(planar / "result.json"), STATED, ())
+    for key in KEYS:
+        assert f"the {key} &lt;b&gt;&amp;amp;" in made.html
+    assert made.missing == ()
+    assert made.number == STATED["number"]
+
+
+def test_what_is_empty_is_not_stated(planar: Path) -> None:
+    made = record_page(read_result(planar / "result.json"), {"customer": "  "}, ())
+    optional = {"accreditation", "number", "note"}
+    assert set(made.missing) == set(KEYS) - optional
+    assert made.html.count(f">{UNSTATED}<") == len(made.missing)
+
+
+def test_it_is_a_certificate_only_with_an_accreditation(planar: Path) -> None:
+    document = read_result(planar / "result.json")
+    plain, accredited = (
+        record_page(document, stated, ()) for stated in ({}, {"accreditation": "K-12345"})
+    )
+    assert plain.title == "Calibration record"
+    assert "ertificate" not in text_of(plain.html)
+    assert accredited.title == "Calibration certificate"
+
+
+def test_results_before_and_after_have_expanded_uncertainties(planar: Path) -> None:
+    document = read_result(planar / "result.json")
+    text = text_of(record_page(document, {}, ()).html)
+    for words in ("before: nominal", "after: calibrated", "on poses not used", "its 95 % interval"):
+        assert words in text
+    entry = next(p for p in document.parameters if p.sd is not None and p.unit == "m")
+    freedom = entry.degrees_of_freedom
+    k = t_quantile(0.954499736, float("inf") if freedom is None else freedom)
+    assert re.search(rf"{entry.name} mm \S+ \S+ {1e3 * k * (entry.sd or 0.0):.2g}\S* {k:.2f}", text)
+    few = replace(entry, degrees_of_freedom=4.0)
+    learnt = replace(document, parameters=(few,), terms=())
+    assert f"{t_quantile(0.9545, 4.0):.2f}" in text_of(record_page(learnt, {}, ()).html)
+
+
+def test_conformity_is_stated_with_its_rule_or_not_at_all(planar: Path) -> None:
+    document = read_result(planar / "result.json")
+    assert document.verdict is not None
+    assert RULE not in record_page(document, {}, ()).html
+    for passed, word in ((True, "Pass."), (False, "Fail."), (None, "No decision.")):
+        answer = Answer(passed, "near-tolerance", 1.0, "The guard band.", None)
+        judged = replace(document, verdict=replace(document.verdict, tolerance=answer))
+        page = record_page(judged, {}, ()).html
+        assert f"<strong>{word}</strong> The guard band." in page
+        assert RULE in page
+    assert "relate only to the item calibrated" in page
+
+
+def test_an_unaltered_record_is_recognised(folder: Path) -> None:
+    made = lc.record(folder, project=folder.parent / "project.toml")
+    roles = [file.role for file in made.files]
+    assert roles[:4] == ["result", "calibrated machine", "residuals of every pose", "project"]
+    assert "readings" in roles
+    found = lc.verify_record(made.path)
+    assert found.unaltered
+    assert set(found.files.values()) == {"unaltered"}
+    assert isinstance(made, lc.Record)
+    assert isinstance(found, lc.RecordCheck)
+
+
+@pytest.mark.parametrize("name", ["result.json", "residuals.csv", "mechanism.toml"])
+def test_an_altered_or_lost_file_is_named(folder: Path, name: str) -> None:
+    made = lc.record(folder)
+    with (folder / name).open("a", encoding="utf-8") as file:
+        file.write(" ")
+    found = lc.verify_record(made.path)
+    assert found.page
+    assert [n for n, state in found.files.items() if state == "altered"] == [name]
+    (folder / name).unlink()
+    assert lc.verify_record(made.path).files[name] == "not found"
+
+
+def test_every_altered_character_of_the_page_is_noticed(folder: Path) -> None:
+    made = lc.record(folder)
+    page = made.path.read_bytes()
+    for at in range(600, len(page), len(page) // 40):
+        if chr(page[at]).isalnum() and not page[at - 70 : at + 70].count(b"loopcal-record"):
+            made.path.write_bytes(page[:at] + b"~" + page[at + 1 :])
+            with suppress(lc.InputError):  # the list of files is damaged
+                assert not check_record(made.path).page
+    made.path.write_bytes(page)
+    assert check_record(made.path).page
+
+
+def test_changed_readings_are_refused(folder: Path) -> None:
+    files = [f.name for f in lc.record(folder).files if f.role == "readings"]
+    with (folder.parent / files[0]).open("a", encoding="utf-8") as file:
+        file.write("\n")
+    with refused("version-mismatch", files[0]):
+        lc.record(folder)
+
+
+def test_readings_elsewhere_are_recorded_by_their_hash(planar: Path, tmp_path: Path) -> None:
+    shutil.copytree(planar, tmp_path / "alone" / "result")
+    made = lc.record(tmp_path / "alone" / "result")
+    assert [f.path for f in made.files if f.role == "readings"] == [None]
+    found = lc.verify_record(made.path)
+    assert found.unaltered
+    assert "not recorded" in found.files.values()
+
+
+def test_the_number_follows_from_the_content(planar: Path) -> None:
+    document = read_result(planar / "result.json")
+    one, same, other = (
+        record_page(document, {"customer": name}, ()).number for name in ("A", "A", "B")
+    )
+    assert one == same != other
+
+
+def test_markup_in_names_is_shown_as_text(hostile: Path) -> None:
+    from tests.report.conftest import MARKUP, SCRIPT
+
+    file = RecordFile(MARKUP, SCRIPT, SCRIPT, OPEN)
+    page = record_page(read_result(hostile / "result.json"), {"note": SCRIPT}, (file,)).html
+    assert "<img/src" not in page
+    assert page.count("</script>") == 1
+
+
+@pytest.mark.parametrize(
+    "without", [{"accuracy": None, "validation": None}, {"verdict": None}, {"parameters": ()}]
+)
+def test_what_a_result_does_not_have_is_left_out(planar: Path, without: dict[str, None]) -> None:
+    document = replace(read_result(planar / "result.json"), **without)  # type: ignore[arg-type]
+    assert "relate only to the item" in record_page(document, {}, ()).html
+
+
+def test_another_page_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text("<html></html>", "utf-8")
+    with refused("wrong-file-type", "page.html"):
+        lc.verify_record(tmp_path / "page.html")
+
+
+def test_it_prints_on_paper_without_any_network(planar: Path, tmp_path: Path) -> None:
+    made = record_page(read_result(planar / "result.json"), STATED, ())
+    (tmp_path / "record.html").write_text(made.html, "utf-8")
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": 672, "height": 950})
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        page.emulate_media(media="print")
+        page.goto((tmp_path / "record.html").as_uri())
+        assert page.evaluate("document.documentElement.scrollWidth") <= 672
+        assert len(page.pdf(prefer_css_page_size=True)) > 10_000
+    assert len(asked) == 1

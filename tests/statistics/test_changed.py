@@ -1,0 +1,146 @@
+"""What changed: false alarms, power, place; `analyses/what_changed.py` at full size."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from analyses.instruments import setup
+from analyses.verify import another_day
+from analyses.what_changed import draw
+from tests.reference.simulated import planar_arm
+from tests.statistics.test_comparison import elsewhere, sds_of
+
+
+@cache
+def arm() -> lc.Result:
+    """A six-axis arm calibrated with a tracker."""
+    given = setup("six-axis spherical")
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1)
+    nominal = given.truth.with_parameters(given.truth.parameters.with_fixed(given.held))
+    return lc.calibrate(nominal, made.dataset, noise=given.noise, method="implicit-loop")
+
+
+def later(seed: int = 7, **changed: float) -> lc.Verification:
+    """The same arm on another day, its tracker moved, with these changes of its parameters."""
+    given = setup("six-axis spherical")
+    there = another_day(given, 1)
+    values = {p.name: p.nominal for p in there.parameters}
+    there = there.with_nominal({name: values[name] + by for name, by in changed.items()})
+    some = {q: v[::3] for q, v in given.driven.items()}
+    return lc.verify(arm(), lc.simulate(there, some, noise=given.noise, seed=seed).dataset)
+
+
+def changes(found: lc.Verification) -> lc.WhatChanged:
+    assert found.changes is not None
+    return found.changes
+
+
+def test_an_unchanged_machine_is_unchanged() -> None:
+    found = later()
+    assert changes(found).verdict == "unchanged"
+    assert changes(found).found == ()
+    assert changes(found).next is None
+    assert not found.failed
+
+
+@pytest.mark.parametrize("by", [np.radians(0.02), np.radians(-0.5), np.radians(4.0)])
+def test_a_zero_that_moved_is_named_however_far_it_moved(by: float) -> None:
+    found = later(offset_3=by)
+    (change,) = changes(found).found
+    assert (change.name, change.kind) == ("q3", "zero")
+    assert abs(change.value - by) < 3.5 * change.sd
+    assert change.low < change.value < change.high
+    assert [other.name for other in change.alike] == ["offset_3"]
+    assert changes(found).verdict == "re-master"
+    assert changes(found).joints == ("q3",)
+    assert found.verdict["consistent"].code == "re-master"
+    assert "q3" in found.headline
+
+
+def test_two_changes_are_separated_and_a_length_asks_for_a_calibration() -> None:
+    found = changes(later(offset_3=np.radians(0.1), a_2=1e-3))
+    assert {one.name for one in found.found} == {"q3", "a_2"}
+    for one in found.found:
+        assert abs(one.value - {"q3": np.radians(0.1), "a_2": 1e-3}[one.name]) < 3.5 * one.sd
+    assert found.verdict == "calibrate-anew"
+    assert found.joints == ()
+
+
+def test_a_tool_that_moved_is_mounting_and_its_alias_is_named() -> None:
+    found = later(tool_x=1e-3)
+    (change,) = changes(found).found
+    assert (change.name, change.kind) == ("tool_x", "mounting")
+    assert [other.name for other in change.alike] == ["a_6"]
+    assert "--remounted" in str(found)
+
+
+def test_what_the_placement_takes_up_is_not_visible() -> None:
+    hidden = {c.name for c in changes(later()).candidates if c.smallest is None}
+    assert hidden == {"q1", "offset_1", "d_1"}
+
+
+def test_more_than_a_few_changes_ask_for_a_calibration() -> None:
+    rng = np.random.default_rng(0)
+    names = ("a_2", "a_3", "alpha_2", "alpha_3", "d_4", "alpha_4", "d_2")
+    found = changes(later(**dict(zip(names, 2e-3 * rng.standard_normal(7), strict=True))))
+    assert found.verdict == "calibrate-anew"
+    assert found.left is not None
+    assert found.left < 0.025
+    assert "do not explain all differences" in "\n".join(found.lines())
+
+
+def test_the_smallest_change_is_seen_as_often_as_stated() -> None:
+    """40 draws of noise at 90 %; the calibration's own error is the same in all of them."""
+    arm = planar_arm(60)
+    result = lc.calibrate(
+        arm.truth, arm.read(sds_of(arm), 1), noise=lc.Noise(sds_of(arm)), method="implicit-loop"
+    )
+    seen = []
+    for seed in range(40):
+        day = elsewhere(arm, 1000 + seed, 30).read(sds_of(arm), 5000 + seed)
+        found = changes(lc.verify(result, day))
+        one = next(c for c in found.candidates if c.smallest is not None and c.kind == "zero")
+        assert one.smallest is not None
+        moved = day.with_readings({one.name: day[one.name] - one.smallest})
+        seen.append(changes(lc.verify(result, moved)).verdict != "unchanged")
+    assert np.mean(seen) > 0.72
+
+
+@pytest.mark.parametrize("kind", ["rigid", "sagging"])
+def test_a_changed_machine_is_told_from_a_sagging_one(kind: str) -> None:
+    """A few draws of the analysis: no alarm of either, and zero and length are named."""
+    assert sum(draw(kind, "unchanged", seed).alarm for seed in range(4)) <= 1
+    assert all(draw(kind, "zero", seed).first for seed in range(2))
+    assert all(draw(kind, "length", seed).first for seed in range(2))
+
+
+def test_residuals_larger_than_the_stated_sds_do_not_look_like_a_change() -> None:
+    """Noise three times as large as stated, on both days: chi-squared rejected the sds."""
+    arm, alarms = planar_arm(40), 0
+    stated = lc.Noise(sds_of(arm))
+    larger = {q: 3.0 * sd for q, sd in sds_of(arm).items()}
+    for seed in range(15):
+        result = lc.calibrate(
+            arm.truth, arm.read(larger, seed), noise=stated, method="implicit-loop"
+        )
+        assert result.chi_squared is not None
+        assert result.chi_squared.too_large
+        day = elsewhere(arm, 1000 + seed, 30).read(larger, 5000 + seed)
+        found = lc.verify(result, day)
+        alarms += changes(found).verdict != "unchanged"
+    assert alarms <= 3
+
+
+def test_the_document_holds_every_candidate() -> None:
+    found = later(offset_3=np.radians(0.1))
+    document = json.loads(json.dumps(found.document()))["changes"]
+    assert document["verdict"] == "re-master"
+    assert document["joints"] == ["q3"]
+    assert document["found"][0]["alike"] == ["offset_3"]
+    assert {c["name"] for c in document["candidates"]} >= {"q1", "q6", "a_2", "tool_x"}
+    assert document["power"] == 0.9
