@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -22,7 +23,7 @@ from loopcal.app.views import (
     robot,
     validate,
 )
-from loopcal.report.top import shortened
+from loopcal.errors import LoopcalError
 
 SHOWN: Mapping[str, Callable[[View], None]] = {
     "robot": robot.show,
@@ -75,7 +76,7 @@ def build(session: Session) -> None:
     def content() -> None:
         labels = {step.key: step.label for step in steps(session.state())}
         title(view.step, labels[view.step])
-        SHOWN[view.step](view)
+        _shown(view)
 
     @ui.refreshable
     def running() -> None:
@@ -107,6 +108,17 @@ def build(session: Session) -> None:
     ui.timer(LOOKS_EVERY, look)
 
 
+def _shown(view: View) -> None:
+    """The step of a page; a fault in it leaves the other steps as they are."""
+    try:
+        SHOWN[view.step](view)
+    except LoopcalError as error:
+        ui.label(str(error)).classes("bad printed")
+    except Exception as error:
+        logging.getLogger(__name__).exception("the step %s cannot be shown", view.step)
+        ui.label(words.FAULT.format(fault=f"{type(error).__name__}: {error}")).classes("bad")
+
+
 def _step(step: Step, view: View, show: Callable[[str], Any]) -> None:
     icon, said = words.LIGHTS[step.light]
     chosen = "outline" if step.key == view.step else "flat"
@@ -115,7 +127,7 @@ def _step(step: Step, view: View, show: Callable[[str], Any]) -> None:
     with button:
         ui.icon(icon).classes(step.light)
         ui.label(step.label).classes("q-ml-sm")
-        ui.tooltip(shortened(step.words))
+        ui.tooltip(step.words)
 
 
 def _run(session: Session) -> None:

@@ -16,15 +16,12 @@ def sent(session: Session, name: str) -> Response:
     A file is only ever saved, since a page of somebody else would run with the rights of this
     one. The report runs its own programs, whose hashes it names itself, in an origin of its own.
     """
+    report = name == REPORT
     try:
-        path = session.folder.inside(name)
+        path = session.folder.file(f"{session.folder.result.name}/{REPORT}" if report else name)
     except InputError as error:
-        return PlainTextResponse(str(error), status_code=404)
-    if name == REPORT:
-        path = session.folder.result / REPORT
-    if not path.is_file():
-        return PlainTextResponse("there is no such file\n", status_code=404)
-    if name == REPORT:
+        return PlainTextResponse(f"{error}\n", status_code=404)
+    if report:
         policy = {"content-security-policy": "sandbox allow-scripts allow-downloads"}
         return FileResponse(path, media_type="text/html", headers=policy)
     return FileResponse(path, media_type="application/octet-stream", filename=path.name)

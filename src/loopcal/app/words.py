@@ -27,6 +27,7 @@ RUNNING = "running"
 CANCELLED = "cancelled; nothing was written"
 CHANGED = "Another page or program has changed the folder; this page shows it now."
 UNFINISHED = "The last run did not finish: {command}. Run it again."
+FAULT = "This step cannot be shown: {fault}. This is a fault of loopcal; please report it."
 DONE, ENDED = "done", "ended with exit code {code}"
 MEANING = {
     2: "the command line was wrong",

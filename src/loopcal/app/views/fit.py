@@ -11,7 +11,6 @@ from loopcal.document.tables import shown_parameters
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.presentation.shown import in_unit, unit_shown
 from loopcal.report.page import QUESTIONS
-from loopcal.report.top import shortened
 
 AUTO = "as the project says"
 MARKS = {"yes": "good", "open": "care", "no": "bad"}
@@ -52,7 +51,7 @@ def _verdict(document: ResultDocument) -> None:
     if document.verdict is None:
         return
     with ui.card().classes("w-full"):
-        ui.label(shortened(document.verdict.headline)).classes(f"text-h6 {document.verdict.grade}")
+        ui.label(document.verdict.headline).classes(f"text-h6 {document.verdict.grade}")
         with ui.grid(columns="auto auto 1fr").classes("items-start"):
             for name, answer in document.verdict.answers.items():
                 ui.label(QUESTIONS[name]).classes("text-weight-medium")

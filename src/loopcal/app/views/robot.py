@@ -74,7 +74,7 @@ def _machine(view: View, project: Project) -> None:
     mechanism = project.mechanism
     ui.label(f"{mechanism.name}, stated in {view.project_name()}").classes("text-subtitle1")
     joints = {step.joint: 0.0 for step in mechanism.chain if step.joint}
-    drawn = machine_figure(mechanism, joints)
+    drawn = machine_figure(mechanism, joints) if joints else None
     if drawn is not None:
         plot = ui.plotly(drawn).classes("w-full")
 

@@ -120,6 +120,18 @@ class ProjectFolder:
             )
         return path
 
+    def file(self, name: str) -> Path:
+        """The path of a file of the folder that is there. Raises InputError for any other."""
+        path = self.inside(name)
+        if not path.is_file():
+            raise InputError(
+                "there is no such file in the project's folder",
+                code="missing-file",
+                place=name,
+                remedy="look at the list of files",
+            )
+        return path
+
     def take(self, name: str, content: bytes) -> Path:
         """Keep a file that was handed in, under its own last name. Raises InputError for a name
         that cannot stand, and where a file of other content has it."""
