@@ -26,6 +26,7 @@ LAYERS = (
     ("figures",),
     ("report",),
     ("workflow",),
+    ("app",),
     ("cli",),
 )
 HEIGHT = {name: height for height, names in enumerate(LAYERS) for name in names}
