@@ -10,6 +10,7 @@ import io
 import warnings
 from collections.abc import Sequence
 
+from loopcal.cli.app import serve_app
 from loopcal.cli.application import app
 from loopcal.cli.commands import calibrate
 from loopcal.cli.correct import correct
@@ -27,7 +28,7 @@ except ModuleNotFoundError:  # typer before 0.26 raises the exceptions of click
     from click.exceptions import Abort  # type: ignore[assignment]
     from click.exceptions import ClickException as TyperException  # type: ignore[assignment]
 
-LOADED = (calibrate, correct, export, performance, plan, record, update)
+LOADED = (calibrate, correct, export, performance, plan, record, serve_app, update)
 """A command of each module: all commands of a module join as it is imported."""
 INTERRUPTED = 130
 
@@ -41,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Sequence[str] | None) -> int:
     try:
-        code = app(arguments, prog_name="loopcal", standalone_mode=False) or 0
+        code = app(arguments, prog_name="loopcal", standalone_mode=False, obj=main) or 0
     except LoopcalError as error:
         if type(error) is LoopcalError:
             return _fault(error)
