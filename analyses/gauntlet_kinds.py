@@ -195,6 +195,11 @@ CLEAN = (
     Kind("SCARA", World("scara"), True),
     Kind("planar arm, 40 poses", World("planar", poses=40), True),
     Kind("three reflectors", World(instrument="three reflectors"), True),
+    Kind(
+        "three reflectors, no sd stated",
+        World(instrument="three reflectors", poses=150, stated=None),
+        True,
+    ),
     Kind("two trackers", World(instrument="two trackers", poses=100), True),
     Kind("draw-wire", _WIRE, True),
     Kind("camera", _CAMERA, True),
