@@ -22,7 +22,7 @@ from loopcal.app.views import (
     robot,
     validate,
 )
-from loopcal.report.top import shortened
+from loopcal.presentation.wrapped import shortened
 
 SHOWN: Mapping[str, Callable[[View], None]] = {
     "robot": robot.show,

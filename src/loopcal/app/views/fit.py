@@ -11,7 +11,7 @@ from loopcal.document.tables import shown_parameters
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.presentation.shown import in_unit, unit_shown
 from loopcal.report.page import QUESTIONS
-from loopcal.report.top import shortened
+from loopcal.presentation.wrapped import shortened
 
 AUTO = "as the project says"
 MARKS = {"yes": "good", "open": "care", "no": "bad"}
