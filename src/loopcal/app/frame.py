@@ -35,6 +35,7 @@ SHOWN: Mapping[str, Callable[[View], None]] = {
     "deploy": deploy.show,
     "history": history.show,
 }
+TIP = 'anchor="center right" self="center left"'
 LOOKS_EVERY = 0.4
 """Seconds between looks at the folder."""
 STYLE = """
@@ -44,6 +45,16 @@ body.body--dark { --good: #6fdc9a; --care: #ffb95c; --bad: #ff9a90; }
 .bad { color: var(--bad) !important; } .none { color: inherit; opacity: 0.6; }
 .printed { white-space: pre-wrap; font-family: ui-monospace, monospace; font-size: 0.8rem;
            overflow-wrap: anywhere; }
+.beside { display: flex; flex-wrap: wrap; gap: 1rem; width: 100%; align-items: flex-start; }
+.figures { flex: 3 1 420px; min-width: 0; } .acts { flex: 1 1 320px; min-width: 0; }
+.tiles { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr));
+         gap: 0.5rem; width: 100%; }
+.file { display: inline-flex; align-items: center; gap: 0.4rem; min-height: 44px; }
+.blank { background: #b3261e22; font-style: italic; } .cells td:last-child { color: var(--bad); }
+.difference { border: 1px solid #8886; padding: 0.5rem; max-height: 420px; overflow: auto; }
+.difference .gone { color: var(--bad); } .difference .come { color: var(--good); }
+.tip { font-size: 0.85rem; max-width: 22rem; }
+.command { max-width: 100%; } .q-table td { white-space: normal; overflow-wrap: anywhere; }
 .step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }
 .q-btn { min-height: 44px; text-transform: none; }
 .q-btn:focus-visible { outline: 3px solid #0072b2; outline-offset: 2px; }
@@ -74,7 +85,7 @@ def build(session: Session) -> None:
     @ui.refreshable
     def content() -> None:
         labels = {step.key: step.label for step in steps(session.state())}
-        title(view.step, labels[view.step])
+        title(view, labels[view.step])
         SHOWN[view.step](view)
 
     @ui.refreshable
@@ -115,7 +126,7 @@ def _step(step: Step, view: View, show: Callable[[str], Any]) -> None:
     with button:
         ui.icon(icon).classes(step.light)
         ui.label(step.label).classes("q-ml-sm")
-        ui.tooltip(shortened(step.words))
+        ui.tooltip(shortened(step.words)).props(TIP).classes("tip")
 
 
 def _run(session: Session) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 from collections.abc import Callable
 from pathlib import Path
@@ -39,7 +40,7 @@ def serve(
             remedy="pip install loopcal[app]",
         ) from None
     from loopcal.app.frame import build
-    from loopcal.app.sending import REPORT, sent
+    from loopcal.app.sending import sent, shown
     from loopcal.app.session import Session
     from loopcal.files.project.project_folder import existing_folder
 
@@ -53,7 +54,7 @@ def serve(
     shown_host = f"[{host}]" if ":" in host else host
     tell(f"http://{shown_host}:{number}{asked}")
     app.add_api_route("/file/{name:path}", lambda name: sent(session, name))
-    app.add_api_route("/report", lambda: sent(session, REPORT))
+    app.add_api_route("/page/{name:path}", lambda name: shown(session, name))
     ui.page("/", title=f"loopcal: {path.name}", response_timeout=60.0)(lambda: build(session))
     ui.run(
         host=host,
@@ -71,6 +72,8 @@ def _port(host: str, asked: int | None) -> int:
     for port in [asked] if asked is not None else range(PORT, PORT + 50):
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         with socket.socket(family) as trial:
+            if os.name == "posix":  # connections of a server before linger, and hinder nobody
+                trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 trial.bind((host, port))
             except OSError as error:

@@ -1,20 +1,27 @@
-"""Calibrate, and read the verdict."""
+"""Calibrate, read the verdict, and compare methods side by side."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from nicegui import ui
 
 from loopcal.app import words
-from loopcal.app.view import View, table
+from loopcal.app.controls import choice, offer, page
+from loopcal.app.view import View, heading, table
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
+from loopcal.errors import LoopcalError
 from loopcal.estimation.methods.registry import METHODS
-from loopcal.presentation.shown import in_unit, unit_shown
-from loopcal.report.page import QUESTIONS
+from loopcal.files.result.result_file import read_result
+from loopcal.presentation.shown import by_sd, in_unit, unit_shown
 from loopcal.presentation.wrapped import shortened
+from loopcal.report.page import QUESTIONS
+from loopcal.report.tables import accuracy_tables, model_table
 
-AUTO = "as the project says"
 MARKS = {"yes": "good", "open": "care", "no": "bad"}
+SIDE = [name for name in METHODS if name not in ("auto", "implicit-loop-undamped")]
 
 
 def show(view: View) -> None:
@@ -22,36 +29,49 @@ def show(view: View) -> None:
     if view.session.project() is None:
         ui.label(view.session.objection() or words.NO_PROJECT).classes("printed")
         return
-    method = ui.select([AUTO, *METHODS], value=AUTO, label="Method").classes("w-80")
-
-    async def calibrate() -> None:
-        asked = () if method.value == AUTO else ("--method", str(method.value))
-        await view.run_to_end("Calibrate", "calibrate", view.project_name(), *asked)
-
-    ui.button("Calibrate", on_click=calibrate).props("unelevated")
+    offer_fit(view)
     source = view.session.source()
     if source is None:
         ui.label(words.NO_RESULT)
-        return
-    _verdict(source.document)
-    rows = [
-        [
-            p.name,
-            f"{in_unit(p.value, p.unit):.6g}",
-            f"{in_unit(p.value - p.nominal, p.unit):+.4g}",
-            "" if p.sd is None else f"{in_unit(p.sd, p.unit):.2g}",
-            "" if p.unit == "1" else unit_shown(p.unit),
-        ]
-        for p in shown_parameters(source.document.parameters, source.document.terms)
-    ]
-    table(["parameter", "calibrated", "change", "sd", "unit"], rows)
-    ui.link("Open the whole report", "/report", new_tab=True)
+    else:
+        if view.session.state().stale:
+            ui.label(words.STALE).classes("care")
+        document = source.document
+        _verdict(document)
+        with ui.row():
+            page(f"{view.session.folder.result.name}/report.html", "Open the whole report")
+        for its in accuracy_tables(document):
+            heading(its.caption)
+            table(its.head, its.rows)
+        models = model_table(document)
+        if models is not None:
+            heading(models.caption)
+            table(models.head, models.rows)
+        heading("Parameters")
+        table(("parameter", "nominal", "calibrated", "change", "sd", "unit"), _rows(document))
+    _side_by_side(view)
+
+
+def offer_fit(view: View, label: str = "Calibrate") -> None:
+    """The button that calibrates, with method and validation; one choice for all steps."""
+    with ui.row().classes("items-end"):
+        choice(view, "fit.method", "Method", {k: words.METHODS[k] for k in ("", *METHODS)})
+        choice(view, "fit.folds", "Validate on", words.FOLDS)
+
+    def line() -> Sequence[str]:
+        asked = ["calibrate", view.project_name()]
+        for name, option in (("fit.method", "--method"), ("fit.folds", "--folds")):
+            if view.kept[name]:
+                asked += [option, str(view.kept[name])]
+        return asked
+
+    offer(view, label, line, what="Calibrate")
 
 
 def _verdict(document: ResultDocument) -> None:
     if document.verdict is None:
         return
-    with ui.card().classes("w-full"):
+    with ui.card().classes("w-full").props("flat bordered"):
         ui.label(shortened(document.verdict.headline)).classes(f"text-h6 {document.verdict.grade}")
         with ui.grid(columns="auto auto 1fr").classes("items-start"):
             for name, answer in document.verdict.answers.items():
@@ -60,3 +80,57 @@ def _verdict(document: ResultDocument) -> None:
                 ui.label(f"{answer.words} {answer.next or ''}")
     if document.method_label:
         ui.label(f"Method: {document.method_label}")
+
+
+def _rows(document: ResultDocument) -> list[list[str]]:
+    return [
+        [
+            p.name,
+            by_sd(p.nominal, p.sd, p.unit),
+            by_sd(p.value, p.sd, p.unit),
+            by_sd(p.value - p.nominal, p.sd, p.unit, sign=True),
+            "" if p.sd is None else f"{in_unit(p.sd, p.unit):.2g}",
+            "" if p.unit == "1" else unit_shown(p.unit),
+        ]
+        for p in shown_parameters(document.parameters, document.terms)
+    ]
+
+
+def _side_by_side(view: View) -> None:
+    """Methods tried beside each other, each in a folder of its own."""
+    session = view.session
+    heading("Methods side by side")
+    ui.label(words.COMPARED).classes("text-body2")
+    stem = session.folder.project.stem
+
+    def line(method: str) -> Callable[[], Sequence[str]]:
+        words_ = ("calibrate", view.project_name(), "--method", method, "--folds", "10")
+        return lambda: (*words_, "--no-report", "--out", f"{stem}-{method}")
+
+    for method in SIDE:
+        offer(view, f"Try {method}", line(method), what=f"Calibrate by {method}")
+    folders = [session.folder.result, *session.folder.tried]
+    rows = [row for row in map(_tried, folders) if row is not None]
+    if len(rows) > 1:
+        head = ("folder", "method", "rms in the fit", "rms on poses not used", "verdict")
+        table(head, rows)
+
+
+def _tried(folder: Path) -> list[str] | None:
+    try:
+        document = read_result(folder / "result.json")
+    except LoopcalError:
+        return None
+    accuracy, held = document.accuracy, document.validation
+    unit = "m" if accuracy is None else accuracy.unit
+    return [
+        folder.name,
+        document.method_label or document.method,
+        "" if accuracy is None or accuracy.after is None else _rms(accuracy.after.rms, unit),
+        "" if held is None or held.accuracy is None else _rms(held.accuracy.rms, unit),
+        "" if document.verdict is None else document.verdict.grade,
+    ]
+
+
+def _rms(value: float, unit: str) -> str:
+    return f"{in_unit(value, unit):.3g} {unit_shown(unit)}"
