@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from loopcal.app.action import Action
 from loopcal.app.steps import State
@@ -32,6 +33,7 @@ class Session:
         self.worker = Worker(command, self._ended)
         self.after: Callable[[], None] | None = None
         self.last: dict[str, Run] = {}  # of each command, since the server started
+        self.finished = 0
         self._source: tuple[int, Source | None, str] | None = None
         self._loaded: tuple[int, LoadedData | None, str] | None = None
         self._read: tuple[str, Project | None, str] | None = None
@@ -51,6 +53,7 @@ class Session:
 
     def _ended(self, run: Run) -> None:
         self.last[run.action.words[0]] = run
+        self.finished += 1
         told = {"command": run.action.command, "code": run.code, "cancelled": run.cancelled}
         self.folder.noted("ended", run.action.what, told)
         if self.after is not None:
@@ -104,10 +107,19 @@ class Session:
             project=self.folder.text() is not None,
             objection=self.objection(),
             document=None if source is None else source.document,
-            stale=times.get(self.folder.project.name, 0) > result,
+            stale=self._stale(source, times, result),
             files=files,
             runs=runs,
         )
+
+    def _stale(self, source: Source | None, times: Mapping[str, int], result: int) -> bool:
+        """Whether the result is of another project, or of other readings, than there are now."""
+        project = self.project()
+        if source is None or project is None:
+            return False
+        changed = _that_count(project.inputs) != _that_count(source.document.inputs)
+        files = () if project.data is None else (project.data, *project.data.joins)
+        return changed or any(times.get(spec.file, 0) > result for spec in files)
 
     def robot(self) -> tuple[str | None, str | None]:
         """How the robot of a project to come is described: a kind, and a file or type."""
@@ -204,3 +216,8 @@ class Session:
     def _write(self, text: str, what: str, reason: str) -> None:
         read_project(self.folder.project, text=text)  # raises where it would not be read
         self.folder.change(text, what, reason)
+
+
+def _that_count(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """What a calibration follows from."""
+    return {key: value for key, value in inputs.items() if key not in ("record", "title")}

@@ -92,7 +92,8 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], **more: Any) ->
     ]
     settled = {"pagination": 25 if len(rows) > 25 else 0, **more}
     made_table = ui.table(columns=made, rows=content, row_key="row", **settled)
-    return made_table.props("dense flat").classes("w-full")
+    hidden = "" if len(rows) > (settled["pagination"] or len(rows)) else "hide-pagination"
+    return made_table.props(f"dense flat {hidden}").classes("w-full")
 
 
 def figure(drawn: Any) -> Any:
