@@ -1,34 +1,11 @@
-"""A user at the app: a server on a folder, a page in Chromium, and what a hand does there."""
+"""A user at a page of the app: what a hand does there."""
 
 from __future__ import annotations
 
 import re
-import socket
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-
-@contextmanager
-def serving(folder: Path) -> Iterator[str]:
-    """The address of a server on a folder; it ends with the test."""
-    with socket.socket() as trial:
-        trial.bind(("127.0.0.1", 0))
-        port = trial.getsockname()[1]
-    line = [sys.executable, "-m", "loopcal", "app", str(folder), "--no-browser", "--port", f"{port}"]
-    server = subprocess.Popen(line, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
-    try:
-        assert server.stderr is not None
-        said = server.stderr.readline()
-        assert "the app is at" in said, said + server.stderr.read()
-        yield f"http://127.0.0.1:{port}/"
-    finally:
-        server.terminate()
-        server.wait()
 
 
 @dataclass

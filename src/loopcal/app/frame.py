@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import time
 from collections.abc import Callable, Mapping
@@ -24,6 +25,7 @@ from loopcal.app.views import (
     robot,
     validate,
 )
+from loopcal.errors import LoopcalError
 from loopcal.presentation.wrapped import shortened
 
 SHOWN: Mapping[str, Callable[[View], None]] = {
@@ -78,11 +80,16 @@ def build(session: Session) -> None:
     known = {"version": session.version}
 
     with ui.header(elevated=False).classes("items-center q-px-md"):
+        menu_button = ui.button(icon="menu").props('flat color=white aria-label="Steps"')
         ui.label("loopcal").classes("text-h6")
         ui.label(str(session.folder.path.name)).classes("text-body2")
         ui.space()
         ui.dark_mode(value=None)
-    drawer = ui.left_drawer(value=True).classes("q-pa-sm").props("width=240 bordered")
+    drawer = (
+        ui.left_drawer(value=True).classes("q-pa-sm").props("width=200 breakpoint=700 bordered")
+    )
+
+    menu_button.on_click(drawer.toggle)
 
     @ui.refreshable
     def menu() -> None:
@@ -93,7 +100,7 @@ def build(session: Session) -> None:
     def content() -> None:
         labels = {step.key: step.label for step in steps(session.state())}
         title(view, labels[view.step])
-        SHOWN[view.step](view)
+        _shown(view)
 
     @ui.refreshable
     def running() -> None:
@@ -127,6 +134,17 @@ def build(session: Session) -> None:
     with ui.footer(elevated=True).classes("run") as foot:
         running()
     ui.timer(LOOKS_EVERY, look)
+
+
+def _shown(view: View) -> None:
+    """The step of a page; a fault in it leaves the other steps as they are."""
+    try:
+        SHOWN[view.step](view)
+    except LoopcalError as error:
+        ui.label(str(error)).classes("bad printed")
+    except Exception as error:
+        logging.getLogger(__name__).exception("the step %s cannot be shown", view.step)
+        ui.label(words.FAULT.format(fault=f"{type(error).__name__}: {error}")).classes("bad")
 
 
 def _step(step: Step, view: View, show: Callable[[str], Any]) -> None:

@@ -17,6 +17,7 @@ from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.presentation.shown import factor, unit_shown
 from loopcal.report.drawn import distances
 from loopcal.report.source import Source
+from loopcal.statistics.shifted import ids_are_numbers
 
 Array = NDArray[np.float64]
 MOST = 5_000
@@ -103,20 +104,21 @@ def end_points(mechanism: Mechanism, poses: Sequence[Mapping[str, float]]) -> Ar
 class Errors:
     """What the linked figures show: the error of each pose, after the calibration.
 
-    shown: name -> (N,) in `unit`, the size first; drawn: positions of the poses that are drawn;
-    steps: positions from which on something is modelled as moved.
+    shown: name -> (N,) in `unit`, the size first; numbers: (N,) of the poses, their ids where
+    these rise; drawn: positions of the poses that are drawn; steps: numbers from which on
+    something is modelled as moved.
     """
 
     source: Source
     shown: Mapping[str, Array]
     unit: str
+    numbers: Array
     drawn: NDArray[np.int64]
     steps: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, source: Source, steps: Sequence[float] = ()) -> Errors | None:
-        """None for a result without outputs. steps: as in the project, ids where these are
-        numbers."""
+        """None for a result without outputs."""
         table, accuracy = source.table, source.document.accuracy
         if accuracy is None or not table.differences_after:
             return None
@@ -127,8 +129,10 @@ class Errors:
             if units.get(name) == accuracy.unit:
                 shown[name] = values / scale
         kept = thinned(np.nan_to_num(shown[SIZE]), MOST).index
-        places = tuple(_position(step, table.poses) for step in steps)
-        return cls(source, shown, unit_shown(accuracy.unit), kept, places)
+        order = np.arange(1.0, len(table.poses) + 1.0)
+        if ids_are_numbers(table.poses):
+            order = np.array([float(pose) for pose in table.poses])
+        return cls(source, shown, unit_shown(accuracy.unit), order, kept, tuple(steps))
 
     @property
     def size(self) -> Array:
@@ -148,13 +152,15 @@ class Errors:
 
     def over_poses(self, what: str = SIZE) -> dict[str, Any]:
         """The error over the poses in their order."""
-        trace = self._points("scattergl", x=self.drawn + 1.0, y=self.shown[what][self.drawn])
+        trace = self._points(
+            "scattergl", x=self.numbers[self.drawn], y=self.shown[what][self.drawn]
+        )
         lines = [
-            {"type": "line", "x0": at, "x1": at, "yref": "paper", "y0": 0, "y1": 1}
+            {"type": "line", "x0": at - 0.5, "x1": at - 0.5, "yref": "paper", "y0": 0, "y1": 1}
             | {"line": {"color": CHOSEN, "width": 1, "dash": "dash"}}
             for at in self.steps
         ]
-        return self._flat([trace], "pose, in order", what, 300, shapes=lines)
+        return self._flat([trace], "pose, in the order of measurement", what, 300, shapes=lines)
 
     def over_joint(self, name: str, what: str = SIZE) -> dict[str, Any]:
         """The error over one joint."""
@@ -257,15 +263,6 @@ def _space(titles: Sequence[str], camera: Any = None) -> dict[str, Any]:
     }
     axes = {f"{k}axis": {"title": {"text": t}, **lines} for k, t in zip("xyz", titles, strict=True)}
     return {"aspectmode": "data", **axes, **({} if camera is None else {"camera": camera})}
-
-
-def _position(step: float, poses: Sequence[str]) -> float:
-    """Where a change stands in the order of the poses: half a pose ahead of the first after it."""
-    try:
-        at = np.searchsorted(np.array([float(pose) for pose in poses]), step)
-    except ValueError:
-        at = np.intp(step - 1.0)
-    return float(at) + 0.5
 
 
 def _ring(solid: bool) -> dict[str, Any]:

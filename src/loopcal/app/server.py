@@ -27,9 +27,9 @@ def serve(
 ) -> None:
     """Serve the app on a folder until it is interrupted.
 
-    command: `loopcal.cli.main`; port: by default the first free one from 8765 on; show: whether a
-    browser is opened; tell: called with the address. Raises InputError where NiceGUI is absent,
-    the folder is none, or the port is taken.
+    command: `loopcal.cli.run.main`; port: by default the first free one from 8765 on; show:
+    whether a browser is opened; tell: called with the address. Raises InputError where NiceGUI is
+    absent, the folder is none, or the port is taken.
     """
     try:
         from nicegui import app, ui
@@ -72,7 +72,7 @@ def _port(host: str, asked: int | None) -> int:
     for port in [asked] if asked is not None else range(PORT, PORT + 50):
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         with socket.socket(family) as trial:
-            if os.name == "posix":  # connections of a server before linger, and hinder nobody
+            if os.name == "posix":  # elsewhere it would take a port that is in use
                 trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 trial.bind((host, port))

@@ -18,7 +18,7 @@ from loopcal.files.project.project_folder import RESULT, ProjectFolder
 from loopcal.files.project.stream import load_sample
 from loopcal.measurements.dataset import Dataset
 from loopcal.report.source import Source, read_source
-from loopcal.statistics.shifted import COLUMN, numbers_are_ids
+from loopcal.statistics.shifted import COLUMN, ids_are_numbers
 
 
 class Session:
@@ -82,7 +82,8 @@ class Session:
     def source(self) -> Source | None:
         """The result on the disk; None where there is none or it cannot be read."""
         path = self.folder.result / RESULT
-        at = next((f.modified for f in self.folder.listed() if f.name.endswith(RESULT)), None)
+        name = f"{self.folder.result.name}/{RESULT}"
+        at = next((f.modified for f in self.folder.listed() if f.name == name), None)
         if at is None:
             return None
         if self._source is None or self._source[0] != at:
@@ -205,7 +206,7 @@ class Session:
         if COLUMN in project.mechanism.known:
             return text
         ids = project.inputs.get("data", {}).get("pose", 0)
-        column = ids if numbers_are_ids(loaded.dataset) else 0
+        column = ids if ids_are_numbers(loaded.dataset.poses) else 0
         return with_value(text, ["data", "columns", COLUMN], {"column": column, "unit": "1"})
 
     def _numbered(self, names: Sequence[str]) -> Dataset:

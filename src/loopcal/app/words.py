@@ -32,6 +32,7 @@ RUNNING = "running"
 LEFT = "about {seconds} s left"
 CANCELLED = "cancelled; nothing was written"
 UNFINISHED = "The last run did not finish: {command}. Run it again."
+FAULT = "This step cannot be shown: {fault}. This is a fault of loopcal; please report it."
 DONE, ENDED = "done", "ended with exit code {code}"
 MEANING = {
     2: "the command line was wrong",

@@ -6,6 +6,7 @@ writes whole or not at all. Each run has a fresh process, so memory does not gro
 
 from __future__ import annotations
 
+import io
 import multiprocessing
 import os
 import sys
@@ -21,7 +22,7 @@ from loopcal.app.action import Action
 from loopcal.errors import LoopcalError
 
 Command = Callable[[Sequence[str]], int]
-"""`loopcal.cli.main`: a command line in, its exit code out."""
+"""`loopcal.cli.run.main`: a command line in, its exit code out."""
 LINES = 2_000
 """So many lines of a run are kept; of more the last ones."""
 PRELOADED = ["numpy", "polars", "loopcal.workflow.calibration", "loopcal.report.page"]
@@ -161,5 +162,5 @@ def _work(command: Command, words: tuple[str, ...], folder: str, said: Connectio
     out.close()
     error.close()
     said.close()
-    sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+    sys.stdout = sys.stderr = io.StringIO()
     raise SystemExit(code)

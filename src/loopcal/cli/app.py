@@ -12,6 +12,7 @@ from loopcal.cli.output import log
 
 @app.command(name="app")
 def serve_app(
+    context: typer.Context,
     folder: Annotated[str, typer.Argument(metavar="[FOLDER]", help="Folder of the project.")] = ".",
     mechanism: FunctionOption = None,
     host: Annotated[
@@ -33,11 +34,10 @@ def serve_app(
 ) -> None:
     """Serve a page on a project folder: the whole work by looking and pointing."""
     from loopcal.app.server import serve
-    from loopcal.cli import main
 
     serve(
         folder,
-        main,
+        context.obj,  # what runs a command line
         host=host,
         port=port,
         function=mechanism,

@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Sequence[str] | None) -> int:
     try:
-        code = app(arguments, prog_name="loopcal", standalone_mode=False) or 0
+        code = app(arguments, prog_name="loopcal", standalone_mode=False, obj=main) or 0
     except LoopcalError as error:
         if type(error) is LoopcalError:
             return _fault(error)
