@@ -42,6 +42,7 @@ MEANING = {
 }
 NOT_WHOLE = "{shown:,} of {all:,} poses are drawn, the worst among them. All count in the fit."
 FIRST_ROWS = "{all:,} poses; the table shows the first {shown:,}"
+TOLERANCE = "Tolerance of 95 % of poses [mm]"
 REASON = "Reason, for the log"
 REASONS = {
     "excluded": ("bad reading", "reflector not seen", "wrong pose", "collision"),
@@ -108,12 +109,5 @@ CRITERIA = {
     "D": "all parameters together",
     "A": "mean sd of the parameters",
 }
-METHODS = {
-    "": "as the project states (auto unless stated)",
-    "auto": "auto: compares models, keeps the best",
-    "implicit-loop": "implicit loop: all sensors uncertain",
-    "least-squares": "least squares: fast, geometry only",
-    "reweighted": "reweighted: robust against outliers",
-    "implicit-loop-undamped": "implicit loop, undamped",
-}
-FOLDS = {"": "as the project states", "5": "5 parts", "10": "10 parts"}
+AS_STATED = "as the project states"
+FOLDS = {"": AS_STATED, "5": "5 parts", "10": "10 parts"}

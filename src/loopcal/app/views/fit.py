@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from nicegui import ui
@@ -13,15 +13,15 @@ from loopcal.app.view import View, heading, table
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.errors import LoopcalError
-from loopcal.estimation.methods.registry import METHODS
+from loopcal.estimation.methods.registry import METHODS, method_named
 from loopcal.files.result.result_file import read_result
 from loopcal.presentation.shown import by_sd, in_unit, unit_shown
 from loopcal.presentation.wrapped import shortened
 from loopcal.report.page import QUESTIONS
 from loopcal.report.tables import accuracy_tables, model_table
+from loopcal.units import to_si
 
 MARKS = {"yes": "good", "open": "care", "no": "bad"}
-SIDE = [name for name in METHODS if name not in ("auto", "implicit-loop-undamped")]
 
 
 def show(view: View) -> None:
@@ -30,6 +30,7 @@ def show(view: View) -> None:
         ui.label(view.session.objection() or words.NO_PROJECT).classes("printed")
         return
     offer_fit(view)
+    _tolerance(view)
     source = view.session.source()
     if source is None:
         ui.label(words.NO_RESULT)
@@ -55,7 +56,8 @@ def show(view: View) -> None:
 def offer_fit(view: View, label: str = "Calibrate") -> None:
     """The button that calibrates, with method and validation; one choice for all steps."""
     with ui.row().classes("items-end"):
-        choice(view, "fit.method", "Method", {k: words.METHODS[k] for k in ("", *METHODS)})
+        named = {name: _labelled(name) for name in METHODS}
+        choice(view, "fit.method", "Method", {"": words.AS_STATED, **named})
         choice(view, "fit.folds", "Validate on", words.FOLDS)
 
     def line() -> Sequence[str]:
@@ -66,6 +68,27 @@ def offer_fit(view: View, label: str = "Calibrate") -> None:
         return asked
 
     offer(view, label, line, what="Calibrate")
+
+
+def _tolerance(view: View) -> None:
+    """What the user demands, which the verdict then answers."""
+    project = view.session.project()
+    stated = {} if project is None else project.inputs.get("verdict") or {}
+    known = stated.get("tolerance")
+    value = in_unit(to_si(known["value"], known["unit"]), "m") if isinstance(known, dict) else None
+    box = ui.number(words.TOLERANCE, value=value, min=0.0, step=0.1).classes("w-72")
+
+    def state() -> None:
+        if box.value != value:
+            tolerance = None if not box.value else {"value": box.value, "unit": "mm"}
+            keys = ["verdict", "tolerance"]
+            view.act(lambda: view.session.changed(keys, tolerance, "what is demanded"))
+
+    box.on("blur", state)
+
+
+def _labelled(method: str) -> str:
+    return f"{method}: {method_named(method).label}"
 
 
 def _verdict(document: ResultDocument) -> None:
@@ -101,14 +124,16 @@ def _side_by_side(view: View) -> None:
     session = view.session
     heading("Methods side by side")
     ui.label(words.COMPARED).classes("text-body2")
-    stem = session.folder.project.stem
+    single = [name for name in METHODS if not method_named(name).choice]
+    choice(view, "fit.beside", "Another method", {name: _labelled(name) for name in single})
 
-    def line(method: str) -> Callable[[], Sequence[str]]:
-        words_ = ("calibrate", view.project_name(), "--method", method, "--folds", "10")
-        return lambda: (*words_, "--no-report", "--out", f"{stem}-{method}")
+    def line() -> Sequence[str]:
+        method = str(view.kept["fit.beside"])
+        beside = f"{session.folder.project.stem}-{method}"
+        asked = ("calibrate", view.project_name(), "--method", method, "--folds", "10")
+        return (*asked, "--no-report", "--out", beside)
 
-    for method in SIDE:
-        offer(view, f"Try {method}", line(method), what=f"Calibrate by {method}")
+    offer(view, "Try it", line, what="Calibrate by another method")
     folders = [session.folder.result, *session.folder.tried]
     rows = [row for row in map(_tried, folders) if row is not None]
     if len(rows) > 1:
