@@ -24,7 +24,7 @@ from loopcal.document.accuracy import Coverage, FailedPart, ValidationEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import Accuracy, accuracy, by_pose, deviations
-from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.calibrate import calibrate, may_be_faulty
 from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.leaving_out import leaving_out
@@ -311,6 +311,11 @@ class Case:
         """Positions of the rows that copy others."""
         own = self.mechanism
         return copies(self.data, [*own.quantities, *own.known], own.outputs)
+
+    @property
+    def may_be_faulty(self) -> bool:
+        """Whether its calibration would seek faults of the file."""
+        return not self.trusted and may_be_faulty(self.mechanism, self.data, self.noise, self.fit)
 
     def calibrated(self, index: Index | None = None, progress: Iterated | None = None) -> Result:
         """The calibration of these poses, by default of all; what copies are, all rows say.
