@@ -150,6 +150,8 @@ def _run(session: Session) -> None:
             ui.label(run.progress or words.RUNNING).classes("text-body2")
         elif run.cancelled:
             ui.label(words.CANCELLED)
+        elif run.code < 0:
+            ui.label(words.KILLED).classes("bad")
         elif run.code == 0:
             ui.label(words.DONE).classes("good")
         else:
