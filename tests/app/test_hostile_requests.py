@@ -35,7 +35,9 @@ def test_a_page_runs_scripts_by_a_nonce_only(served: Served) -> None:
 
 
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1", "127.0.0.1:1", "localhost.evil:80"])
-@pytest.mark.parametrize("path", ["/", "/file/project.toml", "/report", "/_nicegui/x"])
+@pytest.mark.parametrize(
+    "path", ["/", "/file/project.toml", "/page/project-result/report.html", "/_nicegui/x"]
+)
 def test_other_names_of_this_machine_are_refused(served: Served, host: str, path: str) -> None:
     assert asked(served.address + path, Host=host).status == 403
 
@@ -97,7 +99,12 @@ def test_a_file_of_the_folder_is_saved_and_never_shown(served: Served) -> None:
     assert got.headers["content-disposition"].startswith("attachment")
     assert got.headers["content-type"] == "application/octet-stream"
     assert got.headers["x-content-type-options"] == "nosniff"
-    assert "sandbox" in asked(f"{served.address}/report").headers["content-security-policy"]
+    assert (
+        "sandbox"
+        in asked(f"{served.address}/page/project-result/report.html").headers[
+            "content-security-policy"
+        ]
+    )
 
 
 def test_an_upload_of_two_gigabytes_is_refused_before_it_is_read(served: Served) -> None:
@@ -116,7 +123,13 @@ def test_other_machines_need_the_token_everywhere(hostile: Path, tmp_path: Path)
         token = server.address.partition("/?token=")[2]
         own = f"http://127.0.0.1:{server.port}"
         assert token
-        for path in ("/", "/?token=wrong", "/?token=", "/file/project.toml", "/report"):
+        for path in (
+            "/",
+            "/?token=wrong",
+            "/?token=",
+            "/file/project.toml",
+            "/page/project-result/report.html",
+        ):
             assert asked(own + path).status == 403, path
         assert asked(f"{own}/", Cookie="loopcal_token=wrong").status == 403
         shake = SHAKE.format(host=f"127.0.0.1:{server.port}", origin=own)

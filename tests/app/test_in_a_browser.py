@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from tests.app.conftest import SCRIPT
+from tests.app.pointing import Hand
 from tests.app.serving import Served
 from tests.browser import Seen
 
@@ -44,19 +45,13 @@ def opened(browser: Any, served: Served, size: str = "desktop") -> Seen:
     return seen
 
 
-def step(page: Any, name: str) -> None:
-    """Go to a step."""
-    page.locator(f'button[aria-label^="{name}:"]').click()
-    page.get_by_role("heading", name=name, level=1).wait_for()
-
-
 @pytest.mark.parametrize("size", SIZES)
 def test_every_step_opens_in_its_window_and_shows_names_as_text(
     served: Served, browser: Any, size: str
 ) -> None:
     seen = opened(browser, served, size)
     for name in STEPS:
-        step(seen.page, name)
+        Hand(seen.page).step(name)
         wide = seen.page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
         assert wide <= 0, f"{name} is {wide} pixels wider than the window"
         assert seen.page.evaluate(MADE_OF_NAMES) == 0, name
@@ -80,11 +75,11 @@ def test_an_error_and_a_name_handed_in_are_shown_as_text(
         assert seen.page.evaluate(MADE_OF_NAMES) == 0
     finally:
         project.write_text(before, "utf-8")
-    step(seen.page, "Data")
+    Hand(seen.page).step("Data")
     name = f"{SCRIPT}{SCRIPT}.txt"
     file = {"name": name, "mimeType": "text/plain", "buffer": b"1"}
     seen.page.set_input_files('input[type="file"] >> nth=0', [file])
-    step(seen.page, "Deploy")
+    Hand(seen.page).step("Deploy")
     seen.page.get_by_text(name).first.wait_for()
     assert seen.page.evaluate(MADE_OF_NAMES) == 0
     (hostile / name).unlink()

@@ -50,6 +50,7 @@ class Run:
     progress: str = ""
     code: int | None = None
     cancelled: bool = False
+    began: float = field(default_factory=time.monotonic)
 
     @property
     def text(self) -> str:
