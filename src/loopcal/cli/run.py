@@ -82,7 +82,7 @@ def _with_command(arguments: Sequence[str]) -> typer.Typer:
 
 
 def _name(command: CommandInfo) -> str:
-    return command.name or getattr(command.callback, "__name__", "")
+    return command.name or str(getattr(command.callback, "__name__", ""))
 
 
 def _fault(error: Exception) -> int:
