@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import typer
 from typer.models import CommandInfo
 
+from loopcal.cli.app import serve_app
 from loopcal.cli.application import app
 from loopcal.cli.commands import calibrate
 from loopcal.cli.correct import correct
@@ -32,7 +33,7 @@ except ModuleNotFoundError:  # typer before 0.26 raises the exceptions of click
     from click.exceptions import Abort  # type: ignore[assignment]
     from click.exceptions import ClickException as TyperException  # type: ignore[assignment]
 
-LOADED = (calibrate, correct, export, performance, plan, record, update)
+LOADED = (calibrate, correct, export, performance, plan, record, serve_app, update)
 """A command of each module: all commands of a module join as it is imported."""
 INTERRUPTED = 130
 
@@ -47,7 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     try:
         asked = sys.argv[1:] if arguments is None else list(arguments)
-        code = _with_command(asked)(asked, prog_name="loopcal", standalone_mode=False) or 0
+        own = _with_command(asked)
+        code = own(asked, prog_name="loopcal", standalone_mode=False, obj=main) or 0
     except LoopcalError as error:
         if type(error) is LoopcalError:
             return _fault(error)

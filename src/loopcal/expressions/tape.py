@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from operator import index
 from typing import Any
 
 from loopcal.errors import InputError, nearest
 from loopcal.expressions.graph import Graph, Node
 from loopcal.expressions.operations import LEAVES, OPERATIONS
+from loopcal.lazy import cached_property
 
 _PREFIX = {"quantity": "x", "known": "x", "parameter": "p"}
 

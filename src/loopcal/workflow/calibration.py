@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -27,6 +27,7 @@ from loopcal.files.result import result_file
 from loopcal.files.result.residual_parts import NAME as RESIDUALS
 from loopcal.files.result.truth_file import read_truth
 from loopcal.files.versions import versions as known_versions
+from loopcal.lazy import cached_property
 from loopcal.measurements.checks import DataWarning
 from loopcal.statistics.calibrate import calibrate
 from loopcal.statistics.findings import Findings, findings

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -35,6 +34,7 @@ from loopcal.estimation.noise.variances import (
 )
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.solution import Solution
+from loopcal.lazy import cached_property
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
 Array = NDArray[np.float64]
