@@ -40,7 +40,7 @@ def serve(
             remedy="pip install loopcal[app]",
         ) from None
     from loopcal.app.frame import build
-    from loopcal.app.sending import REPORT, sent
+    from loopcal.app.sending import sent, shown
     from loopcal.app.session import Session
     from loopcal.files.project.project_folder import existing_folder
 
@@ -54,7 +54,7 @@ def serve(
     shown_host = f"[{host}]" if ":" in host else host
     tell(f"http://{shown_host}:{number}{asked}")
     app.add_api_route("/file/{name:path}", lambda name: sent(session, name))
-    app.add_api_route("/report", lambda: sent(session, REPORT))
+    app.add_api_route("/page/{name:path}", lambda name: shown(session, name))
     ui.page("/", title=f"loopcal: {path.name}", response_timeout=60.0)(lambda: build(session))
     ui.run(
         host=host,

@@ -11,6 +11,7 @@ import multiprocessing
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
@@ -43,6 +44,7 @@ class Run:
     progress: str = ""
     code: int | None = None
     cancelled: bool = False
+    began: float = field(default_factory=time.monotonic)
 
     @property
     def text(self) -> str:

@@ -31,6 +31,7 @@ from loopcal.estimation.dependence.dependence import (
     dependence,
 )
 from loopcal.estimation.document_parts import (
+    absorbed,
     coarse_readings,
     covariance_entry,
     data_entry,
@@ -294,7 +295,7 @@ class Result(Views):
         known = not self.fit.solver.exact and self.fit.robust_loss is None
         if not known or not math.isfinite(value):
             return None
-        found = ChiSquared.of(value, self.freedom)
+        found = ChiSquared.of(value, self.freedom, absorbed(self.problem, self.terms))
         return replace(found, p_value=None) if self._all_sds_learnt else found
 
     @property
@@ -547,10 +548,10 @@ class Result(Views):
 
     @property
     def _document(self) -> ResultDocument:
-        errors = self.errors or {}
-        loose = self.identifiability.loose
-        quantities = self.mechanism.tape.quantities
-        noise = noise_entries(self.noise, self.chi_squared_shares, quantities, self._redundancy)
+        errors, loose = self.errors or {}, self.identifiability.loose
+        shares, names = self.chi_squared_shares, self.mechanism.tape.quantities
+        noise = noise_entries(self.noise, shares, names, self._redundancy)
+        coarse = coarse_readings(self.dataset, noise, self.problem, self.pose_equations())
         return ResultDocument(
             schema=SCHEMA,
             loopcal="",
@@ -585,7 +586,7 @@ class Result(Views):
             prediction=None,
             outliers=None,
             column_faults=self.faults or None,
-            data=replace(self._data, coarse=coarse_readings(self.dataset, noise)),
+            data=replace(self._data, coarse=coarse),
             warnings=self.warnings,
             inputs={},
             versions={},

@@ -20,6 +20,9 @@ from loopcal.files.atomic import write_atomic
 LOG = "loopcal-log.jsonl"
 PROJECT = "project.toml"
 RESULT = "result.json"
+PLAN_DOCUMENT = "plan.json"
+PREVIEW = ".preview"
+"""Folder of exports that are only looked at."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +83,26 @@ class ProjectFolder:
         """Where `loopcal calibrate` writes the result of the project."""
         return self.path / f"{self.project.stem}-result"
 
+    @property
+    def plan(self) -> Path:
+        """Where `loopcal plan` writes the plan of the project."""
+        return self.path / f"{self.project.stem}-plan"
+
+    @property
+    def export(self) -> Path:
+        """Where `loopcal export` writes files for the robot."""
+        return self.result / "export"
+
+    @property
+    def tried(self) -> list[Path]:
+        """Folders of results beside that of the project."""
+        beside = self.path.glob(f"{self.project.stem}-*/{RESULT}")
+        return sorted(path.parent for path in beside if path.parent != self.result)
+
     def listed(self) -> list[Listed]:
-        """The files in the folder and in that of the result, by name."""
+        """The files in the folder, and in those of results, plan and export, by name."""
         found = []
-        for folder in (self.path, self.result):
+        for folder in (self.path, self.result, self.plan, self.export, *self.tried):
             if not folder.is_dir():
                 continue
             for path in sorted(folder.iterdir()):
@@ -132,6 +151,18 @@ class ProjectFolder:
             )
         return path
 
+    def inside_of(self, folder: str) -> list[str]:
+        """Names of the files in a folder of this one, without backups."""
+        paths = sorted(self.inside(folder).glob("*"))
+        return [p.name for p in paths if p.is_file() and ".bak" not in p.name]
+
+    def content(self, name: str) -> str | None:
+        """The text of a file of the folder; None where it is not there or is no text."""
+        try:
+            return self.inside(name).read_text("utf-8")
+        except (OSError, UnicodeDecodeError):
+            return None
+
     def take(self, name: str, content: bytes) -> Path:
         """Keep a file that was handed in, under its own last name. Raises InputError for a name
         that cannot stand, and where a file of other content has it."""
@@ -159,6 +190,13 @@ class ProjectFolder:
         before = self.text()
         write_atomic(self.project, text)
         self.noted("edit", what, {"reason": reason, "before": before, "after": text})
+
+    def remove(self, reason: str) -> None:
+        """Remove the project file, and write that into the log; `undo` brings it back."""
+        before = self.text()
+        self.project.unlink(missing_ok=True)
+        told = {"reason": reason, "before": before, "after": None}
+        self.noted("edit", f"removed {self.project.name}", told)
 
     def undo(self) -> str:
         """Take the last change of the project back, and say which. Raises InputError where there
