@@ -179,6 +179,8 @@ def _run(session: Session) -> None:
             ui.button("Cancel", on_click=session.worker.cancel).props("outline")
         elif run.cancelled:
             ui.label(words.CANCELLED)
+        elif run.code < 0:
+            ui.label(words.KILLED).classes("bad")
         elif run.code == 0:
             ui.label(words.DONE).classes("good")
         else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +30,7 @@ class Session:
     def __init__(self, folder: Path, command: Command, function: str | None = None) -> None:
         self.folder = ProjectFolder(folder)
         self.function = function
-        self.worker = Worker(command, self._ended)
-        self.after: Callable[[], None] | None = None
+        self.worker = Worker(command, self._begun, self._ended)
         self.last: dict[str, Run] = {}  # of each command, since the server started
         self.finished = 0
         self._source: tuple[int, Source | None, str] | None = None
@@ -47,17 +46,16 @@ class Session:
 
     def start(self, action: Action) -> Run:
         """Run a command in the folder."""
-        run = self.worker.start(action, str(self.folder.path))
+        return self.worker.start(action, str(self.folder.path))
+
+    def _begun(self, action: Action) -> None:
         self.folder.noted("begun", action.what, {"command": action.command})
-        return run
 
     def _ended(self, run: Run) -> None:
         self.last[run.action.words[0]] = run
         self.finished += 1
         told = {"command": run.action.command, "code": run.code, "cancelled": run.cancelled}
         self.folder.noted("ended", run.action.what, told)
-        if self.after is not None:
-            self.after()
 
     def project(self) -> Project | None:
         """The project as it stands; None where there is none or it cannot be read."""

@@ -34,6 +34,7 @@ CANCELLED = "cancelled; nothing was written"
 UNFINISHED = "The last run did not finish: {command}. Run it again."
 FAULT = "This step cannot be shown: {fault}. This is a fault of loopcal; please report it."
 DONE, ENDED = "done", "ended with exit code {code}"
+KILLED = "the run was killed; nothing was written. Run it again."
 MEANING = {
     2: "the command line was wrong",
     3: "an input was wrong",

@@ -36,12 +36,12 @@ from loopcal.execution.local import own_threads
 from loopcal.presentation.shown import by_sd, size, unit_shown
 from loopcal.presentation.wrapped import shortened
 from loopcal.statistics.candidates import Entrant, entrants
+from loopcal.statistics.case import Case
 from loopcal.statistics.changes import Changes, changes, unchanged
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.validation import (
-    Case,
     Failed,
     Outcome,
     Plan,

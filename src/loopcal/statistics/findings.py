@@ -16,8 +16,8 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import gathered
 from loopcal.execution.local import own_threads
 from loopcal.statistics.candidates import nominal_case
-from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, find_shifts
-from loopcal.statistics.changes import apart
+from loopcal.statistics.case import Case
+from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, apart, find_shifts
 from loopcal.statistics.identifiability import WhatDataSay, calibration_index, what_data_say
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.observability import data_spectrum, observability
@@ -28,7 +28,6 @@ from loopcal.statistics.region import Span, region_of
 from loopcal.statistics.reliability import ReadingReliability, reliability
 from loopcal.statistics.scatter import Scatter, scatter
 from loopcal.statistics.shifted import shift_lines
-from loopcal.statistics.validation import Case
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,8 +171,9 @@ def nominal_distances(result: Result) -> Distances | None:
     if not result.mechanism.outputs:
         return None
     try:
-        case = Case(result.mechanism, result.dataset, None, replace(result.fit, prior=None))
-        found = nominal_case(case).calibrated().accuracy_after
+        fit, sought = replace(result.fit, prior=None), not result.faults
+        case = Case(result.mechanism, result.dataset, None, fit)
+        found = replace(nominal_case(case), trusted=sought).calibrated().accuracy_after
     except (InputError, NoTrustworthyResult):
         return None  # nothing can be placed, or not by these readings
     return None if found is None else found.distances
