@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.app.pictures import look
 from loopcal.errors import InputError
 from loopcal.figures.figure import axis, names, numbers
 from loopcal.measurements.dataset import Dataset
@@ -17,8 +19,22 @@ from loopcal.statistics.prediction import Prediction, predict
 from loopcal.statistics.predictor import Predictor, predictor_of
 
 Array = NDArray[np.float64]
+PLAIN = {"displaylogo": False, "displayModeBar": False, "scrollZoom": True}
 POSES = 400
 """Random poses of the map."""
+
+
+@dataclass(frozen=True, eq=False)
+class Map:
+    """at: (d, N) points [m]; sd: (N,) predicted there [m]; joints: joint -> (N,) its readings."""
+
+    at: Array
+    sd: Array
+    joints: Mapping[str, Array]
+
+    def pose(self, index: int) -> dict[str, float]:
+        """The joints of one point."""
+        return {q: float(values[index]) for q, values in self.joints.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,15 +78,17 @@ class Probe:
             for name, unit in found.units.items()
         ]
 
-    def map(self) -> tuple[Array, Array]:
-        """Points (d, N) [m] of random poses of the region, and the sd (N,) [m] predicted there."""
+    def map(self) -> Map:
+        """Random poses of the region, and the sd predicted there."""
         rng = np.random.default_rng(0)
         poses = {q: rng.uniform(low, high, POSES) for q, (low, high) in self.spans.items()}
         found = self._predicted(poses)
         shown = [n for n, unit in found.units.items() if unit == "m"][:3]
         at = np.array([found.outputs[n] for n in shown])
         sd = np.sqrt(np.square([found.sd[n] for n in shown]).sum(axis=0))
-        return at, sd
+        good = np.isfinite(sd) & np.isfinite(at).all(axis=0) if len(at) else np.zeros(0, bool)
+        kept = {q: values[good] for q, values in poses.items()} if len(at) else {}
+        return Map(at[:, good] if len(at) else np.zeros((0, 0)), sd[good] if len(at) else sd, kept)
 
     def _predicted(self, joints: Mapping[str, Array]) -> Prediction:
         count = len(next(iter(joints.values())))
@@ -82,27 +100,27 @@ class Probe:
         return predict(self.known, Dataset.from_arrays(given, units={q: own[q] for q in given}))
 
 
-def map_figure(at: Array, sd: Array) -> dict[str, object] | None:
+def map_figure(found: Map) -> dict[str, Any] | None:
     """The sd predicted over the working region; None where no point is predicted."""
-    good = np.isfinite(sd) & np.isfinite(at).all(axis=0) if len(at) else np.zeros(0, bool)
-    if len(at) < 2 or not good.any():
+    if len(found.at) < 2 or not len(found.sd):
         return None
     scale = factor("m")
-    solid = len(at) == 3
-    keys = "xyz"[: len(at)]
-    colour = {"color": numbers(sd[good] / scale), "colorscale": "Viridis", "size": 4}
+    solid = len(found.at) == 3
+    keys = "xyz"[: len(found.at)]
+    colour = {"color": numbers(found.sd / scale), "colorscale": "Viridis", "size": 5}
     bar = {"title": {"text": f"sd [{unit_shown('m')}]"}, "thickness": 12}
     trace = {
         "type": "scatter3d" if solid else "scatter",
         "mode": "markers",
         "marker": {**colour, "colorbar": bar},
-        "text": names([with_unit(float(s), "m") for s in sd[good]]),
+        "customdata": list(range(len(found.sd))),
+        "text": names([with_unit(float(s), "m") for s in found.sd]),
         "hoverinfo": "text",
-        **{k: numbers(at[i][good]) for i, k in enumerate(keys)},
+        **{k: numbers(found.at[i]) for i, k in enumerate(keys)},
     }
     titles = {f"{k}axis": axis(f"{k} [m]") for k in keys}
     more = {"scene": {"aspectmode": "data", **titles}} if solid else titles
-    return {"data": [trace], "layout": more, "config": {"displaylogo": False}}
+    return {"data": [trace], "layout": look(440, uirevision="map", **more), "config": PLAIN}
 
 
 def _number(value: float, unit: str) -> str:

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from loopcal.app.action import Action
 from loopcal.app.steps import State
 from loopcal.app.worker import Command, Run, Worker
+from loopcal.document.change_points import ChangePoints
 from loopcal.errors import InputError, LoopcalError
-from loopcal.files.project.edits import with_shift, with_value, without_poses
+from loopcal.files.project.edits import with_changes, with_shift, with_value, without_poses
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.project.project_folder import RESULT, ProjectFolder
 from loopcal.files.project.stream import load_sample
+from loopcal.measurements.dataset import Dataset
 from loopcal.report.source import Source, read_source
-from loopcal.statistics.shifted import COLUMN, numbers_are_ids, pose_numbers
+from loopcal.statistics.shifted import COLUMN, ids_are_numbers
 
 
 class Session:
@@ -27,8 +30,9 @@ class Session:
     def __init__(self, folder: Path, command: Command, function: str | None = None) -> None:
         self.folder = ProjectFolder(folder)
         self.function = function
-        self.worker = Worker(command, self._ended)
-        self.after: Callable[[], None] | None = None
+        self.worker = Worker(command, self._begun, self._ended)
+        self.last: dict[str, Run] = {}  # of each command, since the server started
+        self.finished = 0
         self._source: tuple[int, Source | None, str] | None = None
         self._loaded: tuple[int, LoadedData | None, str] | None = None
         self._read: tuple[str, Project | None, str] | None = None
@@ -42,15 +46,16 @@ class Session:
 
     def start(self, action: Action) -> Run:
         """Run a command in the folder."""
-        run = self.worker.start(action, str(self.folder.path))
+        return self.worker.start(action, str(self.folder.path))
+
+    def _begun(self, action: Action) -> None:
         self.folder.noted("begun", action.what, {"command": action.command})
-        return run
 
     def _ended(self, run: Run) -> None:
+        self.last[run.action.words[0]] = run
+        self.finished += 1
         told = {"command": run.action.command, "code": run.code, "cancelled": run.cancelled}
         self.folder.noted("ended", run.action.what, told)
-        if self.after is not None:
-            self.after()
 
     def project(self) -> Project | None:
         """The project as it stands; None where there is none or it cannot be read."""
@@ -75,7 +80,8 @@ class Session:
     def source(self) -> Source | None:
         """The result on the disk; None where there is none or it cannot be read."""
         path = self.folder.result / RESULT
-        at = next((f.modified for f in self.folder.listed() if f.name.endswith(RESULT)), None)
+        name = f"{self.folder.result.name}/{RESULT}"
+        at = next((f.modified for f in self.folder.listed() if f.name == name), None)
         if at is None:
             return None
         if self._source is None or self._source[0] != at:
@@ -100,10 +106,19 @@ class Session:
             project=self.folder.text() is not None,
             objection=self.objection(),
             document=None if source is None else source.document,
-            stale=times.get(self.folder.project.name, 0) > result,
+            stale=self._stale(source, times, result),
             files=files,
             runs=runs,
         )
+
+    def _stale(self, source: Source | None, times: Mapping[str, int], result: int) -> bool:
+        """Whether the result is of another project, or of other readings, than there are now."""
+        project = self.project()
+        if source is None or project is None:
+            return False
+        changed = _that_count(project.inputs) != _that_count(source.document.inputs)
+        files = () if project.data is None else (project.data, *project.data.joins)
+        return changed or any(times.get(spec.file, 0) > result for spec in files)
 
     def robot(self) -> tuple[str | None, str | None]:
         """How the robot of a project to come is described: a kind, and a file or type."""
@@ -140,7 +155,7 @@ class Session:
         what = f"{'.'.join(keys)} = {value}" if value is not None else f"removed {'.'.join(keys)}"
         self._write(with_value(text, keys, value), what, reason)
 
-    def excluded(self, poses: list[str], reason: str) -> None:
+    def excluded(self, poses: Sequence[str], reason: str) -> None:
         """Leave poses out."""
         text = without_poses(self.folder.text() or "", poses)
         shown = ", ".join(poses[:8]) + (f" and {len(poses) - 8} more" if len(poses) > 8 else "")
@@ -156,29 +171,52 @@ class Session:
         found = {what: tuple(n for n in kinds if kinds[n] == kind) for what, kind in listed.items()}
         return {what: names for what, names in found.items() if names}
 
+    def steps(self) -> list[float]:
+        """Numbers of the poses from which on the project takes something as moved."""
+        project = self.project()
+        mechanism = {} if project is None else project.inputs.get("mechanism", {})
+        effects = mechanism.get("effect", []) if isinstance(mechanism, dict) else []
+        return sorted({float(at) for effect in effects for at in effect.get("at", ())})
+
     def shifted(self, names: Sequence[str], first: str, last: str, reason: str) -> None:
         """Take parameters as others from the pose `first` to the pose `last`."""
-        loaded = self.readings()
-        if loaded is None:
-            raise InputError(self.unread(), code="no-data", remedy="correct the readings first")
-        numbers = pose_numbers(loaded.dataset)
-        poses = loaded.dataset.poses
-        begin, end = poses.index(first), poses.index(last) + 1
-        at = [numbers[begin]] if begin else []
-        at += [numbers[end]] if end < len(poses) else []
+        data = self._numbered(names)
+        begin, end = data.poses.index(first), data.poses.index(last) + 1
+        at = [float(data[COLUMN][begin])] if begin else []
+        at += [float(data[COLUMN][end])] if end < len(data.poses) else []
         if not at:
             raise InputError(
                 "all poses are selected", code="invalid-value", remedy="select a part of the run"
             )
-        text = self.folder.text() or ""
-        project = self.project()
-        if project is not None and COLUMN not in project.mechanism.known:
-            data = project.inputs.get("data", {})
-            counted = {"column": data.get("pose", 0) if numbers_are_ids(loaded.dataset) else 0}
-            text = with_value(text, ["data", "columns", COLUMN], {**counted, "unit": "1"})
-        text = with_shift(text, names, at, COLUMN)
+        text = with_shift(self._counted(), names, at, COLUMN)
         self._write(text, f"{', '.join(names)} moved from pose {first} to {last}", reason)
+
+    def modelled(self, changes: ChangePoints, reason: str) -> None:
+        """Put the changes that a result found into the project."""
+        found = "; ".join(f"{', '.join(p.names)} from pose {p.pose} on" for p in changes.found)
+        self._write(with_changes(self._counted(), changes.toml), f"moved: {found}", reason)
+
+    def _counted(self) -> str:
+        """The text with a column of numbers of poses."""
+        text, project, loaded = self.folder.text() or "", self.project(), self.readings()
+        if project is None or loaded is None:
+            raise InputError(self.unread(), code="no-data", remedy="correct the readings first")
+        if COLUMN in project.mechanism.known:
+            return text
+        ids = project.inputs.get("data", {}).get("pose", 0)
+        column = ids if ids_are_numbers(loaded.dataset.poses) else 0
+        return with_value(text, ["data", "columns", COLUMN], {"column": column, "unit": "1"})
+
+    def _numbered(self, names: Sequence[str]) -> Dataset:
+        """The readings, with the numbers of the poses as the project would read them."""
+        text = with_shift(self._counted(), names, [0.0], COLUMN)
+        return load_sample(read_project(self.folder.project, text=text)).dataset
 
     def _write(self, text: str, what: str, reason: str) -> None:
         read_project(self.folder.project, text=text)  # raises where it would not be read
         self.folder.change(text, what, reason)
+
+
+def _that_count(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """What a calibration follows from."""
+    return {key: value for key, value in inputs.items() if key not in ("record", "title")}

@@ -17,12 +17,22 @@ from loopcal.errors import LoopcalError
 
 @dataclass(eq=False)
 class View:
-    """step: the one shown; selected: positions of poses in the result; refresh: draws all anew."""
+    """step: the one shown; selected: positions of poses in the result; kept: what was chosen in
+    the controls, by their names; refresh: draws all anew."""
 
     session: Session
     step: str = "robot"
     selected: list[int] = field(default_factory=list)
+    kept: dict[str, Any] = field(default_factory=dict)
     refresh: Callable[[], Any] = lambda: None
+    follow: list[Callable[[], Any]] = field(default_factory=list)
+    """What is called when a control changes."""
+
+    def keep(self, name: str, value: Any) -> None:
+        """Remember what a control says."""
+        self.kept[name] = value
+        for follower in self.follow:
+            follower()
 
     def act(self, do: Callable[[], Any]) -> bool:
         """Do something that a user asked for, and show why where it cannot be done."""
@@ -54,17 +64,16 @@ class View:
         return self.session.folder.project.name
 
 
-def title(step: str, label: str) -> None:
+def title(view: View, label: str) -> None:
     """The head of a step."""
+    view.follow.clear()
     ui.label(label).classes("text-h5").props("role=heading aria-level=1")
-    ui.label(words.STEPS[step]).classes("text-body1 q-mb-md")
+    ui.label(words.STEPS[view.step]).classes("text-body1 q-mb-sm")
 
 
-def command_line(action: Action) -> None:
-    """The command that does the same, to copy."""
-    with ui.row().classes("items-center no-wrap q-gutter-xs"):
-        ui.label(words.SAME).classes("text-caption")
-        ui.code(action.command, language="bash").classes("text-caption")
+def heading(text: str) -> None:
+    """The head of a part of a step."""
+    ui.label(text).classes("text-h6 q-mt-md").props("role=heading aria-level=2")
 
 
 def text_block(text: str) -> None:
@@ -72,14 +81,19 @@ def text_block(text: str) -> None:
     ui.label(text).classes("printed")
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[str]], key: str = "0") -> Any:
-    """A table of texts; the first column names a row."""
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]], **more: Any) -> Any:
+    """A table of texts; more: of `ui.table`."""
     made = [
         {"name": str(i), "label": name, "field": str(i), "align": "left", "sortable": True}
         for i, name in enumerate(columns)
     ]
-    content = [{str(i): cell for i, cell in enumerate(row)} for row in rows]
-    return ui.table(columns=made, rows=content, row_key=key, pagination=25).props("dense flat")
+    content = [
+        {"row": at, **{str(i): cell for i, cell in enumerate(row)}} for at, row in enumerate(rows)
+    ]
+    settled = {"pagination": 25 if len(rows) > 25 else 0, **more}
+    made_table = ui.table(columns=made, rows=content, row_key="row", **settled)
+    hidden = "" if len(rows) > (settled["pagination"] or len(rows)) else "hide-pagination"
+    return made_table.props(f"dense flat {hidden}").classes("w-full")
 
 
 def figure(drawn: Any) -> Any:
@@ -90,7 +104,7 @@ def figure(drawn: Any) -> Any:
         "plot_bgcolor": "rgba(0,0,0,0)",
         "font": {"color": "#6b7280"},
     }
-    ui.label(drawn.title).classes("text-h6").props("role=heading aria-level=2")
+    heading(drawn.title)
     ui.label(drawn.caption).classes("text-caption")
     content = {"data": list(drawn.data), "layout": layout, "config": {"displaylogo": False}}
     return ui.plotly(content).classes("w-full").props(f'aria-label="{_plain(drawn.label)}"')

@@ -65,15 +65,15 @@ def _effects(data: Dataset, found: Sequence[ChangePoint], column: str) -> list[S
 
 def pose_numbers(data: Dataset) -> NDArray[np.float64]:
     """(N,) rising numbers of the poses: their ids where these are, else positions from 1."""
-    if numbers_are_ids(data):
+    if ids_are_numbers(data.poses):
         return np.array([float(pose) for pose in data.poses])
     return np.arange(1.0, len(data) + 1.0)
 
 
-def numbers_are_ids(data: Dataset) -> bool:
-    """Whether the ids of the poses are rising numbers."""
+def ids_are_numbers(poses: Sequence[str]) -> bool:
+    """Whether ids of poses are rising numbers."""
     try:
-        ids = np.array([float(pose) for pose in data.poses])
+        ids = np.array([float(pose) for pose in poses])
     except ValueError:
         return False
     return bool(len(ids) and np.isfinite(ids).all() and (np.diff(ids) > 0.0).all())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from nicegui import ui
 
 from loopcal.app import words
+from loopcal.app.controls import offer, printed
 from loopcal.app.view import View
 
 
@@ -13,8 +14,5 @@ def show(view: View) -> None:
     if view.session.project() is None:
         ui.label(view.session.objection() or words.NO_PROJECT).classes("printed")
         return
-
-    async def check() -> None:
-        await view.run_to_end("Check the project", "check", view.project_name())
-
-    ui.button("Check", on_click=check).props("unelevated")
+    offer(view, "Check", lambda: ("check", view.project_name()))
+    printed(view, "check")

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from nicegui import ui
 
-from loopcal.app.pictures import machine_figure
+from loopcal.app import words
+from loopcal.app.cells import bad_cells, columns
+from loopcal.app.controls import offer
+from loopcal.app.pictures import joints_of, machine_figure, moved
 from loopcal.app.uploads import uploader
-from loopcal.app.view import View
+from loopcal.app.view import View, heading, table
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
 from loopcal.measurements.dataset import Dataset
@@ -26,83 +30,116 @@ def show(view: View) -> None:
     uploader(view, "Drop the files of readings here")
     project = view.session.project()
     if project is None:
-        _recognise(view)
+        objection = view.session.objection()
+        if objection is not None:
+            ui.label(objection).classes("bad printed")
+        else:
+            _recognise(view)
         return
     told = view.session.unread()
     if told:
         ui.label(told).classes("bad printed")
-    _columns(view, project)
+        _bad(view, project)
     loaded = view.session.readings()
+    with ui.element("div").classes("beside"):
+        with ui.column().classes("figures"):
+            plot = None if loaded is None else _robot(project, loaded.dataset)
+        with ui.column().classes("acts"):
+            _columns(view, project)
     if loaded is not None:
-        _rows(project, loaded)
+        _rows(view, project, loaded, plot)
 
 
 def _recognise(view: View) -> None:
     kind, value = view.session.robot()
     files = [
-        f.name for f in view.session.folder.listed() if f.name.endswith(ENDS) and f.name != value
+        f.name
+        for f in view.session.folder.listed()
+        if f.name.lower().endswith(ENDS) and f.name != value and "/" not in f.name
     ]
-    chosen = set(files)
     if not files:
-        ui.label("No file of readings is in the folder yet.")
+        ui.label(words.NO_READINGS)
         return
+    heading("Files of readings")
 
-    def keep(name: str, wanted: bool) -> None:
-        if wanted:
-            chosen.add(name)
-        else:
-            chosen.discard(name)
+    def keep(name: str, event: Any) -> None:
+        view.keep(f"read.{name}", event.value)
 
-    ui.label("Files of readings:")
     for name in files:
-        ui.checkbox(name, value=True, on_change=lambda e, name=name: keep(name, e.value))
+        chosen = view.kept.setdefault(f"read.{name}", True)
+        ui.checkbox(name, value=chosen, on_change=partial(keep, name))
     if not (kind and value):
-        ui.label("Describe the robot first.").classes("care")
+        ui.label(words.ROBOT_FIRST).classes("care")
         return
 
-    async def recognise() -> None:
-        names = [name for name in files if name in chosen]
-        await view.run_to_end(
-            "Recognise the readings", "init", *names, f"--{kind}", value, "--out", "."
-        )
+    def line() -> list[str]:
+        names = [name for name in files if view.kept[f"read.{name}"]]
+        return ["init", *names, f"--{kind}", str(value), "--out", "."]
 
-    ui.button("Recognise", on_click=recognise).props("unelevated")
+    offer(view, "Recognise", line, what="Recognise the readings")
+
+
+def _bad(view: View, project: Project) -> None:
+    """The cells that are no numbers, where they stand."""
+    cells = bad_cells(project)
+    if not cells:
+        return
+    poses = list(dict.fromkeys(cell.pose for cell in cells))
+    ui.label(words.BAD_CELLS.format(count=len(cells)))
+    rows = [[c.file, str(c.row), c.pose, c.column, c.text] for c in cells]
+    table(["file", "row", "pose", "column", "cell"], rows).classes("cells")
+    exclude = partial(view.session.excluded, poses, "cells that are no numbers")
+    label = f"Exclude {len(poses)} pose{'s' if len(poses) > 1 else ''}"
+    ui.button(label, on_click=partial(view.act, exclude)).props("outline")
 
 
 def _columns(view: View, project: Project) -> None:
     stated: dict[str, Any] = dict(project.inputs.get("data", {}).get("columns", {}))
     own = {**project.mechanism.quantities, **project.mechanism.known}
-    ui.label("Columns").classes("text-h6")
-    with ui.grid(columns="auto 1fr 1fr").classes("items-center"):
+    labels = columns(project)
+    heading("Columns")
+    ui.label(words.COLUMNS).classes("text-body2")
+    with ui.grid(columns="auto 1fr 6rem").classes("items-center w-full"):
         for name in ("quantity", "column of the file", "unit"):
             ui.label(name).classes("text-caption")
         for quantity, unit in own.items():
             entry = stated.get(quantity)
-            if entry is None:
-                continue
-            table = entry if isinstance(entry, dict) else {"column": entry}
-            _column(view, quantity, unit, table)
+            if entry is not None:
+                its = entry if isinstance(entry, dict) else {"column": entry}
+                _column(view, quantity, unit, its, labels)
 
 
-def _column(view: View, quantity: str, unit: str, table: dict[str, Any]) -> None:
-    def change(key: str, value: Any) -> None:
-        if value != table.get(key):
-            keys = ["data", "columns", quantity, key]
-            view.act(lambda: view.session.changed(keys, value, "corrected by pointing"))
+def _column(view: View, quantity: str, unit: str, its: dict[str, Any], labels: list[str]) -> None:
+    def change(key: str, event: Any) -> None:
+        keys = ["data", "columns", quantity, key]
+        view.act(partial(view.session.changed, keys, event.value, "corrected by pointing"))
 
     ui.label(quantity)
-    column = ui.input(value=str(table.get("column", quantity))).props(
-        f'dense aria-label="column of {quantity}"'
-    )
-    column.on("blur", lambda: change("column", column.value))
-    options = list(dict.fromkeys([str(table.get("unit", unit)), *UNITS.get(unit, (unit,))]))
-    box = ui.select(options, value=options[0], on_change=lambda e: change("unit", e.value))
+    now = its.get("column", quantity)
+    choices = {now: str(now) if now != 0 else "row number", **{name: name for name in labels}}
+    box = ui.select(choices, value=now, on_change=partial(change, "column"))
+    box.props(f'dense aria-label="column of {quantity}"')
+    units = list(dict.fromkeys([str(its.get("unit", unit)), *UNITS.get(unit, (unit,))]))
+    box = ui.select(units, value=units[0], on_change=partial(change, "unit"))
     box.props(f'dense aria-label="unit of {quantity}"')
 
 
-def _rows(project: Project, loaded: LoadedData) -> None:
-    data = loaded.dataset
+def _robot(project: Project, data: Dataset) -> Any:
+    """The machine in the first pose."""
     mechanism = project.mechanism
+    drawn = machine_figure(mechanism, _pose(project, data, 0)) if len(data) else None
+    if drawn is None:
+        return None
+    return ui.plotly(drawn).classes("w-full").props('aria-label="the robot in the selected row"')
+
+
+def _pose(project: Project, data: Dataset, index: int) -> dict[str, float]:
+    joints = joints_of(project.mechanism)
+    return {j: float(data[j][index]) if j in data.readings else 0.0 for j in joints}
+
+
+def _rows(view: View, project: Project, loaded: LoadedData, plot: Any) -> None:
+    data, mechanism = loaded.dataset, project.mechanism
     units = {**mechanism.quantities, **mechanism.known}
     names = [name for name in data.readings if name in units]
     for warning in loaded.warnings:
@@ -113,21 +150,13 @@ def _rows(project: Project, loaded: LoadedData) -> None:
         for n in names
     ]
     rows = [_row(data, i, names, units) for i in range(min(len(data), ROWS))]
-    said = f"{len(data)} poses" + (f"; the first {ROWS} are shown" if len(data) > ROWS else "")
-    ui.label(said).classes("text-subtitle1")
-    joints = [step.joint for step in mechanism.chain if step.joint]
-    drawn = None
-    if joints:
-        drawn = machine_figure(mechanism, {j: float(data[j][0]) for j in joints})
-    plot = ui.plotly(drawn).classes("w-full") if drawn is not None else None
+    more = words.FIRST_ROWS.format(all=len(data), shown=ROWS)
+    heading(more if len(data) > ROWS else f"{len(data):,} poses")
 
     def chosen(event: Any) -> None:
-        if plot is None or not event.selection:
-            return
-        index = event.selection[0]["index"]
-        again = machine_figure(mechanism, {j: float(data[j][index]) for j in joints})
-        if again is not None:
-            plot.update_figure(again)
+        if plot is not None and event.selection:
+            pose = _pose(project, data, event.selection[0]["index"])
+            plot.run_plot_method("restyle", moved(mechanism, pose), [0])
 
     made = ui.table(
         columns=head,
@@ -138,6 +167,14 @@ def _rows(project: Project, loaded: LoadedData) -> None:
         pagination=12,
     )
     made.props("dense flat").classes("w-full")
+    made.add_slot(
+        "body-cell",
+        "<q-td :props=\"props\" :class=\"props.value === '' ? 'blank' : ''\">"
+        "{{ props.value === '' ? 'blank' : props.value }}</q-td>",
+    )
+    left = project.inputs.get("data", {}).get("exclude", [])
+    if left:
+        ui.label(f"Excluded: pose {', '.join(map(str, left))}").classes("text-body2")
 
 
 def _row(data: Dataset, i: int, names: list[str], units: dict[str, str]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from loopcal.errors import InputError
@@ -40,21 +40,35 @@ def with_shift(text: str, changing: Sequence[str], at: Sequence[float], column: 
     column: of the known constant that counts poses. An effect for the same parameters gets the
     further steps.
     """
+    effect = {
+        "type": "shift",
+        "name": f"shift of {', '.join(changing)}",
+        "changing": list(changing),
+        "column": column,
+        "at": sorted(map(float, at)),
+    }
+    return _with_effect(text, effect)
+
+
+def with_changes(text: str, lines: str) -> str:
+    """The text with the effects of other lines: `change_points.toml` of a result."""
+    for effect in _parsed(lines).unwrap().get("mechanism", {}).get("effect", []):
+        text = _with_effect(text, effect)
+    return text
+
+
+def _with_effect(text: str, effect: Mapping[str, Any]) -> str:
     document = _parsed(text)
     mechanism = document.setdefault("mechanism", _tomlkit().table())
     effects = mechanism.get("effect")
-    for effect in effects or ():
-        if effect.get("type") == "shift" and list(effect.get("changing", ())) == list(changing):
-            effect["at"] = sorted({*map(float, effect["at"]), *map(float, at)})
+    for known in effects or ():
+        same = known.get("type") == effect["type"]
+        if same and list(known.get("changing", ())) == list(effect["changing"]):
+            if "at" in effect:
+                known["at"] = sorted({*map(float, known["at"]), *map(float, effect["at"])})
             return str(document.as_string())
     made = _tomlkit().table()
-    made.update(
-        type="shift",
-        name=f"shift of {', '.join(changing)}",
-        changing=list(changing),
-        column=column,
-        at=sorted(map(float, at)),
-    )
+    made.update(effect)
     if effects is None:
         mechanism["effect"] = effects = _tomlkit().aot()
     effects.append(made)

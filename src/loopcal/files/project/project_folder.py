@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from stat import S_ISREG
+from typing import Any, BinaryIO
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
@@ -20,6 +23,10 @@ from loopcal.files.atomic import write_atomic
 LOG = "loopcal-log.jsonl"
 PROJECT = "project.toml"
 RESULT = "result.json"
+PLAN_DOCUMENT = "plan.json"
+PREVIEW = ".preview"
+"""Folder of exports that are only looked at."""
+_APPENDING = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -80,17 +87,36 @@ class ProjectFolder:
         """Where `loopcal calibrate` writes the result of the project."""
         return self.path / f"{self.project.stem}-result"
 
+    @property
+    def plan(self) -> Path:
+        """Where `loopcal plan` writes the plan of the project."""
+        return self.path / f"{self.project.stem}-plan"
+
+    @property
+    def export(self) -> Path:
+        """Where `loopcal export` writes files for the robot."""
+        return self.result / "export"
+
+    @property
+    def tried(self) -> list[Path]:
+        """Folders of results beside that of the project."""
+        beside = self.path.glob(f"{self.project.stem}-*/{RESULT}")
+        return sorted(path.parent for path in beside if path.parent != self.result)
+
     def listed(self) -> list[Listed]:
-        """The files in the folder and in that of the result, by name."""
+        """The files in the folder, and in those of results, plan and export, by name; without
+        hidden ones and names with control characters."""
         found = []
-        for folder in (self.path, self.result):
+        for folder in (self.path, self.result, self.plan, self.export, *self.tried):
             if not folder.is_dir():
                 continue
             for path in sorted(folder.iterdir()):
-                if path.is_file() and not path.name.startswith("."):
-                    known = path.stat()
-                    name = path.relative_to(self.path).as_posix()
-                    found.append(Listed(name, known.st_size, known.st_mtime_ns))
+                if path.name.isprintable() and path.name[0] != ".":
+                    with suppress(FileNotFoundError):  # gone since
+                        known = path.stat()
+                        name = path.relative_to(self.path).as_posix()
+                        if S_ISREG(known.st_mode):
+                            found.append(Listed(name, known.st_size, known.st_mtime_ns))
         return found
 
     def text(self) -> str | None:
@@ -132,6 +158,18 @@ class ProjectFolder:
             )
         return path
 
+    def inside_of(self, folder: str) -> list[str]:
+        """Names of the files in a folder of this one, without backups."""
+        paths = sorted(self.inside(folder).glob("*"))
+        return [p.name for p in paths if p.is_file() and ".bak" not in p.name]
+
+    def content(self, name: str) -> str | None:
+        """The text of a file of the folder; None where it is not there or is no text."""
+        try:
+            return self.inside(name).read_text("utf-8")
+        except (OSError, UnicodeDecodeError):
+            return None
+
     def take(self, name: str, content: bytes) -> Path:
         """Keep a file that was handed in, under its own last name. Raises InputError for a name
         that cannot stand, and where a file of other content has it."""
@@ -160,6 +198,13 @@ class ProjectFolder:
         write_atomic(self.project, text)
         self.noted("edit", what, {"reason": reason, "before": before, "after": text})
 
+    def remove(self, reason: str) -> None:
+        """Remove the project file, and write that into the log; `undo` brings it back."""
+        before = self.text()
+        self.project.unlink(missing_ok=True)
+        told = {"reason": reason, "before": before, "after": None}
+        self.noted("edit", f"removed {self.project.name}", told)
+
     def undo(self) -> str:
         """Take the last change of the project back, and say which. Raises InputError where there
         is none, and where the project was changed since by someone else."""
@@ -179,15 +224,24 @@ class ProjectFolder:
         return last.what
 
     def noted(self, kind: str, what: str, told: Mapping[str, Any]) -> None:
-        """Add a line to the log: on the disk before this returns."""
+        """Add a line to the log: on the disk before this returns. Raises InputError where it
+        cannot be written."""
         at = datetime.now(UTC).isoformat(timespec="seconds")
         line = json.dumps({"at": at, "kind": kind, "what": what, **told}, ensure_ascii=True)
         path = self.path / LOG
-        broken = path.exists() and not path.read_bytes().endswith(b"\n")
-        with path.open("ab") as file:
-            file.write(b"\n" * broken + line.encode() + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
+        try:
+            with _APPENDING, path.open("ab+") as file:
+                broken = file.tell() > 0 and not _ends_a_line(file)
+                file.write(b"\n" * broken + line.encode() + b"\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise InputError(
+                f"cannot be written: {error.strerror or error}",
+                code="unwritable-file",
+                place=str(path),
+                remedy="free some space, or choose a folder with write permission",
+            ) from None
 
     def log(self) -> Log:
         """What was done in the folder."""
@@ -205,6 +259,12 @@ class ProjectFolder:
             except (ValueError, KeyError, TypeError):
                 broken.append(number)
         return Log(tuple(entries), tuple(broken))
+
+
+def _ends_a_line(file: BinaryIO) -> bool:
+    """Whether what a file ends with is a whole line; it can be read and appended to."""
+    file.seek(-1, os.SEEK_END)
+    return file.read(1) == b"\n"
 
 
 def _is_project(path: Path) -> bool:
