@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from loopcal.chi_squared import quantile
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.faults.misfit import HALF, misfit
-from loopcal.estimation.problem.pose_equations import pose_equations
+from loopcal.estimation.problem.pose_equations import pose_equations, rounding_left
 from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.loss import Huber, Loss
@@ -273,7 +273,7 @@ class Search:
         known = self.result.solution.equations
         spare = max(known - len(self.problem.free), 1) / known
         mean = total / equations if cleaned else 0.0
-        return max(middle / spare, mean / spare, 1e-300)
+        return max(middle / spare, mean / spare, rounding_left(self.problem, found), 1e-300)
 
     def _plausible(self, gone: NDArray[np.bool_]) -> float:
         """Up to here a median ratio is chance: its sd is about 1.5 / sqrt(poses)."""

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+
+from loopcal.lazy import cached_property
 
 Array = NDArray[np.float64]
 RANK_TOLERANCE, SUMMED_TOLERANCE = 1e-10, 1e-6
