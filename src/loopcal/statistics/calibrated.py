@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,8 @@ class Calibrated:
     parameters with learnt sds (terms) carry the error of the model; noise: the sds of its sensors;
     residual: of a method that takes the readings as exact; gain: the covariance at the sds that the
     fit used, were no residuals dependent, by which the prior weighed; None is `covariance`;
-    scatter: the covariance (n_all, n_all) that the poses themselves show, where it is known.
+    scatter: the covariance (n_all, n_all) that the poses themselves show, where it is known;
+    hidden: quantities that no sensor reads, and where they usually are [SI].
     """
 
     name: str
@@ -57,6 +59,7 @@ class Calibrated:
     residual: ResidualVariance | None = None
     gain: Array | None = None
     scatter: Scatter | None = None
+    hidden: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, result: Result, name: str) -> Calibrated:
@@ -81,6 +84,7 @@ class Calibrated:
             _residual(result.solution.chi_squared, result.freedom) if exact else None,
             _spread(LearntCovariance.known(result.spectrum.covariance()), free, size).matrix,
             seen and seen.through(np.eye(size)[:, free]),
+            _hidden(result),
         )
 
     @classmethod
@@ -118,6 +122,7 @@ class Calibrated:
             document.noise,
             _residual(_squares(document), _freedom(document)) if exact else None,
             scatter=seen and seen.through(np.eye(len(names))[:, free]),
+            hidden={} if stored is None else {q: stored.typical[q] for q in stored.unmeasured},
         )
 
     @property
@@ -144,6 +149,15 @@ class Calibrated:
             return replace(self, covariance=own.scaled_by(self.factor))
         scaled = LearntCovariance.scaled(self.factor * own.matrix, chi.degrees_of_freedom)
         return replace(self, covariance=scaled)
+
+
+def _hidden(result: Result) -> dict[str, float]:
+    """The median of what the loops find of each quantity that no sensor reads in any pose."""
+    problem, names = result.problem, result.problem.mechanism.tape.quantities
+    return {
+        names[i]: float(np.median(problem.readings[i] + result.corrections[names[i]]))
+        for i in np.flatnonzero(np.isinf(problem.uncertainty.sd).all(axis=1)).tolist()
+    }
 
 
 def _rejected(chi: ChiSquared | None, applied: bool) -> ChiSquared | None:
