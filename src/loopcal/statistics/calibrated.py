@@ -69,7 +69,7 @@ class Calibrated:
         return cls(
             name,
             result.calibrated,
-            _spread(result.learnt_covariance, free, size),
+            result.learnt_covariance.within(size, free),
             _rows(loose, free, size),
             np.array([p.nominal for p in parameters]),
             np.array([math.inf if exact else p.prior_sd for p in parameters]),
@@ -79,7 +79,7 @@ class Calibrated:
             bool(result.terms),
             result.noise,
             _residual(result.solution.chi_squared, result.freedom) if exact else None,
-            _spread(LearntCovariance.known(result.spectrum.covariance()), free, size).matrix,
+            LearntCovariance.known(result.spectrum.covariance()).within(size, free).matrix,
             seen and seen.through(np.eye(size)[:, free]),
         )
 
@@ -107,7 +107,7 @@ class Calibrated:
         return cls(
             name,
             mechanism.with_nominal({n: entries[n].value for n in names}),
-            _spread(covariance, free, len(names)),
+            covariance.within(len(names), free),
             _rows(loose, free, len(names)),
             np.array([entries[n].nominal for n in names]),
             np.array([math.inf if exact or sd is None else sd for sd in prior]),
@@ -172,10 +172,6 @@ def _squares(document: ResultDocument) -> float:
 def _freedom(document: ResultDocument) -> int:
     index = document.identifiability.calibration_index
     return 0 if index is None else index.value - document.identifiability.rank
-
-
-def _spread(covariance: LearntCovariance, free: NDArray[np.intp], size: int) -> LearntCovariance:
-    return covariance.through(np.eye(size)[:, free])
 
 
 def _rows(part: Array, free: NDArray[np.intp], size: int) -> Array:
