@@ -159,9 +159,9 @@ class Earlier:
         values, vectors = np.linalg.eigh(DR.T @ DR + self.added)
         half = vectors / np.sqrt(values)
         root, pull = self.root @ half, DR.T @ E - self.pull - self.added @ step
-        carried: Array = self.root
+        carried = self.root
         if self.seen is not None:
-            carried = np.linalg.solve(self.seen.at(centre).slopes, self.root)
+            carried = np.asarray(np.linalg.solve(self.seen.at(centre).slopes, self.root))
         mean = centre + root @ (half.T @ pull)
         return Around(centre, mean, root, carried, self._seen(centre, root), D)
 
@@ -194,7 +194,7 @@ class Earlier:
         problem = replace(problem, readings=problem.readings + corrections)
         blocks = _blocks(problem, centre)
         try:
-            roots: list[Array] = [np.linalg.cholesky(block.fixed) for block in blocks]
+            roots = [np.asarray(np.linalg.cholesky(block.fixed)) for block in blocks]
         except np.linalg.LinAlgError:
             return None
         D = _rows(roots, [block.J for block in blocks])

@@ -240,8 +240,8 @@ class _Search:
         if self.beyond and left >= _ENOUGH:
             wider = max((value - every) / left, 1.0)
             axes = (U / scale)[:, heads] @ (vectors[:, kept] / np.sqrt(sizes[kept]))
-            own = linear.denominator(axes) or np.inf
-            spread = _Spread(wider, 1.0 / (1.0 / left + 1.0 / own))
+            learnt = linear.denominator(axes) or np.inf
+            spread = _Spread(wider, 1.0 / (1.0 / left + 1.0 / learnt))
             freedom = 1.0 / (1.0 / freedom + 1.0 / left)
         return _System(
             G, g + G @ t, t, present, value, visible, group, freedom, linear, every, rank, spread
