@@ -10,7 +10,6 @@ from typing import Any
 from nicegui import ui
 
 from loopcal.app import words
-from loopcal.app.action import Action
 from loopcal.app.session import Session
 from loopcal.errors import LoopcalError
 
@@ -48,7 +47,7 @@ class View:
 
     def run(self, what: str, *line: str) -> bool:
         """Begin a run of `loopcal LINE`."""
-        return self.act(lambda: self.session.start(Action(what, line)))
+        return self.act(lambda: self.session.start(self.session.action(what, line)))
 
     async def run_to_end(self, what: str, *line: str) -> bool:
         """Run, and wait; whether it ended well."""
