@@ -158,16 +158,17 @@ def _gone(pid: int) -> bool:
 
 def memory(folder: Path, refits: int) -> list[tuple[int, float, float]]:
     """Refits, and MB of this process and of the warm one, from time to time."""
-    from multiprocessing.forkserver import _forkserver  # type: ignore[attr-defined]
+    from multiprocessing import forkserver
 
     session = Session(folder, command)
+    warm: int = getattr(forkserver, "_forkserver")._forkserver_pid  # noqa: B009
     rows = []
     for count in range(refits + 1):
         calibrate(session)
         assert finished(session) == 0
         session.state()
         if count % max(refits // 10, 1) == 0:
-            rows.append((count, resident(os.getpid()), resident(_forkserver._forkserver_pid)))
+            rows.append((count, resident(os.getpid()), resident(warm)))
     return rows
 
 

@@ -70,7 +70,7 @@ def test_a_project_for_others_names_no_file_outside(
 ) -> None:
     outside = folder.parent / "arm.toml"
     text = f'schema = 1\n[mechanism]\nfile = "{outside.as_posix()}"\n'
-    outside.write_text("schema = 1\nsecret = 1\n")
+    outside.write_text('schema = 1\ntype = "secret"\n')
     monkeypatch.setenv(INSIDE, str(folder))
     for name in (outside.as_posix(), "../arm.toml", "${HOME}/arm.toml", "link.toml"):
         (folder / "link.toml").unlink(missing_ok=True)

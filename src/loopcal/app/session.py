@@ -41,6 +41,7 @@ class Session:
         self.worker = Worker(command, self._begun, self._ended)
         self.last: dict[str, Run] = {}  # of each command, since the server started
         self.finished = 0
+        self._noted: Run | None = None
         self._source: tuple[int, Source | None, str] | None = None
         self._loaded: tuple[int, LoadedData | None, str] | None = None
         self._read: tuple[str, Project | None, str] | None = None
@@ -48,9 +49,12 @@ class Session:
     @property
     def version(self) -> int:
         """Another number whenever a file of the folder has changed."""
-        run = self.worker.run
-        going = (id(run), run.code) if run is not None else None
-        return hash((tuple(self.folder.listed()), going))
+        return hash((tuple(self.folder.listed()), id(self.worker.run), self.going))
+
+    @property
+    def going(self) -> bool:
+        """Whether a run goes on, or its end is not in the log yet."""
+        return self.worker.run is not self._noted
 
     def action(self, what: str, line: Sequence[str]) -> Action:
         """`loopcal LINE`, with the loops where they are Python code."""
@@ -70,9 +74,10 @@ class Session:
 
     def _ended(self, run: Run) -> None:
         self.last[run.action.words[0]] = run
-        self.finished += 1
         told = {"command": run.action.command, "code": run.code, "cancelled": run.cancelled}
         self.folder.noted("ended", run.action.what, told)
+        self.finished += 1
+        self._noted = run
 
     def project(self) -> Project | None:
         """The project as it stands; None where there is none or it cannot be read."""

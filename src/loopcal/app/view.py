@@ -23,6 +23,8 @@ class View:
     step: str = "robot"
     selected: list[int] = field(default_factory=list)
     kept: dict[str, Any] = field(default_factory=dict)
+    poses: tuple[str, ...] = ()
+    """Ids of the poses of the result that is shown."""
     refresh: Callable[[], Any] = lambda: None
     follow: list[Callable[[], Any]] = field(default_factory=list)
     """What is called when a control changes."""
@@ -32,6 +34,13 @@ class View:
         self.kept[name] = value
         for follower in self.follow:
             follower()
+
+    def select_among(self, poses: Sequence[str]) -> None:
+        """Keep the selected poses, by their ids, where the result has others than before."""
+        ids = {self.poses[i] for i in self.selected}
+        if tuple(poses) != self.poses:
+            self.selected[:] = [i for i, pose in enumerate(poses) if pose in ids]
+        self.poses = tuple(poses)
 
     def act(self, do: Callable[[], Any]) -> bool:
         """Do something that a user asked for, and show why where it cannot be done."""
