@@ -50,7 +50,7 @@ def finished(session: Session) -> int:
     """The exit code of the run that goes on."""
     run = session.worker.run
     assert run is not None
-    while session.worker.busy:
+    while session.going:
         time.sleep(0.005)
     assert run.code is not None
     return run.code

@@ -31,7 +31,7 @@ class _Linked:
         self.plots: list[Any] = []
         self.space: Any = None
         self.where = {int(i): n for n, i in enumerate(errors.drawn)}
-        self.selection = ui.refreshable(partial(_selected, view, errors))
+        self.selection = ui.refreshable(lambda: _selected(view, errors))
 
     def plot(self, drawn: dict[str, Any], label: str) -> None:
         """Draw a figure that takes part."""
