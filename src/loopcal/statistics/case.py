@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.calibrate import calibrate, may_be_faulty
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.solver import Progress
@@ -40,6 +40,11 @@ class Case:
         """Positions of the rows that copy others."""
         own = self.mechanism
         return copies(self.data, [*own.quantities, *own.known], own.outputs)
+
+    @property
+    def may_be_faulty(self) -> bool:
+        """Whether its calibration would seek faults of the file."""
+        return not self.trusted and may_be_faulty(self.mechanism, self.data, self.noise, self.fit)
 
     def calibrated(self, index: Index | None = None, progress: Progress | None = None) -> Result:
         """The calibration of these poses, by default of all; what copies are, all rows say.

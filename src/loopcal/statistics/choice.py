@@ -131,7 +131,9 @@ def choose(
     Raises InputError where no candidate can be fitted.
     """
     judged, waiting = list[Judged](), list(entrants(case))
-    while waiting and not any(one.whole for one in judged):  # the first fit seeks faults for all
+    doubted = waiting[0].case.may_be_faulty
+    while doubted and waiting and not any(one.whole for one in judged):
+        # the first fit seeks faults for all
         entrant = waiting.pop(0)
         judged.append(_fitted(entrant, iterated))
         whole = judged[-1].whole

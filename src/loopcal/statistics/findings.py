@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from loopcal.document.accuracy import Distances
@@ -13,6 +13,8 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.execution.executor import gathered
+from loopcal.execution.local import own_threads
 from loopcal.statistics.candidates import nominal_case
 from loopcal.statistics.case import Case
 from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, apart, find_shifts
@@ -103,9 +105,10 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
     solution, chosen = result.solution, result.chosen is not None
     with one_blas_thread():
         known = predictor(result)
-        outliers = find_outliers(result)
-        searched = result.status.converged and not outliers.columns
-        shifts = find_shifts(result) if searched else NOT_SEARCHED
+        # both take as long; the document is kept with the result
+        searched, _ = gathered(own_threads(), _asked, result, (_searched, _documented))
+        assert searched is not None
+        outliers, shifts = searched.outliers, searched.shifts
         told = result.document.change_points or ChangePoints((), shifts.level, 0)
         modelled, discarded = told.found, result.document.outliers or ()
         new = tuple(p for p in shifts.found if apart(p, modelled))
@@ -132,6 +135,28 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
             reliability(result),
             scatter(result),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _Searched:
+    """What does not fit, and what changed during the run."""
+
+    outliers: Outliers
+    shifts: Shifts
+
+
+def _asked(result: Result, what: Callable[[Result], _Searched | None]) -> _Searched | None:
+    return what(result)
+
+
+def _searched(result: Result) -> _Searched:
+    outliers = find_outliers(result)
+    able = result.status.converged and not outliers.columns
+    return _Searched(outliers, find_shifts(result) if able else NOT_SEARCHED)
+
+
+def _documented(result: Result) -> None:
+    _ = result.document
 
 
 def _unit_sd(result: Result) -> float | None:
