@@ -334,6 +334,12 @@ class Case:
         )
 
 
+def unread(whole: Result) -> dict[str, Array]:
+    """Corrections (N,) of what no sensor reads, where a fit ended."""
+    sds = dict(zip(whole.mechanism.tape.quantities, whole.problem.uncertainty.sd, strict=True))
+    return {q: v for q, v in whole.corrections.items() if np.isinf(sds[q]).all()}
+
+
 def _of_poses(
     values: Mapping[str, Array] | None, index: Index | None
 ) -> Mapping[str, Array] | None:
@@ -365,10 +371,8 @@ class _Begun:
         fit = replace(case.fit, start=dict(whole.value), prior=None)
         enough = NEARLY if whole.mechanism.learnt_terms else ENOUGH
         fit = replace(fit, tolerance=fit.tolerance or enough)
-        sds = dict(zip(whole.mechanism.tape.quantities, whole.problem.uncertainty.sd, strict=True))
-        unread = {q: v for q, v in whole.corrections.items() if np.isinf(sds[q]).all()}
         same = len(case.data) == whole.problem.count  # no copied rows went
-        near = Case(whole.mechanism, case.data, noise, fit, near=unread if same else {})
+        near = Case(whole.mechanism, case.data, noise, fit, near=unread(whole) if same else {})
         plain = fit.robust_loss is None and not fit.solver.at_readings
         return cls(case, near, whole if same and plain else None)
 

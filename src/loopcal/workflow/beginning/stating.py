@@ -11,14 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.mounted import Bodies, Mounted, see_points
+from loopcal.estimation.mounted import NEAR, TURNED, Bodies, Mounted, see_points
 from loopcal.files.paths import relative
 from loopcal.files.recognition.fields import Field, column_key, names_of
 from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.project_text import ProjectParts
 from loopcal.files.recognition.robots import Robot
 from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd
+from loopcal.mechanisms.structure.structured import MOUNTED
 from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import with_unit
 from loopcal.units import from_si, unit
 from loopcal.workflow.beginning.meanings import Meaning, polar
 from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
@@ -64,18 +66,11 @@ class Statement:
     converted: bool
     fits: Mapping[str, Mounted]
 
-    def shrunk(self, weak: str) -> Statement:
-        """With lengths and angles of the machine held near its drawing, how near to be learnt."""
-        structure = {"sag": False, "harmonics": False}
-        told = (
-            f"These poses determine the machine worse than a drawing does ({weak}), so its lengths "
-            "and angles are held near their nominal values; the calibration learns how near.",
-        )
+    def remarked(self, section: str, *words: str) -> Statement:
+        """With further comments on one of its sections."""
         remarks = dict(self.parts.remarks)
-        remarks["mechanism"] = (*remarks.get("mechanism", ()), *told)
-        mechanism = {**self.parts.mechanism, "structure": structure}
-        parts = replace(self.parts, mechanism=mechanism, remarks=remarks)
-        return replace(self, parts=parts)
+        remarks[section] = (*remarks.get(section, ()), *words)
+        return replace(self, parts=replace(self.parts, remarks=remarks))
 
 
 def stated(
@@ -122,8 +117,9 @@ def stated(
     remarks = {
         "mechanism": robot.remarks,
         "parameters": (
-            f"{', '.join(parameters)}: found by placing the nominal machine on the readings; where "
-            "a drawing states them, write its values.",
+            f"{', '.join(parameters)}: a guess, found by placing the nominal machine on the "
+            f"readings; what is mounted is known to {with_unit(NEAR, 'm')} only (sd). Where a "
+            f"drawing states it, write its values, with sd = {1e3 * MOUNTED['m']:g}.",
         ),
         "data": (
             *(*fields.remarks, *_inferred(found), *found.remarks, *_left_out(found)),
@@ -271,13 +267,15 @@ class _Instrument:
         def length(value: float) -> dict[str, Any]:
             return {"value": round(1e3 * float(value), 1) + 0.0, "unit": "mm"}
 
-        made = {f"{self.target}_{a}": length(v) for a, v in zip("xyz", target, strict=True)}
+        near = {"sd": 1e3 * NEAR}
+        made = {f"{self.target}_{a}": length(v) | near for a, v in zip("xyz", target, strict=True)}
         if mounted.turn is not None:
             from scipy.spatial.transform import Rotation
 
             turned = Rotation.from_matrix(mounted.turn).as_euler("ZYX", degrees=True)
             for motion, value in zip(("rz", "ry", "rx"), turned, strict=True):
                 entry = {"value": round(float(value), 2) + 0.0, "unit": "deg"}
+                entry["sd"] = float(significant(from_si(TURNED, "deg"), 2))
                 made[f"{self.target}_{motion}"] = entry
         if mounted.anchor is not None:
             made |= {
