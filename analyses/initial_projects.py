@@ -24,7 +24,7 @@ import loopcal as lc
 Array = NDArray[np.float64]
 ENCODER, TRACKER, DRAWN = 50e-6, 30e-6, 3e-3
 FRESH, GIVES = 500, 0.4e-3
-ROBOTS = {
+ROBOTS: dict[str, list[tuple[float, float, float, float]]] = {
     "UR10": [
         (0, 127.3, 90, 0),
         (-612, 0, 0, 0),
@@ -122,7 +122,10 @@ def errors(robot: str, kind: Kind, seed: int, folder: Path) -> Iterator[tuple[st
     measured = seen(joints) + rng.normal(0.0, TRACKER, (kind.poses, 3))
     read = joints + rng.normal(0.0, ENCODER, joints.shape)
     table = folder / "dh.csv"
-    table.write_text("a,d,alpha,theta\n" + "\n".join(",".join(map(str, r)) for r in ROBOTS[robot]))
+    table.write_text(
+        "a,d,alpha,theta\n"
+        + "\n".join(f"{a},{d},{alpha},{theta}" for a, d, alpha, theta in ROBOTS[robot])
+    )
     names = [f"J{i}" for i in range(1, n + 1)]
     columns = dict(zip([*names, "x", "y", "z"], [*read.T, *measured.T], strict=True))
     made = lc.init(columns, dh=table)

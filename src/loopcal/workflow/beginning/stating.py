@@ -110,8 +110,10 @@ def stated(
         table = {**apart.table, "instrument": looking}
         given = {n: {"value": 1e3 * v, "unit": "mm"} for n, v in apart.lengths.items()}
         parameters = {**given, **parameters}
-    converted = any(r.field is None for r in readings.values()) or any(
-        source.path is None for source in fields.sources
+    converted = (
+        any(r.field is None for r in readings.values())
+        or any(source.path is None for source in fields.sources)
+        or any(meaning.seen.station for meaning in found.seen)
     )
     data = _data(fields, readings, converted, folder)
     remarks = {
@@ -164,7 +166,13 @@ def _places(found: Understood) -> list[_Place]:
         station = "base" if i == 0 else f"station_{i + 1}"
         for k, meaning in enumerate(members):
             at = mounted.targets[k]
-            known = [p for p in places.values() if p.station != station and _same(meaning, p, at)]
+            known = [
+                p
+                for other, p in ((m, places.get(id(m))) for m in found.seen)
+                if p is not None
+                and p.station != station
+                and (_reads_again(meaning, other) or _same(meaning, p, at))
+            ]
             target = known[0].target if known else f"tool_{1 + len(places)}"
             places[id(meaning)] = _Place(station, target, mounted, known[0].at if known else at)
     if len({p.target for p in places.values()}) == 1:
@@ -182,6 +190,14 @@ def _together(bodies: Bodies, some: Sequence[Meaning]) -> Mounted | None:
         return None
     alone = float(np.sqrt(sum(m.fit.rms**2 for m in some if m.fit)))
     return both if both.rms <= CLEARLY * alone + _SAME else None
+
+
+def _reads_again(meaning: Meaning, other: Meaning) -> bool:
+    """Whether an instrument is another one in a further place: its columns are the same."""
+    own, its = meaning.seen, other.seen
+    return bool(own.station) and [f.heading for f in own.position] == [
+        f.heading for f in its.position
+    ]
 
 
 def _same(meaning: Meaning, other: _Place, at: Array) -> bool:
