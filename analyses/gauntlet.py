@@ -11,7 +11,8 @@ said, and how large the true error at fresh poses is beside the stated 95 % regi
   with q the limit of the region that `predict` states;
 - named: whether a finding speaks of the cause.
 
-    python -m analyses.gauntlet [--draws 100] [--processes 2] [--only WORD ...] [--write FILE]
+    python -m analyses.gauntlet [--draws 100] [--first 0] [--processes 2] [--only WORD ...]
+        [--write FILE]
 
 Draws are kept in .cache/gauntlet.jsonl as they end, and a run goes on where an earlier one stopped.
 Each has the stamp of the code that it judged; draws of other code do not count.
@@ -148,14 +149,16 @@ def main() -> None:
     """Run what is missing and print the table."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--draws", type=int, default=100)
+    options.add_argument("--first", type=int, default=0, help="the first draw, a new seed each")
     options.add_argument("--processes", type=int, default=2)
     options.add_argument("--only", nargs="*", default=[])
     options.add_argument("--keep", type=Path, default=KEPT)
     options.add_argument("--write", type=Path, help=f"the page to write into, {PAGE}")
     chosen = options.parse_args()
     names = [name for name in KINDS if all(word in name for word in chosen.only)]
+    wanted = range(chosen.first, chosen.first + chosen.draws)
     done = {(d["kind"], d["draw"]) for d in kept(chosen.keep)}
-    todo = [(n, i) for i in range(chosen.draws) for n in names if (n, i) not in done]
+    todo = [(n, i) for i in wanted for n in names if (n, i) not in done]
     chosen.keep.parent.mkdir(parents=True, exist_ok=True)
     with (
         chosen.keep.open("a", encoding="utf-8") as file,
@@ -164,7 +167,7 @@ def main() -> None:
         for future in as_completed([pool.submit(run, *which) for which in todo]):
             file.write(json.dumps(future.result()) + "\n")
             file.flush()
-    draws = [d for d in kept(chosen.keep) if d["kind"] in names and d["draw"] < chosen.draws]
+    draws = [d for d in kept(chosen.keep) if d["kind"] in names and d["draw"] in wanted]
     text = f"{table(draws)}\n\nstamp of the code that was judged: {STAMP}"
     print(text)
     if chosen.write:

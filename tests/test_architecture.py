@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "src" / "loopcal"
 
 # From the ground up. Names on one line do not import each other; imports point downwards only.
 LAYERS = (
-    ("errors",),
+    ("errors", "lazy"),
     ("chi_squared", "expressions", "units"),
     ("presentation", "small_samples"),
     ("execution",),
@@ -26,6 +26,7 @@ LAYERS = (
     ("figures",),
     ("report",),
     ("workflow",),
+    ("app",),
     ("cli",),
 )
 HEIGHT = {name: height for height, names in enumerate(LAYERS) for name in names}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ def test_a_clean_arm_is_sound_and_right() -> None:
     assert found["sound"]
     assert not wrong(found)
     assert "named" not in found
+    assert not [k.name for k in KINDS.values() if k.cause and re.search(k.cause, found["told"])]
 
 
 @pytest.mark.parametrize("name", ["points in mm", "a joint reversed", "left-handed frame"])

@@ -81,6 +81,7 @@ if TYPE_CHECKING:
     from loopcal.workflow.fleet import fleet
     from loopcal.workflow.history import history
     from loopcal.workflow.performance import performance
+    from loopcal.workflow.plan_program import plan_program
     from loopcal.workflow.public import (
         calibrate,
         check,
@@ -172,6 +173,7 @@ _HOME = {
     "workflow.calibration": ("write_result",),
     "workflow.exporting": ("Export", "export"),
     "workflow.correcting": ("correct",),
+    "workflow.plan_program": ("plan_program",),
     "workflow.performance": ("performance",),
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
@@ -289,6 +291,7 @@ __all__ = [
     "norm",
     "performance",
     "plan",
+    "plan_program",
     "planar_two_link",
     "predict",
     "random_poses",

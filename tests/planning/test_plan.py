@@ -15,6 +15,8 @@ import pytest
 
 import loopcal as lc
 from analyses.planning import beside_random, cases, kept
+from loopcal.files.programs.joint_axes import JointAxes
+from loopcal.files.programs.reader import read_program
 from loopcal.mechanisms.planar import planar_two_link
 from tests.command_line import run
 from tests.refusals import refused
@@ -187,3 +189,29 @@ def test_the_end_point_of_a_platform_that_nobody_reads_follows_from_its_legs() -
     usual = lc.check(case.mechanism, read.dataset, noise=case.noise).expected_at_poses[0].sd
     assert made.expected.end_point is not None
     assert 0.2 * usual < made.expected.end_point < usual
+
+
+def test_planned_poses_are_written_as_a_program_where_joints_are_driven(tmp_path: Path) -> None:
+    arm = lc.serial_arm([lc.Joint("a", "dh"), lc.Joint("b", "dh")], {"a_1": 0.4, "a_2": 0.3})
+    settings = lc.PlanSettings(dict.fromkeys("ab", (-1.0, 1.0)), number=60, model_error="none")
+    made = lc.plan(
+        arm, 6, noise={"a": 1e-4, "b": 1e-4, **dict.fromkeys("xyz", 1e-5)}, settings=settings
+    )
+    path = lc.plan_program(arm, made, tmp_path / "go.src")
+    driven = read_program(path, JointAxes({"a": "rad", "b": "rad"}))
+    q = np.array([t.joints for t in driven.targets]).T
+    assert q == pytest.approx(np.array([made.poses["a"], made.poses["b"]]), abs=1e-7)
+    assert [line.split(", ")[1] for line in path.read_text().splitlines() if "; pose" in line] == [
+        *made.use
+    ]
+    with refused("unwritable-file", "go.src"):
+        lc.plan_program(arm, made, path)
+    lc.plan_program(arm, made, path, force=True)
+    with refused("unsupported", "planar"):
+        lc.plan_program(planar_two_link(), planned(), tmp_path / "no.src")
+    assert not (tmp_path / "no.src").exists()
+
+
+def test_missing_ranges_are_asked_for_with_the_lines_to_add() -> None:
+    with refused("missing-key", "[plan.ranges]", 'phi2 = { from = -90, to = 90, unit = "deg" }'):
+        lc.plan(planar_two_link(), 5, noise=SD)

@@ -23,6 +23,7 @@ from loopcal.document.result_document import CoarseReadings, ResultDocument
 from loopcal.document.terms import TermEntry
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.presentation.wrapped import WIDTH
+from loopcal.statistics.judged_machine import off_the_drawing
 from loopcal.statistics.predictor import predictor
 from loopcal.statistics.region import region_of
 from loopcal.statistics.verdict import SOUND, verdict_of
@@ -78,6 +79,7 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
     "mounting-unstated": ("mechanism.unstated", (("x6B", "y6B", "z6B"),), None),
     "model-incomplete": ("dependence", depends(1.0, 1e-9), False),
     "serial-dependence": ("dependence", depends(1e-9, 1.0), None),
+    "errors-shared": ("dependence", Dependence((), 1e-3, shared=likeness(1e-9)), None),
     "regions-too-small": ("validation.coverage", Coverage(0.95, 0.6, 60), False),
     "overfitted": ("accuracy.after.rms", 1e-4, None),
     "outliers": ("outliers", (OUTLIER,), None),
@@ -164,6 +166,14 @@ def test_an_error_of_the_machine_model_leaves_the_question_open() -> None:
     assert "1.37 mm" in found.sound.words
     nothing = replace(model, sd=0.0)
     assert verdict_of(replace(document, noise=(*document.noise, nothing))) == verdict_of(document)
+
+
+def test_regions_that_take_shared_errors_as_independent_say_so_alone() -> None:
+    few = changed(clean(), "validation.coverage", Coverage(0.95, 0.6, 60))
+    shared = replace(few, dependence=Dependence((), 1e-3, shared=likeness(1e-9)))
+    assert verdict_of(shared).sound.code == "errors-shared"
+    independent = replace(few, dependence=Dependence((), 1e-3, shared=likeness(0.1)))
+    assert verdict_of(independent).sound.code == "regions-too-small"
 
 
 def test_a_slip_is_named_with_row_size_and_cause() -> None:
@@ -356,6 +366,66 @@ def test_a_hundred_prior_sds_are_too_far_for_every_method() -> None:
         parameters = tuple(off if p is first else p for p in document.parameters)
         found = verdict_of(replace(document, parameters=parameters)).sound
         assert (found.code, found.passed) == (code, False)
+
+
+def with_lengths(document: ResultDocument, *off: float) -> ResultDocument:
+    """The document with a learnt term of so many lengths, each this far [m] off its drawing."""
+    first = next(p for p in document.parameters if p.unit == "m" and not p.fixed)
+    own = [
+        replace(first, name=f"a_{i}", value=first.nominal + d, prior_sd=2e-2, sd=2e-5)
+        for i, d in enumerate(off, 1)
+    ]
+    term = replace(SAG, name="lengths", unit="m", columns=len(own))
+    return replace(document, parameters=tuple(own), terms=(term,))
+
+
+def test_a_dimension_that_is_off_the_drawing_alone_is_named() -> None:
+    near = (3e-4, -2e-4, 1e-4, -3e-4, 2e-4)
+    found = verdict_of(with_lengths(clean(), *near, -0.05)).sound
+    assert (found.code, found.passed) == ("off-the-drawing", None)
+    assert "a_6 is off the drawing by -50.0 mm" in found.words
+    # all of them are off, or one not far enough to stand out of five others
+    for off in ((0.05, -0.04, 0.03, 0.05, -0.06, 0.05), (*near, 1e-3)):
+        assert verdict_of(with_lengths(clean(), *off)).sound.passed
+
+
+def test_lengths_of_one_distribution_are_off_the_drawing_once_in_a_thousand() -> None:
+    rng = np.random.default_rng(4)
+    document = clean()
+    alarms = [
+        off_the_drawing(with_lengths(document, *(3e-4 * rng.standard_normal(8)))) is not None
+        for _ in range(2000)
+    ]
+    assert sum(alarms) <= 6  # 2 are expected, 7 or more come once in 200
+
+
+def test_stated_sds_that_the_choice_did_without_are_judged() -> None:
+    first, *others = candidates(1e-6).over
+
+    def judged(*factors: float) -> tuple[str, bool | None]:
+        chi = [ChiSquared.of(100.0 * factor, 100) for factor in factors]
+        over = [replace(c, chi_squared=x) for c, x in zip(others, chi, strict=False)]
+        chosen = replace(candidates(1e-6), over=(first, *over))
+        found = verdict_of(replace(clean(), chosen=chosen)).sound
+        return found.code, found.passed
+
+    assert judged(1e-6, 4e-3) == ("sds-overruled", None)
+    assert judged(9.0, 50.0) == ("sds-overruled", None)
+    assert judged(1.0, 50.0)[0] == judged(0.01, 0.9)[0] == "sound"
+
+
+def test_degrees_of_freedom_used_in_vain_do_not_make_sds_generous() -> None:
+    assert verdict_of(replace(clean(), chi_squared=ChiSquared.of(57.0, 114, 40.0))).sound.passed
+    generous = verdict_of(replace(clean(), chi_squared=ChiSquared.of(57.0, 114, 10.0))).sound
+    assert generous.code == "sds-generous"
+
+
+def test_a_file_at_fault_is_told_alone_and_a_failed_fit_has_no_region() -> None:
+    fault = ColumnFault(("xP",), "xP is in mm", 1.0, 0.0)
+    failed = changed(clean(), "status.converged", False)
+    found = verdict_of(replace(failed, column_faults=(fault,)))
+    assert found.sound.words == "The file is at fault: xP is in mm."
+    assert found.valid.code == verdict_of(failed).valid.code == "region-unknown"
 
 
 def test_every_code_is_described() -> None:

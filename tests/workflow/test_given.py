@@ -48,6 +48,11 @@ def in_degrees(data: lc.Dataset) -> dict[str, Any]:
     return table | {q: np.degrees(data[q]) for q in ("phi2", "phi3")}
 
 
+def test_a_project_with_options_keeps_its_title(project: lc.Project) -> None:
+    assert project.title
+    assert lc.calibrate(EXAMPLE, method="least-squares").document.title == project.title
+
+
 def test_a_project_its_path_and_its_values_give_the_same_fit(
     project: lc.Project, data: lc.Dataset
 ) -> None:

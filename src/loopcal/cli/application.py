@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from loopcal.cli.output import print_out
+from loopcal.errors import UsageError
 
 app = typer.Typer(
     name="loopcal",
@@ -56,6 +57,25 @@ ClusterOption = Annotated[
         help="Compute on a Dask cluster: tcp://HOST:PORT, or the scheduler's file [default: here].",
     ),
 ]
+PulsesOption = Annotated[
+    str | None,
+    typer.Option(
+        "--pulses-per-degree",
+        metavar="N,N,...",
+        help="Pulses per degree of each joint (of a slide per mm), for programs in pulses.",
+    ),
+]
+
+
+def numbers_of(text: str | None, option: str) -> list[float]:
+    """Numbers with commas between; none of None. Raises UsageError where one is no number."""
+    try:
+        return [] if text is None else [float(part) for part in text.split(",")]
+    except ValueError:
+        raise UsageError(
+            f"{option} is {text!r}, which is not a list of numbers with commas between them",
+            remedy=f"give {option}=1,2.5,-3",
+        ) from None
 
 
 def _version(asked: bool) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from loopcal.cli.application import JsonOption, app
+from loopcal.cli.application import JsonOption, PulsesOption, app, numbers_of
 from loopcal.cli.output import log, print_json, print_out
 from loopcal.errors import UsageError
 
@@ -70,12 +70,7 @@ def correct(
             help="Insert targets until straight moves are off by less [default: none inserted].",
         ),
     ] = None,
-    pulses_per_degree: Annotated[
-        str | None,
-        typer.Option(
-            metavar="N,N,...", help="Pulses per degree of each joint, for programs in pulses."
-        ),
-    ] = None,
+    pulses_per_degree: PulsesOption = None,
     at: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Constant of the result, such as a temperature."),
@@ -100,7 +95,7 @@ def correct(
             math.radians(most_turn), 1e-3 * most_slide, least_gain, _metres(line)
         ),
         at=_constants(at or []),
-        pulses=() if pulses_per_degree is None else _list(pulses_per_degree),
+        pulses=numbers_of(pulses_per_degree, "--pulses-per-degree"),
     )
     where = f"written to {done.written}" if done.written else "nothing is written"
     if as_json:
@@ -116,17 +111,9 @@ def _metres(value: float | None) -> float | None:
     return None if value is None else 1e-3 * value
 
 
-def _list(text: str) -> list[float]:
-    """Numbers with commas between; none where one is no number."""
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        return []
-
-
 def _numbers(text: str, option: str) -> list[float]:
     """Three or six numbers with commas between."""
-    found = _list(text)
+    found = numbers_of(text, option)
     if len(found) not in (3, 6):
         raise UsageError(
             f"{option} is {text!r}, which is not three or six numbers with commas between them",

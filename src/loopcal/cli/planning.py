@@ -6,7 +6,14 @@ from typing import Annotated
 
 import typer
 
-from loopcal.cli.application import FunctionOption, JsonOption, ProjectArgument, app
+from loopcal.cli.application import (
+    FunctionOption,
+    JsonOption,
+    ProjectArgument,
+    PulsesOption,
+    app,
+    numbers_of,
+)
 from loopcal.cli.output import log, print_json, print_out
 
 
@@ -47,6 +54,18 @@ def plan(
             help="Write the plan to this folder [default: NAME-plan beside NAME.toml].",
         ),
     ] = None,
+    program: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write the poses as a program too: .mod (RAPID), .src (KRL), .ls (Fanuc), .jbi "
+            "(Yaskawa) or .script (URScript) [default: none].",
+        ),
+    ] = None,
+    pulses_per_degree: PulsesOption = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace the program where it exists.")
+    ] = False,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
     no_report: Annotated[
@@ -60,12 +79,22 @@ def plan(
     with Progress() as progress:
         done = run_plan(
             project,
-            PlanRequest(poses, criterion, candidates, existing, not no_report),
+            PlanRequest(
+                poses,
+                criterion,
+                candidates,
+                existing,
+                not no_report,
+                program,
+                numbers_of(pulses_per_degree, "--pulses-per-degree"),
+                force,
+            ),
             out=out,
             function=mechanism,
             progress=lambda tried, total: progress.pieces("poses chosen or tried", tried, total),
         )
     where = f"written to {done.folder}: {', '.join(done.files)}"
+    where += "" if done.program is None else f"\nprogram: {done.program}"
     if as_json:
         print_json({"title": done.title, **done.plan.document()})
         log(where)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.bounds import Size
+from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.terms import TermEntry
 
 
@@ -26,6 +27,8 @@ class Candidate:
     """Why it was discarded before the end; null: it was not."""
     terms: tuple[TermEntry, ...] = ()
     """What it learnt of the model error, where the chosen candidate learnt nothing."""
+    chi_squared: ChiSquared | None = None
+    """Of its fit of all poses at the stated sds; null: it used none, or did not converge."""
 
 
 @dataclass(frozen=True)

@@ -23,13 +23,16 @@ class ChiSquared:
     """Probability of a value at least this large if model and sds are right."""
     variance_factor: Size | None
     """Value per degree of freedom."""
+    absorbed: Size = 0.0
+    """Degrees of freedom of priors that may be wider than the machine is off, and of learnt terms
+    that the data do not need: by so much the value may be smaller with the right sds."""
 
     @classmethod
-    def of(cls, value: float, freedom: int) -> ChiSquared:
+    def of(cls, value: float, freedom: int, absorbed: float = 0.0) -> ChiSquared:
         """With what follows from value and degrees of freedom, None where these are none."""
         if freedom <= 0:
-            return cls(value, freedom, None, None)
-        return cls(value, freedom, tail(value, freedom), value / freedom)
+            return cls(value, freedom, None, None, absorbed)
+        return cls(value, freedom, tail(value, freedom), value / freedom, absorbed)
 
     @property
     def too_large(self) -> bool:
@@ -41,7 +44,10 @@ class ChiSquared:
     @property
     def too_small(self) -> bool:
         """Whether the corrections are smaller than the stated sds let expect."""
-        return (self.p_value or 0.0) > 0.999 and (self.variance_factor or 1.0) < 0.8
+        left = self.degrees_of_freedom - self.absorbed
+        if self.p_value is None or left <= 0.0 or self.value >= 0.8 * left:
+            return False
+        return tail(self.value, left) > 0.999
 
     def warnings(self, discrepancy: float | None, unit: str) -> tuple[str, ...]:
         """What the reader must know of the stated sds.

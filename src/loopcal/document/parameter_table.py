@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 from loopcal.document.fit import ParameterEntry
@@ -12,6 +11,7 @@ from loopcal.document.notebook_html import parameters_html
 from loopcal.document.tables import parameter_table
 from loopcal.document.validity import validity
 from loopcal.errors import InputError, nearest
+from loopcal.lazy import cached_property
 
 
 @dataclass(frozen=True, eq=False, repr=False)

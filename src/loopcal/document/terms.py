@@ -62,6 +62,12 @@ class TermEntry:
     """What it does joint by joint, the largest first."""
 
     @property
+    def spared(self) -> float:
+        """Degrees of freedom that it uses although the data need nothing of it; else its scale."""
+        needed = self.gain is None or self.gain >= DECISIVE
+        return 1.0 if needed else self.effective
+
+    @property
     def told(self) -> tuple[str, ...]:
         """What the term does to the machine, a sentence per joint, where the data need it."""
         if self.gain is None or self.gain < DECISIVE:

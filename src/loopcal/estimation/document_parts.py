@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from loopcal.document.fit import CovarianceEntry, NoiseEntry, ParameterEntry, StatusEntry
 from loopcal.document.plain import known
 from loopcal.document.result_document import CoarseReadings, DataEntry, JoinedFile
+from loopcal.document.terms import TermEntry
 from loopcal.document.triangle import lower
+from loopcal.estimation.problem.pose_equations import PoseEquations
+from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.redundancy import UNCONTROLLED, Redundancy
 from loopcal.estimation.solve.status import Status
 from loopcal.measurements.dataset import Dataset
@@ -92,12 +95,27 @@ def noise_entries(
     return tuple(found)
 
 
-def coarse_readings(data: Dataset, noise: Sequence[NoiseEntry]) -> tuple[CoarseReadings, ...]:
+def absorbed(problem: Problem, terms: Sequence[TermEntry]) -> float:
+    """Degrees of freedom that priors may use although the parameters are nearer to the drawing."""
+    informed = int(np.isfinite(problem.prior_sd).sum()) - sum(term.columns for term in terms)
+    return max(informed, 0) + sum(term.spared for term in terms)
+
+
+def coarse_readings(
+    data: Dataset,
+    noise: Sequence[NoiseEntry],
+    problem: Problem,
+    equations: Sequence[PoseEquations],
+) -> tuple[CoarseReadings, ...]:
     """Quantities whose rounding makes a quarter or more of the variance of their readings.
 
-    Corrections far smaller than the rounding show that the column holds targets on a grid.
+    equations: of every pose where the fit ended. Corrections far smaller than the rounding show
+    that the column holds targets on a grid, unless an error of the model is there in their place,
+    as large as the rounding would make it.
     """
     found: dict[tuple[str, float], list[str]] = {}
+    instead: dict[tuple[str, float], list[str]] = {}
+    modelled = any(entry.role == "disturbance" and entry.sd > 0.0 for entry in noise)
     for entry in noise:
         shown = entry.sd * math.sqrt(
             1.0 if entry.variance_factor is None else entry.variance_factor
@@ -105,14 +123,33 @@ def coarse_readings(data: Dataset, noise: Sequence[NoiseEntry]) -> tuple[CoarseR
         for quantity in entry.quantities:
             if entry.role != "reading" or quantity not in data.readings:
                 continue
-            step = recorded_step(data, quantity)
+            step = recorded_step(data, quantity, entry.unit)
             sd = rounding_sd(step)
             if sd > 0.0 and shown >= _COARSE * sd >= _COARSE**2 * entry.sd:
                 found.setdefault((entry.unit, step), []).append(quantity)
+            elif sd > _COARSE * entry.sd and (modelled or not entry.sd):
+                instead.setdefault((entry.unit, step), []).append(quantity)
+    caused = _caused(problem, equations) if instead else {}
+    share = sum(
+        rounding_sd(step) ** 2 * caused[q] for (_, step), names in instead.items() for q in names
+    )
+    if _COARSE**2 <= share <= 1.0 / _COARSE**2:
+        for key, names in instead.items():
+            found.setdefault(key, []).extend(names)
     return tuple(
         CoarseReadings(tuple(names), unit, step, rounding_sd(step))
         for (unit, step), names in found.items()
     )
+
+
+def _caused(problem: Problem, equations: Sequence[PoseEquations]) -> Mapping[str, float]:
+    """What a unit of variance of each reading causes in the equations, in mean squares of these."""
+    caused, square = np.zeros(len(problem.readings)), 0.0
+    for block in equations:
+        caused += np.square(block.X).sum(axis=(0, 1))
+        square += float(np.square(block.E).sum())
+    names = problem.mechanism.tape.quantities
+    return dict(zip(names, (caused / max(square, 1e-300)).tolist(), strict=True))
 
 
 def data_entry(dataset: Dataset, used: int, quantities: Sequence[str]) -> DataEntry:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -32,6 +31,7 @@ from loopcal.estimation.dependence.dependence import (
     dependence,
 )
 from loopcal.estimation.document_parts import (
+    absorbed,
     coarse_readings,
     covariance_entry,
     data_entry,
@@ -54,6 +54,7 @@ from loopcal.estimation.solve.robust import RobustSums
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.status import Status
+from loopcal.lazy import cached_property
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.small_samples import LearntCovariance
@@ -294,7 +295,7 @@ class Result(Views):
         known = not self.fit.solver.exact and self.fit.robust_loss is None
         if not known or not math.isfinite(value):
             return None
-        found = ChiSquared.of(value, self.freedom)
+        found = ChiSquared.of(value, self.freedom, absorbed(self.problem, self.terms))
         return replace(found, p_value=None) if self._all_sds_learnt else found
 
     @property
@@ -547,10 +548,10 @@ class Result(Views):
 
     @property
     def _document(self) -> ResultDocument:
-        errors = self.errors or {}
-        loose = self.identifiability.loose
-        quantities = self.mechanism.tape.quantities
-        noise = noise_entries(self.noise, self.chi_squared_shares, quantities, self._redundancy)
+        errors, loose = self.errors or {}, self.identifiability.loose
+        shares, names = self.chi_squared_shares, self.mechanism.tape.quantities
+        noise = noise_entries(self.noise, shares, names, self._redundancy)
+        coarse = coarse_readings(self.dataset, noise, self.problem, self.pose_equations())
         return ResultDocument(
             schema=SCHEMA,
             loopcal="",
@@ -585,7 +586,7 @@ class Result(Views):
             prediction=None,
             outliers=None,
             column_faults=self.faults or None,
-            data=replace(self._data, coarse=coarse_readings(self.dataset, noise)),
+            data=replace(self._data, coarse=coarse),
             warnings=self.warnings,
             inputs={},
             versions={},

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from functools import cached_property
 from typing import Any
 
 from loopcal.files.history.folder import Entries, Entry
+from loopcal.lazy import cached_property
 from loopcal.life.trends import FEWEST, Chart, chart, drift_rate
 from loopcal.presentation.shown import by_sd, chance, size, unit_shown, with_unit
 from loopcal.presentation.text_table import columns

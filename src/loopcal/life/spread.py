@@ -18,10 +18,11 @@ where v is small, that is Student's t with R - 1 degrees of freedom.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from loopcal.lazy import cached_property
 
 Array = NDArray[np.float64]
 LEVEL = 0.95

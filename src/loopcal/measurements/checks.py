@@ -27,7 +27,7 @@ from loopcal.units import convertible, from_si, unit
 _BOUNDS = {"rad": ((4 * math.pi, 0.1), (7.0, 0.5)), "m": ((100.0, 0.1),)}
 _COLDEST = 150.0
 """Temperature [K] below which no machine stands in a workshop."""
-_LIKELY = {"rad": ("deg", "degrees"), "m": ("mm", "millimetres")}
+_LIKELY = {"rad": ("deg", "degrees"), "m": ("mm", "millimetres or inches")}
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, nearest
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import Inputs, trace
+from loopcal.lazy import cached_property
 from loopcal.mechanisms.body import Body
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.instruments.orientation import Orientation

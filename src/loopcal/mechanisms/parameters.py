@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import cached_property
 from typing import Any
 
 from loopcal.errors import InputError, nearest
+from loopcal.lazy import cached_property
 from loopcal.units import to_si, unit
 
 

@@ -24,6 +24,11 @@ Array = NDArray[np.float64]
 STEP = {"rad": math.radians(0.01), "m": 1e-5}
 """Steps of random readings [SI]."""
 _QUARTER = 0.5 * math.pi
+_EXAMPLES = {
+    "rad": '{ from = -90, to = 90, unit = "deg" }',
+    "m": '{ from = 100, to = 900, unit = "mm" }',
+}
+_OTHER = "{ from = 0, to = 1 }"
 _ROUNDS = 10
 """Draws of random poses until enough are allowed."""
 EXACT = Noise({"*": 0.0})
@@ -92,7 +97,8 @@ def ranges_of(
         raise InputError(
             f"nothing says where {listed(missing)} may be",
             code="missing-key",
-            remedy="state ranges ([plan.ranges]), or give candidates",
+            remedy=f"add to the project [plan.ranges] with a line for each, such as "
+            f"{missing[0]} = {_EXAMPLES.get(units[missing[0]], _OTHER)}; or give candidates",
         )
     return found
 

@@ -10,7 +10,6 @@ root C root^T, C the inverse of that sum.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.reduction import Accumulator, spectrum
 from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.lazy import cached_property
 from loopcal.mechanisms.outputs import POLAR, seen_outputs
 
 Array = NDArray[np.float64]

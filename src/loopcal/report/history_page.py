@@ -25,10 +25,13 @@ def history_html(history: History) -> str:
         .render(
             title=f"History of {entries.folder.name}",
             version=version(),
-            history={"id": "h", "figures": {figure.key: figure for figure in _figures(history)}},
+            history={
+                "id": "h",
+                "figures": {figure.key: figure for figure in history_figures(history)},
+            },
             skipped=entries.skipped,
             outside=history.chart is not None and history.chart.outside,
-            entries=_table(history),
+            entries=history_table(history),
             style=part("style.css"),
             program=program,
             drawing=drawing,
@@ -37,7 +40,8 @@ def history_html(history: History) -> str:
     )
 
 
-def _figures(history: History) -> list[Figure]:
+def history_figures(history: History) -> list[Figure]:
+    """Parameters and accuracy over time, with the events."""
     events = [Event(e.time.isoformat(), e.content["words"]) for e in history.of_kind("event")]
     found = []
     for unit in dict.fromkeys(trend.unit for trend in history.trends):
@@ -64,7 +68,8 @@ def _line(trend: Trend) -> Line:
     return Line(trend.name, trend.times, values, _WIDE * sds)
 
 
-def _table(history: History) -> Table:
+def history_table(history: History) -> Table:
+    """The entries in their order."""
     rows = tuple(
         (
             str(e.sequence),

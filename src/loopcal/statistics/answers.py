@@ -28,6 +28,9 @@ _OUTPUTS = "Add an instrument that measures the end point."
 
 
 def valid(document: ResultDocument) -> Answer:
+    if document.column_faults or not document.status.converged:
+        words = "No region was judged: the sds of this fit mean nothing."
+        return Answer(None, "region-unknown", None, words, "Mend what is not sound first.")
     region = None if document.prediction is None else document.prediction.region
     if region is None:
         words = "Nothing says how far the machine works: its working region is unknown."

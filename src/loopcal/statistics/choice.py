@@ -34,13 +34,14 @@ from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.local import own_threads
 from loopcal.presentation.shown import by_sd, size, unit_shown
+from loopcal.presentation.wrapped import shortened
 from loopcal.statistics.candidates import Entrant, entrants
+from loopcal.statistics.case import Case
 from loopcal.statistics.changes import Changes, changes, unchanged
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.validation import (
-    Case,
     Failed,
     Outcome,
     Plan,
@@ -132,7 +133,9 @@ def choose(
     Raises InputError where no candidate can be fitted.
     """
     judged, waiting = list[Judged](), list(entrants(case))
-    while waiting and not any(one.whole for one in judged):  # the first fit seeks faults for all
+    doubted = waiting[0].case.may_be_faulty
+    while doubted and waiting and not any(one.whole for one in judged):
+        # the first fit seeks faults for all
         entrant = waiting.pop(0)
         judged.append(_fitted(entrant, iterated))
         whole = judged[-1].whole
@@ -297,9 +300,7 @@ def _without_hopeless(judged: Sequence[Judged], random: int) -> list[Judged]:
         own = ways.get(one.name, ())
         times = [a / b for a, b in zip(own, best, strict=False) if 0.0 < b < math.inf]
         if min(times, default=0.0) > HOPELESS and not one.entrant.cheap:
-            one = replace(
-                one, made=(), failed=f"discarded halfway, at {min(times):.1f} times the best rms"
-            )
+            one = replace(one, made=(), failed=f"{min(times):.1f} times the best rms halfway")
         kept.append(one)
     return kept
 
@@ -432,20 +433,24 @@ def _terms(one: Judged) -> tuple[str, ...]:
 
 
 def _bare(one: Judged) -> Candidate:
-    return Candidate(one.name, None, None, None, None, one.failed or None)
+    chi = None
+    if one.whole is not None and one.whole.status.converged and not one.entrant.drawn:
+        chi = one.whole.chi_squared
+    return Candidate(one.name, None, None, None, None, one.failed or None, chi_squared=chi)
 
 
 def _candidate(one: Judged, own: Validation | None, gain: Gain | None) -> Candidate:
     """As a document holds it; gain: of the chosen one over it, at random parts."""
+    bare = _bare(one)
     if own is None or own.accuracy is None:
-        return _bare(one)
+        return bare
     blocked = own.blocked and own.blocked.accuracy
-    return Candidate(
-        one.name,
-        own.accuracy.distances,
-        blocked.distances if blocked else None,
-        None if gain is None else gain.difference,
-        None if gain is None else gain.sd,
+    return replace(
+        bare,
+        out_of_sample=own.accuracy.distances,
+        blocked=blocked.distances if blocked else None,
+        difference=None if gain is None else gain.difference,
+        sd=None if gain is None else gain.sd,
     )
 
 
@@ -462,15 +467,19 @@ def _words(over: Sequence[Candidate], unit: str, better: Sequence[str]) -> str:
     if taken.blocked is not None:
         words += f", {size(taken.blocked.rms, unit)} {shown} in regions not used"
     beaten = [
-        f"{one.name} {by_sd(one.difference, one.sd, unit, sign=True)} ± {size(one.sd, unit, 2)}"
+        f"{one.name} {by_sd(one.difference, one.sd, unit, sign=True)} ± "
+        f"{by_sd(one.sd, one.sd, unit)}"
         for one in others
-        if one.difference is not None
+        if one.difference is not None and one.sd is not None
     ]
     if beaten:
         words += f"; rms of the others minus this: {', '.join(beaten)} {shown}"
-    out = [one.name for one in others if one.out_of_sample is None]
-    if out:
-        words += f"; out: {', '.join(out)}"
+    out: dict[str, list[str]] = {}
+    for one in others:
+        if one.out_of_sample is None:
+            out.setdefault(one.failed or "", []).append(one.name)
+    for why, names in out.items():
+        words += f"; discarded: {', '.join(names)}" + (f" ({shortened(why, 80)})" if why else "")
     if better:
         words += f"; {' and '.join(better)} not significantly better"
     return words

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from loopcal.document.result_document import ResultDocument
 from loopcal.presentation.rounding import significant
-from loopcal.statistics.rule import Said
+from loopcal.statistics.rule import LOOSE, Said
 
 SIZE = 3e-3
 """Relative sd of a size that only priors determine from which on its bias counts."""
@@ -63,3 +63,26 @@ def rows_copied(document: ResultDocument) -> Said | None:
     """Rows that copy others."""
     said = document.data.warnings()
     return Said(said[0], float(len(document.data.copied))) if document.data.copied else None
+
+
+def sds_overruled(document: ResultDocument) -> Said | None:
+    """Stated sds that are wrong by far, where the choice took a candidate that does without.
+
+    By chi-squared of every candidate that used them: a structured model error takes up what the
+    machine lacks, and where even plain candidates scatter too little, sds are too large.
+    """
+    over = () if document.chosen is None else document.chosen.over
+    tested = [c.chi_squared for c in over if c.chi_squared and c.chi_squared.p_value is not None]
+    if not tested or over[0].chi_squared in tested:
+        return None
+    factors = [chi.variance_factor or 1.0 for chi in tested]
+    least, most = min(factors), max(factors)
+    if most >= LOOSE and least <= 1.0 / LOOSE:
+        return None
+    size = "large" if most < LOOSE else "small"
+    return Said(
+        "The stated sds were not used, because they are about "
+        f"{significant(max(least, 1.0 / least) ** 0.5, 2)} times too {size}: with them "
+        f"chi-squared per degree of freedom is {significant(least, 2)}.",
+        least,
+    )

@@ -7,6 +7,13 @@ from dataclasses import dataclass
 
 from loopcal.document.result_document import ResultDocument
 
+RARE = 1e-3
+"""p-value of a single test from which a result is not sound: several tests are made."""
+LOOSE = 0.25
+"""Chi-squared per degree of freedom of sds twice as large as the readings show."""
+COLUMN_FAULT = "column-fault"
+"""The code of a file at fault: nothing that follows from it means anything."""
+
 
 @dataclass(frozen=True)
 class Said:

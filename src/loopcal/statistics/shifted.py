@@ -40,7 +40,7 @@ def with_shifts(
     if not effects:
         return Shifted(mechanism, data, "")
     if column not in mechanism.known:
-        data = data.with_readings({column: _numbers(data)}, units={column: "1"})
+        data = data.with_readings({column: pose_numbers(data)}, units={column: "1"})
     return Shifted(with_effects(mechanism, effects), data, shift_lines(data, found))
 
 
@@ -51,7 +51,7 @@ def shift_lines(data: Dataset, found: Sequence[ChangePoint]) -> str:
 
 
 def _effects(data: Dataset, found: Sequence[ChangePoint], column: str) -> list[Shift | Drift]:
-    numbers = _numbers(data)
+    numbers = pose_numbers(data)
     first = {pose: float(number) for pose, number in zip(data.poses, numbers, strict=True)}
     effects: list[Shift | Drift] = []
     for names in dict.fromkeys(p.names for p in found if p.shape == "step"):
@@ -63,15 +63,20 @@ def _effects(data: Dataset, found: Sequence[ChangePoint], column: str) -> list[S
     return effects
 
 
-def _numbers(data: Dataset) -> NDArray[np.float64]:
+def pose_numbers(data: Dataset) -> NDArray[np.float64]:
     """(N,) rising numbers of the poses: their ids where these are, else positions from 1."""
-    try:
-        ids = np.array([float(pose) for pose in data.poses])
-    except ValueError:
-        ids = np.zeros(0)
-    if len(ids) and np.isfinite(ids).all() and (np.diff(ids) > 0.0).all():
-        return ids
+    if ids_are_numbers(data.poses):
+        return np.array([float(pose) for pose in data.poses])
     return np.arange(1.0, len(data) + 1.0)
+
+
+def ids_are_numbers(poses: Sequence[str]) -> bool:
+    """Whether ids of poses are rising numbers."""
+    try:
+        ids = np.array([float(pose) for pose in poses])
+    except ValueError:
+        return False
+    return bool(len(ids) and np.isfinite(ids).all() and (np.diff(ids) > 0.0).all())
 
 
 def _table(effect: Shift | Drift) -> list[str]:

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from loopcal.document.change_points import ChangePoint
-from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.terms import DECISIVE, TermEntry
 from loopcal.document.verdict import Answer, Verdict
@@ -20,29 +19,21 @@ from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import chance, percent, with_unit
 from loopcal.presentation.wrapped import shortened
 from loopcal.statistics.answers import better, good_enough, valid
+from loopcal.statistics.judged_machine import far_from_nominal, off_the_drawing, prior_tension
 from loopcal.statistics.judged_readings import (
     coarse,
     first_suspects,
     rows_copied,
+    sds_overruled,
     size_unsure,
     undetected,
 )
-from loopcal.statistics.rule import Rule, Said
+from loopcal.statistics.rule import COLUMN_FAULT, LOOSE, RARE, Rule, Said
 
-RARE = 1e-3
-"""p-value of a single test from which a result is not sound: several tests are made."""
-LOOSE = 0.25
-"""Chi-squared per degree of freedom of sds twice as large as the readings show."""
 _CHANCE = 0.01
 """Share of good data sets with a pose so far off; the search for outliers names more."""
 WORSE = 1.5
 """Rms on poses not used over rms on poses used that is called too large."""
-FAR = 10.0
-"""A length that ends this many times the machine's size away from its nominal value is none."""
-BEYOND = 100.0
-"""The same of prior sds."""
-SHRUNK = 0.1
-"""A fit whose lengths add up to less than this share of the nominal ones has collapsed."""
 _MODELLED = 2
 """Learnt effects that a sound result names."""
 _NAMED = 3
@@ -92,7 +83,7 @@ def _first_of(found: Sequence[ChangePoint]) -> str:
 def _plain_model(document: ResultDocument) -> Said | None:
     """By terms that the chosen candidate lacks."""
     chosen = document.chosen
-    if chosen is None:
+    if chosen is None or _errors_shared(document):  # which a term takes for its own
         return None
     known = {*chosen.terms, *_GEOMETRY}
     by: dict[str, list[TermEntry]] = {}
@@ -143,61 +134,6 @@ def _noise_generous(document: ResultDocument) -> Said | None:
     return said if said is not None and (said.number or 0.0) >= LOOSE else None
 
 
-def _prior_tension(document: ResultDocument) -> Said | None:
-    """|value - nominal| over the prior sd, which the sd of that difference never exceeds."""
-    estimated = [p for p in document.parameters if p.prior_sd and not p.fixed]
-    if document.sensors_exact or not estimated:
-        return None
-    found = [(abs(p.value - p.nominal) / (p.prior_sd or math.inf), p) for p in estimated]
-    z, p = max(found, key=lambda one: one[0])
-    if len(found) * math.erfc(z / math.sqrt(2.0)) >= RARE:
-        return None
-    off, known = with_unit(p.value - p.nominal, p.unit), with_unit(p.prior_sd, p.unit)
-    return Said(
-        f"{p.name} is {off} off its nominal value, which was known to {known} "
-        f"({significant(z, 2)} sds).",
-        z,
-    )
-
-
-def _far_from_nominal(document: ResultDocument) -> Said | None:
-    """Where a fit ends that lost its way: beyond the machine, beyond its prior, or shrunk to a
-    fraction of the machine."""
-    estimated = [p for p in document.parameters if not p.fixed]
-    lengths = [p for p in estimated if p.unit == "m"]
-    size = sum(abs(p.nominal) for p in document.parameters if p.unit == "m") + _farthest(document)
-    far = [(abs(p.value - p.nominal) / (FAR * size), p) for p in lengths if size > 0.0]
-    far += [(abs(p.value - p.nominal) / (BEYOND * p.prior_sd), p) for p in estimated if p.prior_sd]
-    worst, p = max(far, key=lambda one: one[0], default=(0.0, None))
-    if p is not None and worst > 1.0:
-        off, nominal = with_unit(p.value - p.nominal, p.unit), with_unit(p.nominal, p.unit)
-        return Said(
-            f"{p.name} ended {off} away from its nominal value, {nominal}: no machine is so far "
-            "from its drawing.",
-            worst,
-        )
-    drawn, found = (sum(map(abs, v)) for v in ([p.nominal for p in lengths], _values(lengths)))
-    if drawn > 0.0 and found < SHRUNK * drawn:
-        return Said(
-            f"The estimated lengths shrank to {significant(found / drawn, 2)} of the nominal ones.",
-            found / drawn,
-        )
-    return None
-
-
-def _values(parameters: Sequence[ParameterEntry]) -> list[float]:
-    return [p.value for p in parameters]
-
-
-def _farthest(document: ResultDocument) -> float:
-    """The largest typical length [m] that was read: how far away instruments stand."""
-    if document.prediction is None or document.mechanism is None:
-        return 0.0
-    units = document.mechanism.quantities
-    read = [abs(v) for q, v in document.prediction.typical.items() if units.get(q) == "m"]
-    return max(read, default=0.0)
-
-
 def _spatial(document: ResultDocument) -> Said | None:
     depends = document.dependence
     if depends is None or not depends.spatial:
@@ -226,9 +162,21 @@ def _serial(document: ResultDocument) -> Said | None:
     )
 
 
+def _errors_shared(document: ResultDocument) -> Said | None:
+    depends = document.dependence
+    if depends is None or depends.shared is None or not depends.errors_shared:
+        return None
+    correlation = depends.shared.correlation
+    return Said(
+        "The targets share errors, which the stated regions take as independent: their residuals "
+        f"in one pose are correlated by {significant(correlation, 2)}.",
+        correlation,
+    )
+
+
 def _coverage(document: ResultDocument) -> Said | None:
     held = document.validation and document.validation.coverage
-    if not held or not held.poses:
+    if not held or not held.poses or _errors_shared(document):
         return None
     spread = math.sqrt(held.level * (1.0 - held.level) / held.poses)
     if held.level - held.share <= max(4.0 * spread, 0.05):
@@ -324,18 +272,18 @@ def _no_test(document: ResultDocument) -> Said | None:
 _COLUMNS = "Correct the file, or its columns in the project, and calibrate again."
 _MODEL = "Check the sds of the sensors. If they are right, allow for a model error."
 SOUND: tuple[Rule, ...] = (
-    Rule("column-fault", False, _column_faults, _COLUMNS),
+    Rule(COLUMN_FAULT, False, _column_faults, _COLUMNS),
     Rule("not-converged", False, _not_converged, "Follow the advice of the message."),
     Rule(
         "far-from-nominal",
         False,
-        _far_from_nominal,
+        far_from_nominal,
         "Check units and columns. State priors from the drawing, or measure other poses.",
     ),
     Rule(
         "prior-tension",
         False,
-        _prior_tension,
+        prior_tension,
         "Check units, signs and joint directions of the columns, and the drawing.",
     ),
     Rule(
@@ -372,12 +320,30 @@ SOUND: tuple[Rule, ...] = (
     ),
     Rule("sds-generous", None, _noise_generous, "State smaller sds, or estimate them."),
     Rule("serial-dependence", None, _serial, "Look for shifts, or measure in random order."),
+    Rule(
+        "errors-shared",
+        None,
+        _errors_shared,
+        "State the sds of the joints and of the instruments. The fit then knows what they share.",
+    ),
     Rule("overfitted", None, _overfitted, "Measure more poses, or estimate fewer parameters."),
     Rule(
         "white-model-error",
         None,
         _model_error,
         "Check for missing effects (compliance, eccentric gears, drift).",
+    ),
+    Rule(
+        "off-the-drawing",
+        None,
+        off_the_drawing,
+        "Check this dimension in the drawing, its unit and its sign.",
+    ),
+    Rule(
+        "sds-overruled",
+        None,
+        sds_overruled,
+        "Check the units of the stated sds, or leave them out.",
     ),
     Rule("outliers", None, _outliers, "Inspect these poses; correct or exclude them."),
     Rule("rows-copied", None, rows_copied, "Check how the file was made; delete the copies."),
@@ -442,6 +408,8 @@ def _sound(document: ResultDocument) -> Answer:
     if not found:
         words = "The fit converged; sensors, poses and machine model are consistent."
         return Answer(True, "sound", None, f"{words}{_modelled(document)}", None)
+    if found[0].rule.code == COLUMN_FAULT:
+        found = found[:1]  # all else follows from it
     rule, said = found[0].rule, found[0].said
     words = " ".join(finding.said.words for finding in found)
     return Answer(rule.passed, rule.code, said.number, words, rule.next)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from functools import cached_property
 from typing import Any
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.tables import distances_shown
 from loopcal.document.verdict import Answer, answer_lines
+from loopcal.lazy import cached_property
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import by_sd, chance, size, unit_shown, with_unit
 from loopcal.presentation.text_table import columns

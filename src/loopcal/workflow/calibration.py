@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -27,11 +27,10 @@ from loopcal.files.result import result_file
 from loopcal.files.result.residual_parts import NAME as RESIDUALS
 from loopcal.files.result.truth_file import read_truth
 from loopcal.files.versions import versions as known_versions
+from loopcal.lazy import cached_property
 from loopcal.measurements.checks import DataWarning
 from loopcal.statistics.calibrate import calibrate
 from loopcal.statistics.findings import Findings, findings
-from loopcal.statistics.folds import Scheme
-from loopcal.statistics.validation import Case
 from loopcal.statistics.verdict import refuses, verdict_of
 from loopcal.workflow.projects import named_project
 
@@ -267,7 +266,9 @@ class _Run:
 
     def _chosen(self, loaded: LoadedData) -> _Done:
         """The calibration by the method that poses not used choose, validated thereby."""
+        from loopcal.statistics.case import Case
         from loopcal.statistics.choice import choose
+        from loopcal.statistics.folds import Scheme
 
         case = Case(self.project.mechanism, loaded.dataset, loaded.noise, self.fit)
         scheme = None

@@ -38,11 +38,12 @@ POSE = "pose"
 
 @dataclass(frozen=True, eq=False)
 class Stated:
-    """A mechanism, its readings, and the options that a project states."""
+    """A mechanism, its readings, and the options and title that a project states."""
 
     mechanism: Mechanism
     data: Dataset
     options: Mapping[str, Any] = field(default_factory=dict)
+    title: str | None = None
 
 
 def described(given: Any) -> Any:
@@ -92,7 +93,7 @@ def _of_project(project: Project, data: Any, units: Units) -> Stated:
     options: dict[str, Any] = {"fit": settings, "start": settings.start}
     if noise.entries or not settings.method.exact:
         options["noise"] = noise
-    return Stated(project.mechanism, dataset, options)
+    return Stated(project.mechanism, dataset, options, project.title)
 
 
 def readings(data: Any, mechanism: Mechanism, units: Units = None) -> Dataset:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,11 @@ from loopcal.errors import InputError
 from loopcal.estimation.result import Result
 from loopcal.files.atomic import write_files
 from loopcal.files.paths import expanded
+from loopcal.files.programs.reader import write_program
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.readings_file import readings_tables
+from loopcal.files.result.deployed import PLAN, note_deployed, result_path
 from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.result.result_poses import poses_of_result, read_result_poses
 from loopcal.files.toml.place import Place
@@ -30,6 +32,7 @@ from loopcal.planning.planned import Plan
 from loopcal.planning.search import Progress
 from loopcal.report.plan_page import plan_html
 from loopcal.statistics.calibrated import Calibrated
+from loopcal.workflow.plan_program import program_writer
 from loopcal.workflow.projects import named_project
 
 POSES, DOCUMENT, PAGE = "plan.csv", "plan.json", "plan.html"
@@ -37,24 +40,31 @@ POSES, DOCUMENT, PAGE = "plan.csv", "plan.json", "plan.html"
 
 @dataclass(frozen=True, eq=False)
 class Planned:
-    """A plan and where it was written."""
+    """A plan and where it was written; program: for the controller, where one was asked for."""
 
     plan: Plan
     title: str
     folder: Path
     files: tuple[str, ...]
+    program: Path | None = None
 
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """What the options of `loopcal plan` ask for. candidates, existing: paths; report: write the
-    page."""
+    """What the options of `loopcal plan` ask for.
+
+    candidates, existing: paths; report: write the page; program: path of a program for the
+    controller; pulses: per degree of each joint, for it; force: replace it where it exists.
+    """
 
     poses: int = 30
     criterion: str | None = None
     candidates: str | None = None
     existing: str | None = None
     report: bool = True
+    program: str | None = None
+    pulses: Sequence[float] = ()
+    force: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +100,11 @@ def run_plan(
     read = named_project(project, function)
     folder = Path(out) if out is not None else plan_folder(read)
     known = known_of(read, request.existing)
+    told = None if request.program is None else Path(request.program)
+    write = None
+    if told is not None:
+        pulses, force = request.pulses, request.force
+        write = program_writer(known.mechanism, told, pulses=pulses, force=force)
     try:
         made = plan(
             known.mechanism,
@@ -109,7 +124,11 @@ def run_plan(
     if request.report:
         files[PAGE] = plan_html(made, read.title, known.mechanism)
     write_files(folder, files, remove=() if request.report else (PAGE,))
-    return Planned(made, read.title, folder, tuple(files))
+    if known.calibrated:
+        note_deployed(result_path(str(request.existing)), PLAN, folder.name, document)
+    if told is not None and write is not None:
+        write_program(told, write(made))
+    return Planned(made, read.title, folder, tuple(files), told)
 
 
 def plan_folder(project: Project) -> Path:

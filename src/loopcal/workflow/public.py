@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import wraps
 from inspect import Parameter, signature
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any, Protocol, TypeVar
 from loopcal.errors import InputError
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.plausible import refuse_other_units
+from loopcal.estimation.result import Result
 from loopcal.files.project import project_data
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
@@ -118,9 +120,15 @@ def _on_machine(
         its = stated(mechanism, data, units)
         given = _with_own(its, options, takes)
         refuse_other_units(its.mechanism, its.data, Noise.of(given.get("noise")))
-        return function(its.mechanism, its.data, *more, **given)
+        found = function(its.mechanism, its.data, *more, **given)
+        return _titled(found, its.title) if isinstance(found, Result) else found
 
     return _described(accepting, function, _ON_MACHINE)
+
+
+def _titled(result: Any, title: str | None) -> Any:
+    """A result whose document has the title of its project."""
+    return result.adding(lambda document: replace(document, title=title)) if title else result
 
 
 def _with_own(its: Stated, options: Mapping[str, Any], takes: Mapping[str, Any]) -> dict[str, Any]:

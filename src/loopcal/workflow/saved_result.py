@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -22,6 +21,7 @@ from loopcal.figures.figure import Figure
 from loopcal.files.machines.python_function import Loops
 from loopcal.files.result.result_file import read_result as read_document
 from loopcal.files.result.result_folder import ReadResult, read_result_folder
+from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.report.drawn import figures
 from loopcal.report.source import Source, read_source, source_of

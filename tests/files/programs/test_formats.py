@@ -1,4 +1,4 @@
-"""Programs of four vendors: which numbers are targets, what they mean, and what is left alone."""
+"""Programs of five vendors: which numbers are targets, what they mean, and what is left alone."""
 
 from __future__ import annotations
 
@@ -97,7 +97,22 @@ MOVJ C00000 VJ=50.00
 MOVL P001 V=100.0
 END
 """
-PROGRAMS = {"a.mod": RAPID, "a.src": KRL, "a.ls": LS, "a.jbi": JBI}
+SCRIPT = b"""def test():
+  # movej([1,2,3,4,5,6])
+  global home=[0.0, -1.5708, 1.57, 0, 0, 0]
+  global via_q=[0,0,0,0,0,1]
+  global via_p=p[0.3,0.2,0.1,0,3.14,0]
+  set_payload(1.5, [0, 0, 0.1])
+  force_mode(p[0,0,0,0,0,0],[0,0,1,0,0,0],[0,0,9,0,0,0],2,[1,1,1,1,1,1])
+  movej(home, a=1.4, v=1.05)
+  movel([0.1,-1.2,1,0.2,0.3,-0.5], a=0.5, v=0.1)
+  movej(get_inverse_kin(via_p, qnear=via_q), a=1, v=1)
+  movel(p[0.3,0.2,0.1,0,3.14,0], a=1, v=1)
+  movec(via_p, via_p, a=1, v=1)
+  textmsg("movej([1,2,3,4,5,6])")
+end
+"""
+PROGRAMS = {"a.mod": RAPID, "a.src": KRL, "a.ls": LS, "a.jbi": JBI, "a.script": SCRIPT}
 
 
 def program(tmp_path: Path, name: str, data: bytes | None = None) -> Program:
@@ -270,3 +285,15 @@ def test_hostile_programs_keep_their_bytes_or_are_refused_with_a_line(
     new = {i: ["0"] * len(t.numbers) for i, t in enumerate(found.targets)}
     edited = found.edited(new).decode("latin-1")
     assert edited == "0".join(outside(found, found.text))
+
+
+def test_joints_of_urscript_are_targets_and_the_rest_is_left(tmp_path: Path) -> None:
+    found = program(tmp_path, "a.script", SCRIPT)
+    assert {t.name for t in found.targets} == {"home", "line 9"}
+    at = {t.name: t.joints for t in found.targets}
+    assert at["home"] == pytest.approx([0, -1.5708, 1.57, 0, 0, 0])
+    assert at["line 9"] == pytest.approx([0.1, -1.2, 1, 0.2, 0.3, -0.5])
+    assert [m.straight if m else None for m in found.moves] == [False, True, None, None, None]
+    assert [note.line for note in found.noted] == [10, 11, 12]
+    twice = SCRIPT.replace(b"via_q=", b"home=")
+    assert [t.name for t in program(tmp_path, "a.script", twice).targets] == ["line 9"]

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +30,7 @@ from loopcal.estimation.faults.misfit import (
 from loopcal.estimation.faults.repairs import Repair, repairs
 from loopcal.estimation.problem.alignment import can_be_placed, seen_points
 from loopcal.estimation.problem.problem import Problem, taken
+from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import Family
 from loopcal.presentation.shown import size, unit_shown
 
@@ -83,6 +83,12 @@ def column_faults(problem: Problem, *, suspected: bool = True) -> tuple[ColumnFa
         found.append(told)
         file = _File(repair.problem)
     return tuple(found) or _hopeless(file.problem)
+
+
+def suspicious(problem: Problem) -> bool:
+    """Whether `column_faults` would seek any where nothing but the drawing speaks for a fault."""
+    file = _File(problem)
+    return not file.blind and file.suspicious
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -35,6 +34,7 @@ from loopcal.estimation.noise.variances import (
 )
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.solution import Solution
+from loopcal.lazy import cached_property
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
 
 Array = NDArray[np.float64]
@@ -56,8 +56,8 @@ _ROUGHLY, _SLOWLY = 0.1, 100.0
 """Variance ratios that change less than this are roughly right; early ones fall no faster."""
 NEAR, NEARBY, ROUGH = 1e-3, 1e-1, 1e-2
 """With terms, logarithms of variances still change by so much in the last round, far less than
-their uncertainty, the second where the search begins at those of nearly the same readings; the
-first fit ends so many sds near the optimum, the third."""
+their uncertainty, the second where the search begins at those of nearly the same readings or has
+gone on for half of all rounds; the first fit ends so many sds near the optimum, the third."""
 _SHARE = 0.1
 """A rough fit ends so many sds near its optimum for each unit by which the logarithms change."""
 _FAILURES = 1
@@ -309,9 +309,11 @@ class _Search:
             if found.terms is not None:
                 by_terms = _change(np.square(scales), np.square(found.terms.scales))
                 change, others = max(change, by_terms), max(others, by_terms)
-            ended = change <= _SETTLED or abs(before - found.criterion) <= _BETTER
+            enough = _SETTLED
             if found.terms is not None:
-                ended = change <= (NEARBY if near else NEAR)
+                enough = NEARBY if near or number >= _MOST // 2 else NEAR
+            # what does not change the criterion, such as a component near zero, is of no account
+            ended = change <= enough or abs(before - found.criterion) <= _BETTER
             if ended and vanish and not failed and (near or rough is None):
                 return _Round(present, solution, found, found.converged, iterations)
             if failed > _FAILURES or _hopeless(solution):

@@ -29,7 +29,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,6 +37,7 @@ from numpy.typing import NDArray
 from loopcal.estimation.noise.linear_model import whitened_model
 from loopcal.estimation.noise.variances import owners
 from loopcal.estimation.products import rows_times
+from loopcal.lazy import cached_property
 from loopcal.small_samples import LearntCovariance
 
 if TYPE_CHECKING:

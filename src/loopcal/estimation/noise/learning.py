@@ -182,9 +182,13 @@ def words(
         )
     for entry in noise:
         if entry.source == "estimated" and entry.sd == 0.0 and entry.upper is not None:
-            names = ", ".join(entry.quantities)
             bound = with_unit(entry.upper, entry.unit, 2, fine=True)
-            said.append(f"{names}: noise not detectable (sd below {bound} with 95 % confidence).")
+            names = ", ".join(entry.quantities)
+            if entry.role == "disturbance":
+                names = "The readings show no error of the machine model in single coordinates"
+            else:
+                names = f"{names}: noise not detectable"
+            said.append(f"{names} (sd below {bound} with 95 % confidence).")
     if not estimate.settled:
         said.append(
             "The estimated sds did not converge and are rough. State more of the sds; if the "

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import NoTrustworthyResult
 from loopcal.estimation.noise.linear_model import LinearModel, MixedFit, fit
+from loopcal.lazy import cached_property
 
 Array = NDArray[np.float64]
 _MOST, _HALVINGS = 200, 30

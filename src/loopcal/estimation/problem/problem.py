@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from loopcal.estimation.problem.patterns import Pattern, Poses, held_loops, patt
 from loopcal.estimation.problem.size import refuse_without_length
 from loopcal.estimation.problem.unknowns import Unknowns
 from loopcal.expressions.tape import Tape
+from loopcal.lazy import cached_property
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, ReadingUncertainty, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.files.programs.joint_axes import JointAxes
-from loopcal.files.programs.poses_text import pose_of_turns, turns_of_pose
 from loopcal.files.programs.program import (
     NUMBER,
     Lines,
@@ -23,8 +22,8 @@ from loopcal.files.programs.program import (
     Program,
     ProgramTarget,
     refuse_redundant,
-    written,
 )
+from loopcal.files.programs.turned import Turned
 
 Array = NDArray[np.float64]
 _POSITION = re.compile(r"^[ \t]*P\[\s*(\d+)\s*(?::[^\]\r\n]*)?\]\s*\{([^{}]*)\}", re.MULTILINE)
@@ -41,7 +40,7 @@ _EDGE = 1e-6
 def read_fanuc(text: str, name: str, axes: JointAxes) -> Program:
     """The positions of a listing. Raises InputError for an arm of more than six joints."""
     refuse_redundant(axes, name)
-    lines = Lines(text)
+    lines, own = Lines(text), Turned(axes, _POSE, "J", _DECIMALS)
     targets: list[ProgramTarget] = []
     noted: list[Noted] = []
     numbered: dict[str, int] = {}
@@ -52,7 +51,7 @@ def read_fanuc(text: str, name: str, axes: JointAxes) -> Program:
     }
     for begun in _BEGUN.finditer(text):
         found, line = whole.get(begun.start()), lines.of(begun.start())
-        target = None if found is None else _target(found, line, axes)
+        target = None if found is None else _target(found, line, own)
         if target is None or begun[1] in circular:
             circle = begun[1] in circular
             words = "a point of a circle" if circle else "no whole position of group 1"
@@ -70,7 +69,7 @@ def read_fanuc(text: str, name: str, axes: JointAxes) -> Program:
         text,
         tuple(targets),
         tuple(sorted(noted, key=lambda n: n.line)),
-        lambda target, joints, pose: _write(target, joints, pose, axes),
+        own.write,
         _fits,
         moves=moves,
         frame=f"the user frame {min(frames)}" if frames else None,
@@ -83,36 +82,16 @@ def _group(body: str) -> str:
     return body[: other.start()] if other else body
 
 
-def _target(found: re.Match[str], line: int, axes: JointAxes) -> ProgramTarget | None:
+def _target(found: re.Match[str], line: int, own: Turned) -> ProgramTarget | None:
     body, start = _group(found[2]), found.start(2)
     fields: dict[str, Number] = {}
     for m in _FIELD.finditer(body):
         if m[1] in fields:
             return None
         fields[m[1]] = Number(start + m.start(2), start + m.end(2), m[2])
-    joint = "J1" in fields
-    keys = [f"J{i}" for i in range(1, len(axes.joints) + 1)] if joint else list(_POSE)
-    if any(key not in fields for key in keys):
-        return None
-    numbers = tuple(fields[key] for key in keys)
-    values = np.array([number.value for number in numbers])
-    step = np.array([10.0 ** -max(number.decimals, _DECIMALS) for number in numbers])
-    label = f"P[{found[1]}]"
-    if joint:
-        q = values * axes.scale
-        return ProgramTarget(label, line, False, numbers, q, None, step * axes.scale)
     config = _CONFIG.search(body)
     states = {} if config is None else {f"turn {k}": int(config[i]) for i, k in enumerate("146", 1)}
-    step = np.concatenate([1e-3 * step[:3], np.radians(step[:2:-1])])
-    pose = pose_of_turns(values.tolist())
-    return ProgramTarget(label, line, True, numbers, None, pose, step, states)
-
-
-def _write(target: ProgramTarget, joints: Array, pose: Array, axes: JointAxes) -> list[str]:
-    values = turns_of_pose(pose) if target.cartesian else (joints / axes.scale).tolist()
-    return [
-        written(v, max(n.decimals, _DECIMALS)) for v, n in zip(values, target.numbers, strict=True)
-    ]
+    return own.target(f"P[{found[1]}]", line, fields, states)
 
 
 def _fits(target: ProgramTarget, joints: Array) -> bool:

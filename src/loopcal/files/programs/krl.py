@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.files.programs.joint_axes import JointAxes
-from loopcal.files.programs.poses_text import pose_of_turns, turns_of_pose
 from loopcal.files.programs.program import (
     NUMBER,
     Lines,
@@ -26,8 +25,8 @@ from loopcal.files.programs.program import (
     blanked,
     refuse_redundant,
     within,
-    written,
 )
+from loopcal.files.programs.turned import Turned
 
 Array = NDArray[np.float64]
 _ASIDE = re.compile(r'"[^"\r\n]*"|;[^\r\n]*')
@@ -45,6 +44,7 @@ def read_krl(text: str, name: str, axes: JointAxes) -> Program:
     """The targets of a .src or .dat file. Raises InputError for an arm of more than six joints."""
     refuse_redundant(axes, name)
     lines, code = Lines(text), blanked(text, _ASIDE)
+    turned = Turned(axes, _POSE, "A", _DECIMALS)
     circles = [m[2] for m in _MOVE.finditer(code) if "CIRC" in m[1].upper()]
     circular = {word.upper() for part in circles for word in re.findall(r"\w+", part)}
     targets: list[ProgramTarget] = []
@@ -64,7 +64,9 @@ def read_krl(text: str, name: str, axes: JointAxes) -> Program:
             words = "a system variable" if label.startswith("$") else "relative, or of a circle"
             noted.append(Noted(line, f"{label}: {words}"))
             continue
-        target = _target(parts, label, line, axes)
+        bits = {key: parts.get(key) for key in "ST"}
+        states = {k: int(n.value) for k, n in bits.items() if n is not None and n.text.isdigit()}
+        target = turned.target(label, line, parts, states)
         if target is None:
             noted.append(Noted(line, f"{label}: not all axes or coordinates are numbers"))
             continue
@@ -85,7 +87,7 @@ def read_krl(text: str, name: str, axes: JointAxes) -> Program:
         text,
         tuple(targets),
         tuple(sorted(noted, key=lambda n: n.line)),
-        lambda target, joints, pose: _write(target, joints, pose, axes),
+        turned.write,
         _fits,
         _chosen,
         moves,
@@ -123,34 +125,6 @@ def _positional(parts: dict[str, Number | None], before: str) -> bool:
     typed = re.search(r"\b(E6POS|POS)\b", before, re.I)
     moved = re.search(r"\b(S?PTP|S?LIN|S?CIRC|S?PTP_REL|S?LIN_REL)\s*$", before, re.I)
     return bool(stated or typed or moved)
-
-
-def _target(
-    parts: dict[str, Number | None], label: str, line: int, axes: JointAxes
-) -> ProgramTarget | None:
-    n, joint = len(axes.joints), "A1" in parts
-    keys = [f"A{i}" for i in range(1, n + 1)] if joint else list(_POSE)
-    own = [parts.get(key) for key in keys]
-    numbers = tuple(number for number in own if number is not None)
-    if len(numbers) < len(keys):
-        return None
-    values = np.array([number.value for number in numbers])
-    step = np.array([10.0 ** -max(number.decimals, _DECIMALS) for number in numbers])
-    if joint:
-        q = values * axes.scale
-        return ProgramTarget(label, line, False, numbers, q, None, step * axes.scale)
-    bits = {key: parts.get(key) for key in "ST"}
-    states = {k: int(n.value) for k, n in bits.items() if n is not None and n.text.isdigit()}
-    step = np.concatenate([1e-3 * step[:3], np.radians(step[:2:-1])])
-    pose = pose_of_turns(values.tolist())
-    return ProgramTarget(label, line, True, numbers, None, pose, step, states)
-
-
-def _write(target: ProgramTarget, joints: Array, pose: Array, axes: JointAxes) -> list[str]:
-    values = turns_of_pose(pose) if target.cartesian else (joints / axes.scale).tolist()
-    return [
-        written(v, max(n.decimals, _DECIMALS)) for v, n in zip(values, target.numbers, strict=True)
-    ]
 
 
 def _fits(target: ProgramTarget, joints: Array) -> bool:

@@ -15,6 +15,7 @@ from loopcal.files.programs.krl import read_krl
 from loopcal.files.programs.program import LARGEST, Program, text_of
 from loopcal.files.programs.rapid import read_rapid
 from loopcal.files.programs.table import read_table
+from loopcal.files.programs.urscript import read_urscript
 from loopcal.files.programs.yaskawa import read_yaskawa
 
 Read = Callable[[str, str, JointAxes], Program]
@@ -24,6 +25,7 @@ FORMATS: dict[str, Read] = {
     **dict.fromkeys((".src", ".dat"), read_krl),
     ".ls": read_fanuc,
     ".jbi": read_yaskawa,
+    ".script": read_urscript,
 }
 
 

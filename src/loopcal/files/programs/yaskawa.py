@@ -32,15 +32,7 @@ _MOVE = re.compile(r"[ \t]*(MOV[JLCS]|IMOV)\b([^\r\n]*)")
 def read_yaskawa(text: str, name: str, axes: JointAxes) -> Program:
     """The positions of a job. Raises InputError without the pulses of every joint."""
     refuse_redundant(axes, name)
-    n = len(axes.joints)
-    if len(axes.pulses) != n or not all(np.isfinite(axes.pulses)) or 0.0 in axes.pulses:
-        raise InputError(
-            f"positions are in pulses, and {len(axes.pulses)} numbers of pulses are stated",
-            code="missing-key",
-            place=name,
-            remedy=f"state the pulses per degree of all {n} joints: --pulses-per-degree N,N,...",
-        )
-    scale = axes.scale / np.array(axes.pulses)
+    scale = axes.scale / pulses_of(axes, name)
     lines = Lines(text)
     targets: list[ProgramTarget] = []
     noted: list[Noted] = []
@@ -82,6 +74,19 @@ def read_yaskawa(text: str, name: str, axes: JointAxes) -> Program:
         lambda target, joints, pose: [str(round(v)) for v in (joints / scale).tolist()],
         moves=tuple(moves),
     )
+
+
+def pulses_of(axes: JointAxes, name: str) -> Array:
+    """(n,) pulses per degree or millimetre. Raises InputError where not every joint has them."""
+    n, stated = len(axes.joints), np.array(axes.pulses, dtype=float)
+    if len(stated) != n or not np.isfinite(stated).all() or (stated == 0.0).any():
+        raise InputError(
+            f"positions are in pulses, and {len(stated)} numbers of pulses are stated",
+            code="missing-key",
+            place=name,
+            remedy=f"state the pulses per degree of all {n} joints: --pulses-per-degree N,N,...",
+        )
+    return stated
 
 
 def _target(position: re.Match[str], start: int, line: int, scale: Array) -> ProgramTarget | None:

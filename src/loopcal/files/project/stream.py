@@ -10,7 +10,6 @@ import math
 import platform
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,6 +39,7 @@ from loopcal.files.tables.raw import sha256_of
 from loopcal.files.tables.readers import dataset_of
 from loopcal.files.tables.table import ROW, Table, find_column
 from loopcal.files.toml.place import Place
+from loopcal.lazy import cached_property
 from loopcal.measurements.checks import DataWarning, check_dataset
 from loopcal.measurements.dataset import checked_every
 from loopcal.measurements.poses import pose_id

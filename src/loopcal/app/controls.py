@@ -1,0 +1,108 @@
+"""Inputs of a step that outlive its redrawing, and commands whose lines follow them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from nicegui import ui
+
+from loopcal.app import words
+from loopcal.app.action import Action
+from loopcal.app.view import View
+
+Options = Sequence[str] | Mapping[str, str]
+
+
+def choice(view: View, name: str, label: str, options: Options, **more: Any) -> Any:
+    """A list to choose from; without a choice yet the first option.
+
+    more: of `ui.select`; on_change_too: called after a change.
+    """
+    too = more.pop("on_change_too", None)
+    shown = dict(options) if isinstance(options, Mapping) else list(options)
+    if view.kept.get(name) not in options and not more.get("multiple"):
+        view.kept[name] = next(iter(options), None)
+    box = ui.select(
+        shown, value=view.kept.get(name), label=label, on_change=_kept(view, name), **more
+    )
+    if too is not None:
+        box.on_value_change(lambda: too())
+    return box.classes("w-72")
+
+
+def number(view: View, name: str, label: str, first: float, **more: Any) -> Any:
+    """A number; more: of `ui.number`."""
+    view.kept.setdefault(name, first)
+    box = ui.number(label, value=view.kept[name], on_change=_kept(view, name), **more)
+    return box.classes("w-56")
+
+
+def text(view: View, name: str, label: str, first: str = "") -> Any:
+    """A line of text."""
+    view.kept.setdefault(name, first)
+    return ui.input(label, value=view.kept[name], on_change=_kept(view, name)).classes("w-72")
+
+
+def ticked(view: View, name: str, label: str, first: bool = False) -> Any:
+    """A box to tick."""
+    view.kept.setdefault(name, first)
+    return ui.checkbox(label, value=view.kept[name], on_change=_kept(view, name))
+
+
+def reason(view: View, name: str, choices: Sequence[str]) -> Any:
+    """Why something is done, chosen or typed."""
+    view.kept.setdefault(name, choices[0])
+    known = list(dict.fromkeys([*choices, view.kept[name]]))
+    box = ui.select(
+        known,
+        value=view.kept[name],
+        label=words.REASON,
+        with_input=True,
+        new_value_mode="add-unique",
+        on_change=_kept(view, name),
+    )
+    return box.classes("w-full")
+
+
+def offer(
+    view: View, label: str, line: Callable[[], Sequence[str]], *, what: str | None = None
+) -> None:
+    """A button that runs a command, and the line that does the same; it follows the controls."""
+
+    def action() -> Action:
+        return Action(what or label, tuple(line()))
+
+    async def run() -> None:
+        await view.run_to_end(action().what, *action().words)
+
+    with ui.row().classes("items-center w-full"):
+        ui.button(label, on_click=run).props("unelevated")
+        shown = ui.code(action().command, language="bash").classes("text-caption command")
+        shown.props(f'aria-label="{words.SAME}"')
+    view.follow.append(lambda: shown.set_content(action().command))
+
+
+def download(name: str, label: str | None = None) -> None:
+    """A link that saves a file of the folder."""
+    with ui.link(target=f"/file/{name}").classes("file"):
+        ui.icon("download")
+        ui.label(label or name)
+
+
+def page(name: str, label: str) -> None:
+    """A link that opens a page that loopcal wrote."""
+    with ui.link(target=f"/page/{name}", new_tab=True).classes("file"):
+        ui.icon("open_in_new")
+        ui.label(label)
+
+
+def printed(view: View, command: str) -> None:
+    """What the last run of a command printed, since the server started."""
+    run = view.session.last.get(command)
+    if run is not None and run.text:
+        ui.label(run.text).classes("printed")
+
+
+def _kept(view: View, name: str) -> Callable[[Any], None]:
+    return lambda event: view.keep(name, event.value)

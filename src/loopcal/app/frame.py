@@ -1,0 +1,206 @@
+"""The page: steps with their lights at the side, the step itself, and the run below it."""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from nicegui import ui
+
+from loopcal.app import words
+from loopcal.app.session import Session
+from loopcal.app.steps import Step, steps
+from loopcal.app.view import View, text_block, title
+from loopcal.app.views import (
+    check,
+    data,
+    deploy,
+    diagnose,
+    fit,
+    history,
+    plan,
+    robot,
+    validate,
+)
+from loopcal.errors import LoopcalError
+from loopcal.presentation.wrapped import shortened
+
+SHOWN: Mapping[str, Callable[[View], None]] = {
+    "robot": robot.show,
+    "data": data.show,
+    "plan": plan.show,
+    "check": check.show,
+    "fit": fit.show,
+    "diagnose": diagnose.show,
+    "validate": validate.show,
+    "deploy": deploy.show,
+    "history": history.show,
+}
+TIP = 'anchor="center right" self="center left"'
+SAID = 1_500
+"""Characters of what a failed run said that are shown at once; the end of it."""
+LOOKS_EVERY = 0.4
+"""Seconds between looks at the folder."""
+STYLE = """
+:root { --good: #17693a; --care: #8a4b00; --bad: #b3261e; }
+body.body--dark { --good: #6fdc9a; --care: #ffb95c; --bad: #ff9a90; }
+.good { color: var(--good) !important; } .care { color: var(--care) !important; }
+.bad { color: var(--bad) !important; } .none { color: inherit; opacity: 0.6; }
+.printed { white-space: pre-wrap; font-family: ui-monospace, monospace; font-size: 0.8rem;
+           overflow-wrap: anywhere; }
+.beside { display: flex; flex-wrap: wrap; gap: 1rem; width: 100%; align-items: flex-start; }
+.figures { flex: 3 1 420px; min-width: 0; } .acts { flex: 1 1 320px; min-width: 0; }
+.tiles { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr));
+         gap: 0.5rem; width: 100%; }
+.file { display: inline-flex; align-items: center; gap: 0.4rem; min-height: 44px; }
+.blank { background: #b3261e22; font-style: italic; } .cells td:last-child { color: var(--bad); }
+.difference { border: 1px solid #8886; padding: 0.5rem; max-height: 420px; overflow: auto; }
+.difference .gone { color: var(--bad); } .difference .come { color: var(--good); }
+body .q-footer.run { color: inherit; max-height: 40vh; overflow: auto; padding: 0.4rem 1rem; }
+body.body--light .q-footer.run { background: #f3f5f8; color: #1f2328; }
+body.body--dark .q-footer.run { background: #24282e; color: #e6e6e6; }
+.tip { font-size: 0.85rem; max-width: 22rem; }
+.command { max-width: 100%; } .q-table td { white-space: normal; overflow-wrap: anywhere; }
+.step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }
+.q-btn { min-height: 44px; text-transform: none; }
+.q-btn:focus-visible { outline: 3px solid #0072b2; outline-offset: 2px; }
+body.body--light .q-btn.step { color: #1f2328 !important; }
+body.body--dark .q-btn.step { color: #e6e6e6 !important; }
+"""
+
+
+def build(session: Session) -> None:
+    """One page on the folder."""
+    ui.add_css(STYLE)
+    ui.colors(primary="#0b5cad")
+    view = View(session)
+    known = {"version": session.version}
+
+    with ui.header(elevated=False).classes("items-center q-px-md"):
+        menu_button = ui.button(icon="menu").props('flat color=white aria-label="Steps"')
+        ui.label("loopcal").classes("text-h6")
+        ui.label(str(session.folder.path.name)).classes("text-body2")
+        ui.space()
+        ui.dark_mode(value=None)
+    drawer = (
+        ui.left_drawer(value=True).classes("q-pa-sm").props("width=200 breakpoint=700 bordered")
+    )
+
+    menu_button.on_click(drawer.toggle)
+
+    @ui.refreshable
+    def menu() -> None:
+        for step in steps(session.state()):
+            _step(step, view, show)
+
+    @ui.refreshable
+    def content() -> None:
+        labels = {step.key: step.label for step in steps(session.state())}
+        title(view, labels[view.step])
+        _shown(view)
+
+    @ui.refreshable
+    def running() -> None:
+        run = session.worker.run
+        foot.set_value(run is not None or session.folder.log().unfinished() is not None)
+        foot.props(f"data-finished={session.finished}")
+        _run(session)
+
+    def draw() -> None:
+        known["version"] = session.version
+        menu.refresh()
+        content.refresh()
+        running.refresh()
+
+    def show(key: str) -> None:
+        view.step = key
+        draw()
+
+    def look() -> None:
+        run = session.worker.run
+        if session.version != known["version"]:
+            draw()
+        elif run is not None and run.code is None:
+            running.refresh()
+
+    view.refresh = draw
+    with drawer:
+        menu()
+    with ui.column().classes("w-full q-pa-md"):
+        content()
+    with ui.footer(elevated=True).classes("run") as foot:
+        running()
+    ui.timer(LOOKS_EVERY, look)
+
+
+def _shown(view: View) -> None:
+    """The step of a page; a fault in it leaves the other steps as they are."""
+    try:
+        SHOWN[view.step](view)
+    except LoopcalError as error:
+        ui.label(str(error)).classes("bad printed")
+    except Exception as error:
+        logging.getLogger(__name__).exception("the step %s cannot be shown", view.step)
+        ui.label(words.FAULT.format(fault=f"{type(error).__name__}: {error}")).classes("bad")
+
+
+def _step(step: Step, view: View, show: Callable[[str], Any]) -> None:
+    icon, said = words.LIGHTS[step.light]
+    chosen = "outline" if step.key == view.step else "flat"
+    button = ui.button(on_click=lambda key=step.key: show(key)).classes("step")
+    button.props(f'{chosen} no-caps align=left aria-label="{step.label}: {said}"')
+    with button:
+        ui.icon(icon).classes(step.light)
+        ui.label(step.label).classes("q-ml-sm")
+        ui.tooltip(shortened(step.words)).props(TIP).classes("tip")
+
+
+def _run(session: Session) -> None:
+    """The run that goes on, or the last one."""
+    run = session.worker.run
+    unfinished = session.folder.log().unfinished() if run is None else None
+    if unfinished is not None:
+        told = words.UNFINISHED.format(command=unfinished.told.get("command"))
+        ui.label(told).classes("care")
+    if run is None:
+        return
+    with ui.row().classes("items-center w-full q-gutter-sm"):
+        ui.label(run.action.what).classes("text-subtitle2")
+        ui.code(run.action.command, language="bash").classes("text-caption gt-sm")
+        ui.space()
+        if run.code is None:
+            ui.spinner(size="sm")
+            ui.label(run.progress or words.RUNNING)
+            left = seconds_left(run.progress, time.monotonic() - run.began)
+            ui.label("" if left is None else words.LEFT.format(seconds=left))
+            ui.button("Cancel", on_click=session.worker.cancel).props("outline")
+        elif run.cancelled:
+            ui.label(words.CANCELLED)
+        elif run.code < 0:
+            ui.label(words.KILLED).classes("bad")
+        elif run.code == 0:
+            ui.label(words.DONE).classes("good")
+        else:
+            ended = words.ENDED.format(code=run.code)
+            ui.label(f"{ended}: {words.MEANING.get(run.code, '')}").classes("bad")
+        if run.code is not None and run.text:
+            with ui.dialog() as output, ui.card().classes("w-full").style("max-width: 70rem"):
+                text_block(run.text)
+                ui.button("Close", on_click=output.close)
+            ui.button("Output", on_click=output.open).props("flat")
+    if run.code not in (None, 0) and not run.cancelled:
+        text_block(run.text[max(run.text.rfind("loopcal: "), 0) :][-SAID:])
+
+
+def seconds_left(progress: str, passed: float) -> int | None:
+    """Seconds that a run still takes, from a line such as "20 of 90 fits"; None where unknown.
+
+    >>> seconds_left("30 of 90 fits", 10.0)
+    20
+    """
+    found = re.search(r"(\d+) of (\d+)", progress)
+    done, total = (int(part) for part in found.groups()) if found else (0, 0)
+    return round(passed * (total - done) / done) if 0 < done <= total else None

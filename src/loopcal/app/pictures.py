@@ -1,0 +1,273 @@
+"""Figures of the app itself: the machine in a pose, and errors whose poses can be selected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.figures.figure import axis, layout, names, numbers
+from loopcal.figures.thinning import thinned
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.outputs import measured_points
+from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
+from loopcal.presentation.shown import factor, unit_shown
+from loopcal.report.drawn import distances
+from loopcal.report.source import Source
+from loopcal.statistics.shifted import ids_are_numbers
+
+Array = NDArray[np.float64]
+MOST = 5_000
+"""Points of one figure; of more the largest and a sample of the rest."""
+CHOSEN, REST = "#d55e00", "#0072b2"
+TRANSPARENT = "rgba(0,0,0,0)"
+SIZE = "distance"
+"""The error of a pose as one number: the length of its differences."""
+_GRID = "rgba(128,128,128,0.3)"
+_PLAIN = {"displaylogo": False, "displayModeBar": False, "scrollZoom": False, "responsive": True}
+_SPATIAL = {**_PLAIN, "scrollZoom": True}
+
+
+def look(height: int, **more: Any) -> dict[str, Any]:
+    """Layout of a figure on either ground."""
+    plain = {
+        "paper_bgcolor": TRANSPARENT,
+        "plot_bgcolor": TRANSPARENT,
+        "font": {"color": "#7b828c", "size": 13},
+    }
+    return layout(height, **more) | plain
+
+
+def joints_of(mechanism: Mechanism) -> list[str]:
+    """The readings that pose a machine: joints of its chain, else what is no measured point."""
+    joints = [step.joint for step in mechanism.chain if step.joint]
+    measured = {name for point in measured_points(mechanism) for name in point}
+    return joints or [name for name in mechanism.quantities if name not in measured]
+
+
+def machine_figure(
+    mechanism: Mechanism, joints: Mapping[str, float], cloud: Array | None = None
+) -> dict[str, Any] | None:
+    """The machine in one pose; None where it has no known shape; cloud: (N, d) further points."""
+    points = skeleton(mechanism, joints)
+    if points is None or not np.isfinite(points).any():
+        return None
+    flat = points.shape[1] == 2
+    keys = "xy" if flat else "xyz"
+    trace = {
+        "type": "scatter" if flat else "scatter3d",
+        "mode": "lines+markers+text",
+        "line": {"color": REST, "width": 6},
+        "marker": {"size": 8 if flat else 5, "color": REST},
+        "text": names(skeleton_labels(mechanism)),
+        "textposition": "top center",
+        "hoverinfo": "text",
+        **_at(keys, points),
+    }
+    data: list[dict[str, Any]] = [trace]
+    if cloud is not None and len(cloud):
+        marker = {"size": 5 if flat else 3, "color": CHOSEN, "opacity": 0.7}
+        count = [f"pose {i}" for i in range(1, len(cloud) + 1)]
+        spots = {"type": trace["type"], "mode": "markers", "marker": marker, "text": count}
+        data.append({**spots, "hoverinfo": "text", **_at(keys, cloud)})
+    if flat:
+        more: dict[str, Any] = {"xaxis": axis("x [m]"), "yaxis": axis("y [m]", scaleanchor="x")}
+    else:
+        camera = {"eye": {"x": 1.4, "y": 1.4, "z": 0.8}}
+        more = {"scene": _space([f"{k} [m]" for k in keys], camera)}
+    return {
+        "data": data,
+        "layout": look(420, showlegend=False, uirevision="machine", **more),
+        "config": _SPATIAL,
+    }
+
+
+def moved(mechanism: Mechanism, joints: Mapping[str, float]) -> dict[str, Any]:
+    """What `restyle` makes of the machine's trace to move it to another pose."""
+    points = skeleton(mechanism, joints)
+    assert points is not None
+    return {k: [v] for k, v in _at("xyz"[: points.shape[1]], points).items()}
+
+
+def end_points(mechanism: Mechanism, poses: Sequence[Mapping[str, float]]) -> Array | None:
+    """(N, d) where the machine's end is in these poses [m]; None where it has no known shape."""
+    found = [skeleton(mechanism, pose) for pose in poses]
+    if not found or any(points is None for points in found):
+        return None
+    return np.array([points[-1] for points in found if points is not None])
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """What the linked figures show: the error of each pose, after the calibration.
+
+    shown: name -> (N,) in `unit`, the size first; numbers: (N,) of the poses, their ids where
+    these rise; drawn: positions of the poses that are drawn; steps: numbers from which on
+    something is modelled as moved.
+    """
+
+    source: Source
+    shown: Mapping[str, Array]
+    unit: str
+    numbers: Array
+    drawn: NDArray[np.int64]
+    steps: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, source: Source, steps: Sequence[float] = ()) -> Errors | None:
+        """None for a result without outputs."""
+        table, accuracy = source.table, source.document.accuracy
+        if accuracy is None or not table.differences_after:
+            return None
+        scale = factor(accuracy.unit)
+        units = {} if source.document.mechanism is None else source.document.mechanism.quantities
+        shown = {SIZE: distances(source, table.differences_after) / scale}
+        for name, values in table.differences_after.items():
+            if units.get(name) == accuracy.unit:
+                shown[name] = values / scale
+        kept = thinned(np.nan_to_num(shown[SIZE]), MOST).index
+        order = np.arange(1.0, len(table.poses) + 1.0)
+        if ids_are_numbers(table.poses):
+            order = np.array([float(pose) for pose in table.poses])
+        return cls(source, shown, unit_shown(accuracy.unit), order, kept, tuple(steps))
+
+    @property
+    def size(self) -> Array:
+        """(N,) one number for each pose."""
+        return self.shown[SIZE]
+
+    @property
+    def joints(self) -> list[str]:
+        """Quantities that are no outputs and vary."""
+        readings = self.source.table.readings
+        outputs = set(self.source.table.differences_after)
+        return [
+            name
+            for name, values in readings.items()
+            if name not in outputs and np.nanmax(values) > np.nanmin(values)
+        ]
+
+    def over_poses(self, what: str = SIZE) -> dict[str, Any]:
+        """The error over the poses in their order."""
+        trace = self._points(
+            "scattergl", x=self.numbers[self.drawn], y=self.shown[what][self.drawn]
+        )
+        lines = [
+            {"type": "line", "x0": at - 0.5, "x1": at - 0.5, "yref": "paper", "y0": 0, "y1": 1}
+            | {"line": {"color": CHOSEN, "width": 1, "dash": "dash"}}
+            for at in self.steps
+        ]
+        return self._flat([trace], "pose, in the order of measurement", what, 300, shapes=lines)
+
+    def over_joint(self, name: str, what: str = SIZE) -> dict[str, Any]:
+        """The error over one joint."""
+        known = self.source.document.mechanism
+        assert known is not None
+        own = {**known.quantities, **known.known}.get(name, "1")
+        x = self.source.table.readings[name][self.drawn] / factor(own)
+        trace = self._points("scattergl", x=x, y=self.shown[what][self.drawn])
+        return self._flat([trace], f"{name} [{unit_shown(own)}]", what, 220)
+
+    def in_space(self) -> dict[str, Any] | None:
+        """Measured points coloured by the size of the error."""
+        outputs = self._outputs()
+        if len(outputs) < 2:
+            return None
+        table, solid = self.source.table, len(outputs) == 3
+        keys = dict(zip("xyz", [table.readings[n][self.drawn] for n in outputs], strict=False))
+        trace = self._points("scatter3d" if solid else "scattergl", **keys)
+        trace["marker"] |= {
+            "color": numbers(self.size[self.drawn]),
+            "colorscale": "Viridis",
+            "size": 4 if solid else 7,
+            "colorbar": {"title": {"text": f"[{self.unit}]"}, "thickness": 12},
+        }
+        titles = [f"{name} [m]" for name in outputs]
+        if solid:
+            more: dict[str, Any] = {"scene": _space(titles)}
+        else:
+            more = {f"{k}axis": axis(t) for k, t in zip("xy", titles, strict=True)}
+        return {
+            "data": [trace, _ring(solid)],
+            "layout": look(420, showlegend=False, uirevision="space", **more),
+            "config": _SPATIAL,
+        }
+
+    def space_of(self, positions: Sequence[int]) -> dict[str, list[Any]]:
+        """Coordinates of the selected poses, for the ring around them in space."""
+        table = self.source.table
+        return {
+            k: [numbers(table.readings[n][list(positions)])]
+            for k, n in zip("xyz", self._outputs(), strict=False)
+        }
+
+    def rms(self, positions: Sequence[int]) -> float:
+        """Of the size at some poses."""
+        return float(np.sqrt(np.nanmean(np.square(self.size[list(positions)]))))
+
+    def _outputs(self) -> list[str]:
+        table = self.source.table
+        return [n for n in table.differences_after if n in table.readings][:3]
+
+    def _flat(
+        self, data: list[dict[str, Any]], x: str, what: str, height: int, **more: Any
+    ) -> dict[str, Any]:
+        said = "error" if what == SIZE else f"error of {what}"
+        head = {
+            "xaxis": axis(x, gridcolor=_GRID, zeroline=False),
+            "yaxis": axis(
+                f"{said} [{self.unit}]",
+                gridcolor=_GRID,
+                rangemode="tozero" if what == SIZE else "normal",
+            ),
+        }
+        drawn = look(height, dragmode="select", showlegend=False, **head, **more)
+        return {"data": data, "layout": drawn, "config": _PLAIN}
+
+    def _points(self, kind: str, **at: NDArray[Any]) -> dict[str, Any]:
+        ids = [self.source.table.poses[i] for i in self.drawn]
+        said = [
+            f"pose {p}: {v:.3g} {self.unit}"
+            for p, v in zip(ids, self.size[self.drawn], strict=True)
+        ]
+        marks: dict[str, Any] = {
+            "selected": {"marker": {"color": CHOSEN, "size": 8}},
+            "unselected": {"marker": {"opacity": 0.35}},
+        }
+        return {
+            "type": kind,
+            "mode": "markers",
+            "marker": {"color": REST, "size": 6},
+            "customdata": self.drawn.tolist(),
+            "text": names(said),
+            "hoverinfo": "text",
+            **({} if kind == "scatter3d" else marks),
+            **{key: numbers(values) for key, values in at.items()},
+        }
+
+
+def _at(keys: str, points: Array) -> dict[str, list[Any]]:
+    return {k: numbers(points[:, i]) for i, k in enumerate(keys)}
+
+
+def _space(titles: Sequence[str], camera: Any = None) -> dict[str, Any]:
+    """Axes of a figure in space, on either ground."""
+    lines = {
+        "gridcolor": _GRID,
+        "zerolinecolor": _GRID,
+        "color": "#7b828c",
+        "backgroundcolor": TRANSPARENT,
+    }
+    axes = {f"{k}axis": {"title": {"text": t}, **lines} for k, t in zip("xyz", titles, strict=True)}
+    return {"aspectmode": "data", **axes, **({} if camera is None else {"camera": camera})}
+
+
+def _ring(solid: bool) -> dict[str, Any]:
+    """The trace that rings the selected poses."""
+    ring = {"color": TRANSPARENT, "size": 10, "line": {"color": CHOSEN, "width": 3}}
+    none: dict[str, Any] = {"x": [], "y": []} | ({"z": []} if solid else {})
+    kind = "scatter3d" if solid else "scatter"
+    return {"type": kind, "mode": "markers", "marker": ring, "hoverinfo": "skip", **none}

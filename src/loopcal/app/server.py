@@ -1,0 +1,91 @@
+"""Starts the app: a server of this machine on one folder."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from loopcal.app.guard import Guard, Rules
+from loopcal.app.worker import Command
+from loopcal.errors import InputError
+
+PORT = 8765
+
+
+def serve(
+    folder: str | Path,
+    command: Command,
+    *,
+    host: str = "127.0.0.1",
+    port: int | None = None,
+    function: str | None = None,
+    show: bool = True,
+    tell: Callable[[str], Any] = print,
+) -> None:
+    """Serve the app on a folder until it is interrupted.
+
+    command: `loopcal.cli.run.main`; port: by default the first free one from 8765 on; show:
+    whether a browser is opened; tell: called with the address. Raises InputError where NiceGUI is
+    absent, the folder is none, or the port is taken.
+    """
+    try:
+        from nicegui import app, ui
+    except ModuleNotFoundError:
+        raise InputError(
+            "NiceGUI is not installed, which shows the app",
+            code="missing-dependency",
+            remedy="pip install loopcal[app]",
+        ) from None
+    from loopcal.app.frame import build
+    from loopcal.app.sending import sent, shown
+    from loopcal.app.session import Session
+    from loopcal.files.project.folder_lock import FolderLock
+    from loopcal.files.project.project_folder import existing_folder
+
+    path = existing_folder(folder)
+    number = _port(host, port)
+    rules = Rules.of(host, number)
+    session = Session(path, command, function)
+    asked = "" if rules.token is None else f"/?token={rules.token}"
+    shown_host = f"[{host}]" if ":" in host else host
+    lock = FolderLock(path, f"http://{shown_host}:{number}")
+    session.state()  # reads what is there before the first page asks
+    app.add_middleware(Guard, rules=rules)
+    tell(f"http://{shown_host}:{number}{asked}")
+    app.add_api_route("/file/{name:path}", lambda name: sent(session, name))
+    app.add_api_route("/page/{name:path}", lambda name: shown(session, name))
+    ui.page("/", title=f"loopcal: {path.name}", response_timeout=60.0)(lambda: build(session))
+    app.on_shutdown(session.worker.cancel)
+    ui.run(
+        host=host,
+        port=number,
+        dark=None,
+        show=show and f"/{asked.lstrip('/')}",
+        reload=False,
+        reconnect_timeout=30.0,
+        show_welcome_message=False,
+    )
+    lock.release()
+
+
+def _port(host: str, asked: int | None) -> int:
+    """The port to listen at. Raises InputError where none is free."""
+    for port in [asked] if asked is not None else range(PORT, PORT + 50):
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        with socket.socket(family) as trial:
+            if os.name == "posix":  # elsewhere it would take a port that is in use
+                trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                trial.bind((host, port))
+            except OSError as error:
+                reason = error
+                continue
+            return port
+    raise InputError(
+        f"cannot listen at {host}: {reason.strerror or reason}",
+        code="invalid-value",
+        remedy="name another --port, or an address of this machine",
+    )

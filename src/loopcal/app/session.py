@@ -1,0 +1,222 @@
+"""One folder while the app serves it: what stands in it, and the run that goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from loopcal.app.action import Action
+from loopcal.app.steps import State
+from loopcal.app.worker import Command, Run, Worker
+from loopcal.document.change_points import ChangePoints
+from loopcal.errors import InputError, LoopcalError
+from loopcal.files.project.edits import with_changes, with_shift, with_value, without_poses
+from loopcal.files.project.project_data import LoadedData
+from loopcal.files.project.project_file import Project, read_project
+from loopcal.files.project.project_folder import RESULT, ProjectFolder
+from loopcal.files.project.stream import load_sample
+from loopcal.measurements.dataset import Dataset
+from loopcal.report.source import Source, read_source
+from loopcal.statistics.shifted import COLUMN, ids_are_numbers
+
+
+class Session:
+    """What all pages on one folder share. Everything confirmed stands on the disk.
+
+    function: FILE.py:NAME of the loops, where the command line named it.
+    """
+
+    def __init__(self, folder: Path, command: Command, function: str | None = None) -> None:
+        self.folder = ProjectFolder(folder)
+        self.function = function
+        self.worker = Worker(command, self._begun, self._ended)
+        self.last: dict[str, Run] = {}  # of each command, since the server started
+        self.finished = 0
+        self._source: tuple[int, Source | None, str] | None = None
+        self._loaded: tuple[int, LoadedData | None, str] | None = None
+        self._read: tuple[str, Project | None, str] | None = None
+
+    @property
+    def version(self) -> int:
+        """Another number whenever a file of the folder has changed."""
+        run = self.worker.run
+        going = (id(run), run.code) if run is not None else None
+        return hash((tuple(self.folder.listed()), going))
+
+    def start(self, action: Action) -> Run:
+        """Run a command in the folder."""
+        return self.worker.start(action, str(self.folder.path))
+
+    def _begun(self, action: Action) -> None:
+        self.folder.noted("begun", action.what, {"command": action.command})
+
+    def _ended(self, run: Run) -> None:
+        self.last[run.action.words[0]] = run
+        self.finished += 1
+        told = {"command": run.action.command, "code": run.code, "cancelled": run.cancelled}
+        self.folder.noted("ended", run.action.what, told)
+
+    def project(self) -> Project | None:
+        """The project as it stands; None where there is none or it cannot be read."""
+        self._look()
+        return None if self._read is None else self._read[1]
+
+    def objection(self) -> str | None:
+        """Why the project cannot be read; None where it can, or is not there."""
+        self._look()
+        return None if self._read is None else self._read[2] or None
+
+    def _look(self) -> None:
+        text = self.folder.text()
+        if text is None:
+            self._read = None
+        elif self._read is None or self._read[0] != text:
+            try:
+                self._read = text, read_project(self.folder.project, text=text), ""
+            except LoopcalError as error:
+                self._read = text, None, str(error)
+
+    def source(self) -> Source | None:
+        """The result on the disk; None where there is none or it cannot be read."""
+        path = self.folder.result / RESULT
+        name = f"{self.folder.result.name}/{RESULT}"
+        at = next((f.modified for f in self.folder.listed() if f.name == name), None)
+        if at is None:
+            return None
+        if self._source is None or self._source[0] != at:
+            try:
+                self._source = at, read_source(path), ""
+            except LoopcalError as error:
+                self._source = at, None, str(error)
+        return self._source[1]
+
+    def state(self) -> State:
+        """What the lights of the steps follow from."""
+        source = self.source()
+        files = self.folder.listed()
+        times = {file.name: file.modified for file in files}
+        result = times.get(f"{self.folder.result.name}/{RESULT}", 0)
+        runs = {
+            str(e.told.get("command", "")).split(" ")[1]: e
+            for e in self.folder.log().entries
+            if e.kind == "ended" and " " in str(e.told.get("command", ""))
+        }
+        return State(
+            project=self.folder.text() is not None,
+            objection=self.objection(),
+            document=None if source is None else source.document,
+            stale=self._stale(source, times, result),
+            files=files,
+            runs=runs,
+        )
+
+    def _stale(self, source: Source | None, times: Mapping[str, int], result: int) -> bool:
+        """Whether the result is of another project, or of other readings, than there are now."""
+        project = self.project()
+        if source is None or project is None:
+            return False
+        changed = _that_count(project.inputs) != _that_count(source.document.inputs)
+        files = () if project.data is None else (project.data, *project.data.joins)
+        return changed or any(times.get(spec.file, 0) > result for spec in files)
+
+    def robot(self) -> tuple[str | None, str | None]:
+        """How the robot of a project to come is described: a kind, and a file or type."""
+        for entry in reversed(self.folder.log().entries):
+            if entry.kind == "robot":
+                return str(entry.told.get("robot")), str(entry.told.get("value"))
+        return None, None
+
+    def choose_robot(self, kind: str, value: str) -> None:
+        """Describe the robot of a project to come."""
+        self.folder.noted("robot", f"robot from {value}", {"robot": kind, "value": value})
+
+    def readings(self) -> LoadedData | None:
+        """The readings of the project; None where they cannot be read."""
+        project = self.project()
+        if project is None:
+            return None
+        key = hash((self.folder.text(), tuple(self.folder.listed())))
+        if self._loaded is None or self._loaded[0] != key:
+            try:
+                self._loaded = key, load_sample(project), ""
+            except LoopcalError as error:
+                self._loaded = key, None, str(error)
+        return self._loaded[1]
+
+    def unread(self) -> str:
+        """Why the readings cannot be read; empty where they can."""
+        self.readings()
+        return "" if self._loaded is None else self._loaded[2]
+
+    def changed(self, keys: list[str], value: object, reason: str) -> None:
+        """Change one value of the project."""
+        text = self.folder.text() or ""
+        what = f"{'.'.join(keys)} = {value}" if value is not None else f"removed {'.'.join(keys)}"
+        self._write(with_value(text, keys, value), what, reason)
+
+    def excluded(self, poses: Sequence[str], reason: str) -> None:
+        """Leave poses out."""
+        text = without_poses(self.folder.text() or "", poses)
+        shown = ", ".join(poses[:8]) + (f" and {len(poses) - 8} more" if len(poses) > 8 else "")
+        self._write(text, f"left out {shown}", reason)
+
+    def moved(self) -> dict[str, tuple[str, ...]]:
+        """What can have moved during a run, and its parameters."""
+        project = self.project()
+        if project is None:
+            return {}
+        kinds = project.mechanism.kinds
+        listed = {"Reflector": "mounting", "Instrument": "placement"}
+        found = {what: tuple(n for n in kinds if kinds[n] == kind) for what, kind in listed.items()}
+        return {what: names for what, names in found.items() if names}
+
+    def steps(self) -> list[float]:
+        """Numbers of the poses from which on the project takes something as moved."""
+        project = self.project()
+        mechanism = {} if project is None else project.inputs.get("mechanism", {})
+        effects = mechanism.get("effect", []) if isinstance(mechanism, dict) else []
+        return sorted({float(at) for effect in effects for at in effect.get("at", ())})
+
+    def shifted(self, names: Sequence[str], first: str, last: str, reason: str) -> None:
+        """Take parameters as others from the pose `first` to the pose `last`."""
+        data = self._numbered(names)
+        begin, end = data.poses.index(first), data.poses.index(last) + 1
+        at = [float(data[COLUMN][begin])] if begin else []
+        at += [float(data[COLUMN][end])] if end < len(data.poses) else []
+        if not at:
+            raise InputError(
+                "all poses are selected", code="invalid-value", remedy="select a part of the run"
+            )
+        text = with_shift(self._counted(), names, at, COLUMN)
+        self._write(text, f"{', '.join(names)} moved from pose {first} to {last}", reason)
+
+    def modelled(self, changes: ChangePoints, reason: str) -> None:
+        """Put the changes that a result found into the project."""
+        found = "; ".join(f"{', '.join(p.names)} from pose {p.pose} on" for p in changes.found)
+        self._write(with_changes(self._counted(), changes.toml), f"moved: {found}", reason)
+
+    def _counted(self) -> str:
+        """The text with a column of numbers of poses."""
+        text, project, loaded = self.folder.text() or "", self.project(), self.readings()
+        if project is None or loaded is None:
+            raise InputError(self.unread(), code="no-data", remedy="correct the readings first")
+        if COLUMN in project.mechanism.known:
+            return text
+        ids = project.inputs.get("data", {}).get("pose", 0)
+        column = ids if ids_are_numbers(loaded.dataset.poses) else 0
+        return with_value(text, ["data", "columns", COLUMN], {"column": column, "unit": "1"})
+
+    def _numbered(self, names: Sequence[str]) -> Dataset:
+        """The readings, with the numbers of the poses as the project would read them."""
+        text = with_shift(self._counted(), names, [0.0], COLUMN)
+        return load_sample(read_project(self.folder.project, text=text)).dataset
+
+    def _write(self, text: str, what: str, reason: str) -> None:
+        read_project(self.folder.project, text=text)  # raises where it would not be read
+        self.folder.change(text, what, reason)
+
+
+def _that_count(inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """What a calibration follows from."""
+    return {key: value for key, value in inputs.items() if key not in ("record", "title")}

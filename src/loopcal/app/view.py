@@ -1,0 +1,114 @@
+"""One page in one browser: what it shows and has selected, and the parts that steps share."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from nicegui import ui
+
+from loopcal.app import words
+from loopcal.app.action import Action
+from loopcal.app.session import Session
+from loopcal.errors import LoopcalError
+
+
+@dataclass(eq=False)
+class View:
+    """step: the one shown; selected: positions of poses in the result; kept: what was chosen in
+    the controls, by their names; refresh: draws all anew."""
+
+    session: Session
+    step: str = "robot"
+    selected: list[int] = field(default_factory=list)
+    kept: dict[str, Any] = field(default_factory=dict)
+    refresh: Callable[[], Any] = lambda: None
+    follow: list[Callable[[], Any]] = field(default_factory=list)
+    """What is called when a control changes."""
+
+    def keep(self, name: str, value: Any) -> None:
+        """Remember what a control says."""
+        self.kept[name] = value
+        for follower in self.follow:
+            follower()
+
+    def act(self, do: Callable[[], Any]) -> bool:
+        """Do something that a user asked for, and show why where it cannot be done."""
+        try:
+            do()
+        except LoopcalError as error:
+            ui.notify(
+                str(error), type="negative", multi_line=True, timeout=15_000, close_button=True
+            )
+            return False
+        self.refresh()
+        return True
+
+    def run(self, what: str, *line: str) -> bool:
+        """Begin a run of `loopcal LINE`."""
+        return self.act(lambda: self.session.start(Action(what, line)))
+
+    async def run_to_end(self, what: str, *line: str) -> bool:
+        """Run, and wait; whether it ended well."""
+        if not self.run(what, *line):
+            return False
+        run = self.session.worker.run
+        while run is not None and run.code is None:
+            await asyncio.sleep(0.1)
+        return run is not None and run.code == 0
+
+    def project_name(self) -> str:
+        """Of the project file in the folder."""
+        return self.session.folder.project.name
+
+
+def title(view: View, label: str) -> None:
+    """The head of a step."""
+    view.follow.clear()
+    ui.label(label).classes("text-h5").props("role=heading aria-level=1")
+    ui.label(words.STEPS[view.step]).classes("text-body1 q-mb-sm")
+
+
+def heading(text: str) -> None:
+    """The head of a part of a step."""
+    ui.label(text).classes("text-h6 q-mt-md").props("role=heading aria-level=2")
+
+
+def text_block(text: str) -> None:
+    """Printed text as it was printed."""
+    ui.label(text).classes("printed")
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]], **more: Any) -> Any:
+    """A table of texts; more: of `ui.table`."""
+    made = [
+        {"name": str(i), "label": name, "field": str(i), "align": "left", "sortable": True}
+        for i, name in enumerate(columns)
+    ]
+    content = [
+        {"row": at, **{str(i): cell for i, cell in enumerate(row)}} for at, row in enumerate(rows)
+    ]
+    settled = {"pagination": 25 if len(rows) > 25 else 0, **more}
+    made_table = ui.table(columns=made, rows=content, row_key="row", **settled)
+    hidden = "" if len(rows) > (settled["pagination"] or len(rows)) else "hide-pagination"
+    return made_table.props(f"dense flat {hidden}").classes("w-full")
+
+
+def figure(drawn: Any) -> Any:
+    """A figure of the report, drawn by plotly in the page's own colours."""
+    layout = {
+        **drawn.layout,
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+        "font": {"color": "#6b7280"},
+    }
+    heading(drawn.title)
+    ui.label(drawn.caption).classes("text-caption")
+    content = {"data": list(drawn.data), "layout": layout, "config": {"displaylogo": False}}
+    return ui.plotly(content).classes("w-full").props(f'aria-label="{_plain(drawn.label)}"')
+
+
+def _plain(text: str) -> str:
+    return text.replace('"', "'").replace("<", "").replace(">", "")

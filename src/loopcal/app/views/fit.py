@@ -1,0 +1,161 @@
+"""Calibrate, read the verdict, and compare methods side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from nicegui import ui
+
+from loopcal.app import words
+from loopcal.app.controls import choice, offer, page
+from loopcal.app.view import View, heading, table
+from loopcal.document.result_document import ResultDocument
+from loopcal.document.tables import shown_parameters
+from loopcal.errors import LoopcalError
+from loopcal.estimation.methods.registry import METHODS, method_named
+from loopcal.files.result.result_file import read_result
+from loopcal.presentation.shown import by_sd, in_unit, unit_shown
+from loopcal.presentation.wrapped import shortened
+from loopcal.report.page import QUESTIONS
+from loopcal.report.tables import accuracy_tables, model_table
+from loopcal.units import to_si
+
+MARKS = {"yes": "good", "open": "care", "no": "bad"}
+
+
+def show(view: View) -> None:
+    """The step."""
+    if view.session.project() is None:
+        ui.label(view.session.objection() or words.NO_PROJECT).classes("printed")
+        return
+    offer_fit(view)
+    _tolerance(view)
+    source = view.session.source()
+    if source is None:
+        ui.label(words.NO_RESULT)
+    else:
+        if view.session.state().stale:
+            ui.label(words.STALE).classes("care")
+        document = source.document
+        _verdict(document)
+        with ui.row():
+            page(f"{view.session.folder.result.name}/report.html", "Open the whole report")
+        for its in accuracy_tables(document):
+            heading(its.caption)
+            table(its.head, its.rows)
+        models = model_table(document)
+        if models is not None:
+            heading(models.caption)
+            table(models.head, models.rows)
+        heading("Parameters")
+        table(("parameter", "nominal", "calibrated", "change", "sd", "unit"), _rows(document))
+    _side_by_side(view)
+
+
+def offer_fit(view: View, label: str = "Calibrate") -> None:
+    """The button that calibrates, with method and validation; one choice for all steps."""
+    with ui.row().classes("items-end"):
+        named = {name: _labelled(name) for name in METHODS}
+        choice(view, "fit.method", "Method", {"": words.AS_STATED, **named})
+        choice(view, "fit.folds", "Validate on", words.FOLDS)
+
+    def line() -> Sequence[str]:
+        asked = ["calibrate", view.project_name()]
+        for name, option in (("fit.method", "--method"), ("fit.folds", "--folds")):
+            if view.kept[name]:
+                asked += [option, str(view.kept[name])]
+        return asked
+
+    offer(view, label, line, what="Calibrate")
+
+
+def _tolerance(view: View) -> None:
+    """What the user demands, which the verdict then answers."""
+    project = view.session.project()
+    stated = {} if project is None else project.inputs.get("verdict") or {}
+    known = stated.get("tolerance")
+    value = in_unit(to_si(known["value"], known["unit"]), "m") if isinstance(known, dict) else None
+    box = ui.number(words.TOLERANCE, value=value, min=0.0, step=0.1).classes("w-72")
+
+    def state() -> None:
+        if box.value != value:
+            tolerance = None if not box.value else {"value": box.value, "unit": "mm"}
+            keys = ["verdict", "tolerance"]
+            view.act(lambda: view.session.changed(keys, tolerance, "what is demanded"))
+
+    box.on("blur", state)
+
+
+def _labelled(method: str) -> str:
+    return f"{method}: {method_named(method).label}"
+
+
+def _verdict(document: ResultDocument) -> None:
+    if document.verdict is None:
+        return
+    with ui.card().classes("w-full").props("flat bordered"):
+        ui.label(shortened(document.verdict.headline)).classes(f"text-h6 {document.verdict.grade}")
+        with ui.grid(columns="auto auto 1fr").classes("items-start"):
+            for name, answer in document.verdict.answers.items():
+                ui.label(QUESTIONS[name]).classes("text-weight-medium")
+                ui.label(answer.mark).classes(MARKS[answer.mark])
+                ui.label(f"{answer.words} {answer.next or ''}")
+    if document.method_label:
+        ui.label(f"Method: {document.method_label}")
+
+
+def _rows(document: ResultDocument) -> list[list[str]]:
+    return [
+        [
+            p.name,
+            by_sd(p.nominal, p.sd, p.unit),
+            by_sd(p.value, p.sd, p.unit),
+            by_sd(p.value - p.nominal, p.sd, p.unit, sign=True),
+            "" if p.sd is None else f"{in_unit(p.sd, p.unit):.2g}",
+            "" if p.unit == "1" else unit_shown(p.unit),
+        ]
+        for p in shown_parameters(document.parameters, document.terms)
+    ]
+
+
+def _side_by_side(view: View) -> None:
+    """Methods tried beside each other, each in a folder of its own."""
+    session = view.session
+    heading("Methods side by side")
+    ui.label(words.COMPARED).classes("text-body2")
+    single = [name for name in METHODS if not method_named(name).choice]
+    choice(view, "fit.beside", "Another method", {name: _labelled(name) for name in single})
+
+    def line() -> Sequence[str]:
+        method = str(view.kept["fit.beside"])
+        beside = f"{session.folder.project.stem}-{method}"
+        asked = ("calibrate", view.project_name(), "--method", method, "--folds", "10")
+        return (*asked, "--no-report", "--out", beside)
+
+    offer(view, "Try it", line, what="Calibrate by another method")
+    folders = [session.folder.result, *session.folder.tried]
+    rows = [row for row in map(_tried, folders) if row is not None]
+    if len(rows) > 1:
+        head = ("folder", "method", "rms in the fit", "rms on poses not used", "verdict")
+        table(head, rows)
+
+
+def _tried(folder: Path) -> list[str] | None:
+    try:
+        document = read_result(folder / "result.json")
+    except LoopcalError:
+        return None
+    accuracy, held = document.accuracy, document.validation
+    unit = "m" if accuracy is None else accuracy.unit
+    return [
+        folder.name,
+        document.method_label or document.method,
+        "" if accuracy is None or accuracy.after is None else _rms(accuracy.after.rms, unit),
+        "" if held is None or held.accuracy is None else _rms(held.accuracy.rms, unit),
+        "" if document.verdict is None else document.verdict.grade,
+    ]
+
+
+def _rms(value: float, unit: str) -> str:
+    return f"{in_unit(value, unit):.3g} {unit_shown(unit)}"

@@ -1,0 +1,80 @@
+"""What was done in the folder, how to undo it, and the machine over time."""
+
+from __future__ import annotations
+
+from nicegui import ui
+
+from loopcal.app import words
+from loopcal.app.controls import offer, page, text
+from loopcal.app.view import View, figure, heading, table
+from loopcal.errors import LoopcalError
+from loopcal.files.history.folder import read_entries
+from loopcal.life.history import History
+from loopcal.report.history_page import history_figures, history_table
+
+FOLDER = "machine.history"
+
+
+def show(view: View) -> None:
+    """The step."""
+    _done(view)
+    _machine(view)
+
+
+def _done(view: View) -> None:
+    """The log of the folder."""
+    log = view.session.folder.log()
+    heading("Done in this folder")
+    if log.edits():
+        last = log.edits()[-1]
+        undo = ui.button(f"Undo: {last.what}", icon="undo").props("outline")
+        undo.on_click(lambda: view.act(view.session.folder.undo))
+    if log.broken:
+        lines = ", ".join(map(str, log.broken))
+        ui.label(words.LOG_BROKEN.format(lines=lines)).classes("care")
+    undone = {entry.told.get("of") for entry in log.entries if entry.kind == "undo"}
+    rows = [
+        [
+            str(e.number),
+            e.at.replace("T", " ")[:19],
+            e.what + (" (undone)" if e.number in undone else ""),
+            str(e.told.get("reason", "")),
+            str(e.told.get("command", "")),
+            _end(e.told.get("code")),
+        ]
+        for e in reversed(log.entries)
+        if e.kind != "begun"
+    ]
+    table(["no.", "time (UTC)", "what", "reason", "command", "exit code"], rows, pagination=10)
+
+
+def _machine(view: View) -> None:
+    """The history of the machine: what was added, and how it changed."""
+    heading("The machine over time")
+    ui.label(words.MACHINE).classes("text-body2")
+    if view.session.source() is not None:
+        result = view.session.folder.result.name
+        line = ("history", FOLDER, "--add", result)
+        offer(view, "Add this result", lambda: line, what="Add to the history")
+    text(view, "history.event", words.EVENT)
+
+    def event() -> list[str]:
+        return ["history", FOLDER, "--event", str(view.kept["history.event"]).strip() or "..."]
+
+    offer(view, "Add this event", event, what="Add to the history")
+    try:
+        found = History(read_entries(view.session.folder.path / FOLDER))
+        its = history_table(found)
+        drawn = history_figures(found)
+    except LoopcalError as error:
+        told = words.NO_HISTORY if error.code == "missing-file" else str(error)
+        ui.label(told)
+        return
+    table(its.head, its.rows)
+    page(f"{FOLDER}.html", "Open the page of the history")
+    for one in drawn:
+        figure(one)
+
+
+def _end(code: object) -> str:
+    return "" if code is None else str(code)

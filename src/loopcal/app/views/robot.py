@@ -1,0 +1,115 @@
+"""The robot: its description, and the machine with a slider for each joint."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+
+from loopcal.app import words
+from loopcal.app.pictures import joints_of, machine_figure, moved
+from loopcal.app.uploads import uploader
+from loopcal.app.view import View, heading, table
+from loopcal.files.project.project_file import Project
+from loopcal.presentation.shown import in_unit, unit_shown
+
+TYPES = ("motoman-ma1400",)
+"""Machines whose dimensions loopcal knows."""
+KINDS = {"urdf": "URDF", "dh": "Denavit-Hartenberg table", "machine": "Type"}
+ENDS = {"urdf": (".urdf", ".xml"), "dh": (".csv", ".tsv", ".txt", ".xlsx")}
+
+
+def show(view: View) -> None:
+    """The step."""
+    project = view.session.project()
+    objection = view.session.objection()
+    if objection is not None:
+        ui.label(objection).classes("bad printed")
+    if project is None:
+        _choose(view)
+    else:
+        _machine(view, project)
+    if project is not None or objection is not None:
+        _remove(view)
+
+
+def _choose(view: View) -> None:
+    kind, value = view.session.robot()
+    shown = str(view.kept.setdefault("robot.kind", kind or "urdf"))
+
+    def of_kind(event: Any) -> None:
+        view.keep("robot.kind", event.value)
+        view.refresh()
+
+    def of_value(event: Any) -> None:
+        if event.value:
+            view.act(lambda: view.session.choose_robot(shown, str(event.value)))
+
+    ui.toggle(KINDS, value=shown, on_change=of_kind).props('no-caps aria-label="described by"')
+    if shown == "machine":
+        options = list(TYPES)
+    else:
+        uploader(view, f"Drop the {KINDS[shown]} here")
+        options = [
+            f.name
+            for f in view.session.folder.listed()
+            if f.name.endswith(ENDS[shown]) and "/" not in f.name
+        ]
+    known = value if kind == shown and value in options else None
+    box = ui.select(options, value=known, label=KINDS[shown], on_change=of_value).classes("w-96")
+    box.props(f'aria-label="{KINDS[shown]}"')
+    if value:
+        ui.label(words.ROBOT_DONE.format(name=value)).classes("good")
+
+
+def _machine(view: View, project: Project) -> None:
+    mechanism = project.mechanism
+    ui.label(f"{mechanism.name}, stated in {view.project_name()}").classes("text-subtitle1")
+    joints = dict.fromkeys(joints_of(mechanism), 0.0)
+    drawn = machine_figure(mechanism, joints)
+    if drawn is not None:
+        with ui.element("div").classes("beside"):
+            with ui.column().classes("figures"):
+                plot = ui.plotly(drawn).classes("w-full").props('aria-label="the robot"')
+            with ui.column().classes("acts"), ui.grid(columns="auto 1fr 5rem").classes("w-full"):
+
+                def move(name: str, value: float) -> None:
+                    joints[name] = value
+                    plot.run_plot_method("restyle", moved(mechanism, joints), [0])
+
+                for name in joints:
+                    _slider(name, mechanism.quantities.get(name, "rad"), partial(move, name))
+    rows = [
+        [
+            p.name,
+            f"{in_unit(p.nominal, p.unit):.6g}",
+            unit_shown(p.unit) if p.unit != "1" else "",
+            mechanism.kinds[p.name],
+        ]
+        for p in mechanism.parameters
+    ]
+    heading(f"{len(rows)} parameters")
+    table(["parameter", "nominal", "unit", "kind"], rows)
+
+
+def _slider(name: str, unit: str, move: Any) -> None:
+    most = np.pi if unit == "rad" else 1.0
+    ui.label(name).classes("self-center")
+    slider = ui.slider(min=-most, max=most, step=most / 180.0, value=0.0)
+    slider.props(f'aria-label="{name} [{unit_shown(unit)}]"')
+    told = ui.label(f"0 {unit_shown(unit)}").classes("self-center")
+
+    def at(event: Any) -> None:
+        move(float(event.value))
+        told.set_text(f"{in_unit(float(event.value), unit):.1f} {unit_shown(unit)}")
+
+    slider.on_value_change(at)
+
+
+def _remove(view: View) -> None:
+    """Begin anew with the same files."""
+    ui.label(words.CHANGE_ROBOT).classes("text-body2 q-mt-md")
+    remove = partial(view.act, partial(view.session.folder.remove, "another robot or other data"))
+    ui.button("Remove the project", on_click=remove, icon="delete").props("outline color=negative")

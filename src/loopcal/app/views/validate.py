@@ -1,0 +1,156 @@
+"""How good the calibration is on poses not used, over the working region, and on another day."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from nicegui import run, ui
+
+from loopcal.app import words
+from loopcal.app.controls import choice, offer, printed
+from loopcal.app.pictures import machine_figure, moved
+from loopcal.app.predicting import Map, Probe, map_figure
+from loopcal.app.uploads import uploader
+from loopcal.app.view import View, figure, heading
+from loopcal.presentation.shown import in_unit, unit_shown
+from loopcal.report import top
+from loopcal.report.drawn import figures
+from loopcal.report.source import Source
+
+ENDS = (".csv", ".tsv", ".txt", ".xlsx", ".parquet")
+
+
+def show(view: View) -> None:
+    """The step."""
+    source = view.session.source()
+    if source is None:
+        ui.label(words.NO_RESULT)
+        return
+    if view.session.state().stale:
+        ui.label(words.STALE).classes("care")
+    with ui.grid(columns="auto 1fr auto").classes("w-full items-center"):
+        for bar in top.accuracy_bars(source.document):
+            ui.label(bar.label)
+            level = ui.linear_progress(value=bar.share / 100.0, show_value=False, size="16px")
+            level.props(f'aria-label="{bar.label}"')
+            ui.label(bar.words)
+    validation = source.document.validation
+    if validation is not None:
+        ui.label(f"Validated on {validation.words}.").classes("text-body2")
+    heading("Predicted sd over the working region")
+    place = ui.column().classes("w-full")
+    with place:
+        waiting = ui.spinner(size="lg")
+
+    async def fill() -> None:
+        found = await run.io_bound(_predicted, source)
+        waiting.delete()
+        with place:
+            if found is None:
+                ui.label(words.NO_REGION)
+            else:
+                _region(source, *found)
+
+    ui.timer(0.01, fill, once=True)
+    _another_day(view)
+    drawn = figures(source)
+    for key in ("histogram", "arrows"):
+        if key in drawn:
+            figure(drawn[key])
+
+
+def _predicted(source: Source) -> tuple[Probe, Map] | None:
+    probe = Probe.of(source)
+    return None if probe is None else (probe, probe.map())
+
+
+class _Pose:
+    """One pose of the region: its sliders, its prediction, and the machine in it."""
+
+    def __init__(self, source: Source, probe: Probe) -> None:
+        assert source.mechanism is not None
+        self.mechanism, self.probe = source.mechanism, probe
+        self.joints = {**probe.known.typical, **probe.middle()}
+        self.sliders: dict[str, Any] = {}
+        self.words: dict[str, Any] = {}
+        self.quiet = False
+        heading("Predict one pose")
+        with ui.element("div").classes("beside"):
+            with ui.column().classes("figures"):
+                drawn = machine_figure(self.mechanism, self.joints)
+                self.plot = None if drawn is None else ui.plotly(drawn).classes("w-full")
+            with ui.column().classes("acts"):
+                self.told = ui.column()
+                with ui.grid(columns="auto 1fr 5.5rem").classes("w-full items-center"):
+                    for name, (low, high) in probe.spans.items():
+                        self._slider(name, low, high)
+        self.show()
+
+    def _slider(self, name: str, low: float, high: float) -> None:
+        ui.label(name)
+        step = (high - low) / 400.0 or 1.0
+        slider = ui.slider(min=low, max=high, step=step, value=self.joints[name])
+        slider.on_value_change(partial(self._moved, name)).props(f'aria-label="{name}"')
+        self.sliders[name], self.words[name] = slider, ui.label()
+
+    def _moved(self, name: str, event: Any) -> None:
+        self.joints[name] = float(event.value)
+        if not self.quiet:
+            self.show()
+
+    def go(self, joints: dict[str, float]) -> None:
+        """Move all sliders at once."""
+        self.quiet = True
+        for name, value in joints.items():
+            self.sliders[name].set_value(value)
+        self.quiet = False
+        self.show()
+
+    def show(self) -> None:
+        """Predict the pose as it stands."""
+        for name, label in self.words.items():
+            unit = self.probe.units[name]
+            label.set_text(f"{in_unit(self.joints[name], unit):.2f} {unit_shown(unit)}")
+        given = {name: self.joints[name] for name in self.probe.spans}
+        self.told.clear()
+        with self.told:
+            for line in self.probe.words(given):
+                ui.label(line).classes("text-subtitle1")
+        if self.plot is not None:
+            moving = moved(self.mechanism, self.joints)
+            self.plot.run_plot_method("restyle", moving, [0])
+
+
+def _region(source: Source, probe: Probe, found: Map) -> None:
+    """The sd over the working region, and one pose of it."""
+    drawn = map_figure(found)
+    plot = None
+    if drawn is not None:
+        ui.label(words.MAP).classes("text-body2")
+        plot = ui.plotly(drawn).classes("w-full")
+        plot.props('aria-label="predicted sd over the working region"')
+    pose = _Pose(source, probe)
+    if plot is not None:
+        picked = "(event) => emit((event?.points ?? []).map((point) => point.customdata))"
+
+        def clicked(event: Any) -> None:
+            if event.args:
+                pose.go(found.pose(int(event.args[0])))
+
+        plot.on("plotly_click", clicked, js_handler=picked)
+
+
+def _another_day(view: View) -> None:
+    """Readings of another day, beside what the result predicts for them."""
+    heading("Verify on another day")
+    ui.label(words.VERIFY).classes("text-body2")
+    uploader(view, "Drop readings of another day here")
+    files = [f.name for f in view.session.folder.listed() if "/" not in f.name]
+    tables = [name for name in files if name.endswith(ENDS)]
+    if not tables:
+        return
+    result = view.session.folder.result.name
+    choice(view, "verify.file", "Readings", tables)
+    offer(view, "Verify", lambda: ("verify", result, str(view.kept["verify.file"])))
+    printed(view, "verify")

@@ -1,0 +1,114 @@
+"""Every text of the app that is more than a label, in one place."""
+
+from __future__ import annotations
+
+STEPS = {
+    "robot": "Describe the robot: a URDF, a table of Denavit-Hartenberg parameters, or a type.",
+    "data": "Give the readings. loopcal recognises columns and units; correct what is wrong.",
+    "plan": "Choose which poses to measure. Skip this step if you have measured already.",
+    "check": "See what the readings can determine, before a fit.",
+    "fit": "Calibrate, and read whether you can use the result.",
+    "diagnose": "Find what does not fit. Drag over points to select poses; all figures follow.",
+    "validate": "See how good the calibration is where nothing was measured.",
+    "deploy": "Take the result to the robot: files for its controller, and corrected programs.",
+    "history": "See what was done here, undo it, and follow the machine over the years.",
+}
+LIGHTS = {
+    "none": ("radio_button_unchecked", "not begun"),
+    "good": ("check_circle", "good"),
+    "care": ("error", "look at it"),
+    "bad": ("cancel", "wrong"),
+}
+SAME = "the same on the command line"
+NO_PROJECT = (
+    "There is no project in this folder yet. Begin with the steps Robot and Data: "
+    "they need a description of the robot and the readings."
+)
+NO_RESULT = "There is no result yet. Calibrate in the step Fit first."
+NO_OUTPUTS = "The result has no outputs that could be compared with readings."
+STALE = "The project has changed since this result. Fit again to see the effect."
+NO_REGION = "The result states no working region, so loopcal cannot predict over it."
+RUNNING = "running"
+LEFT = "about {seconds} s left"
+CANCELLED = "cancelled; nothing was written"
+UNFINISHED = "The last run did not finish: {command}. Run it again."
+FAULT = "This step cannot be shown: {fault}. This is a fault of loopcal; please report it."
+DONE, ENDED = "done", "ended with exit code {code}"
+KILLED = "the run was killed; nothing was written. Run it again."
+MEANING = {
+    2: "the command line was wrong",
+    3: "an input was wrong",
+    4: "do not use the result without a look at the message",
+    1: "a fault of loopcal",
+}
+NOT_WHOLE = "{shown:,} of {all:,} poses are drawn, the worst among them. All count in the fit."
+FIRST_ROWS = "{all:,} poses; the table shows the first {shown:,}"
+TOLERANCE = "Tolerance of 95 % of poses [mm]"
+REASON = "Reason, for the log"
+REASONS = {
+    "excluded": ("bad reading", "reflector not seen", "wrong pose", "collision"),
+    "shifted": ("reflector slipped", "reflector replaced", "instrument moved", "base moved"),
+}
+SELECTED = "{count:,} of {all:,} poses selected"
+NONE_SELECTED = "No pose is selected. Drag over points of a figure, or click one."
+TOO_LARGE = "The file is larger than an upload may be."
+ROBOT_FIRST = "Describe the robot first, in the step Robot."
+NO_READINGS = "There is no file of readings in the folder yet."
+ROBOT_DONE = "The robot is described by {name}. Go on with the step Data."
+CHANGE_ROBOT = (
+    "To describe the robot anew, remove the project: files stay, and History can undo it."
+)
+BAD_CELLS = (
+    "{count} cells are no numbers. Correct the file and drop it again, or exclude the poses."
+)
+COLUMNS = (
+    "Select a row of the table below: the robot moves to that pose. "
+    "If it looks wrong, choose another column or unit."
+)
+PLANNED = "Move the slider: the robot moves from pose to pose in the order of the plan."
+COMPARED = (
+    "Calibrate with several methods, each validated on ten parts of the poses that its fit does "
+    "not use. Each result gets a folder of its own."
+)
+MAP = "Click a point: the sliders and the prediction below show its pose."
+DIFFERENCE = "Lines that change are marked with - (before) and + (after)."
+EXPORT_FIRST = "Preview the files, then write them."
+NO_DIFFERENCE = "Nothing changes."
+CORRECT = (
+    "loopcal computes targets for which the real machine reaches the poses of your program. "
+    "The corrected program is a new file; the original stays."
+)
+RECORD = "State who measured what, and with what. The record is a page for print."
+EVENT = "What happened: collision, new belt, moved base ..."
+MACHINE = "Calibrations, verifications and events of the machine, in the folder machine.history."
+NO_HISTORY = "The machine has no history yet. Add this result, or an event."
+VERIFY = "Verify the calibration with readings of another day, in the columns of the project."
+LOG_BROKEN = "Lines of the log that cannot be read, and are skipped: {lines}"
+FORMATS = {
+    "urdf": "your URDF, patched",
+    "xacro": "xacro: origins to load",
+    "ur": "Universal Robots calibration.conf",
+    "dh": "Denavit-Hartenberg table (CSV)",
+    "mdh": "modified Denavit-Hartenberg table (CSV)",
+    "mjcf": "MuJoCo (MJCF)",
+    "sdf": "Gazebo (SDF)",
+    "zeros": "joint zeros for the pendant (CSV)",
+    "frames": "tool and base frames (CSV)",
+    "json": "all parameters (JSON, CSV)",
+}
+VENDORS = {
+    "": "roll, pitch, yaw",
+    "kuka": "KUKA",
+    "fanuc": "FANUC",
+    "yaskawa": "Yaskawa",
+    "abb": "ABB",
+}
+CRITERIA = {
+    "": "automatic",
+    "I": "mean accuracy of the end point",
+    "G": "worst accuracy of the end point",
+    "D": "all parameters together",
+    "A": "mean sd of the parameters",
+}
+AS_STATED = "as the project states"
+FOLDS = {"": AS_STATED, "5": "5 parts", "10": "10 parts"}

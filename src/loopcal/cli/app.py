@@ -1,0 +1,46 @@
+"""The command that starts the local app."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from loopcal.cli.application import FunctionOption, app
+from loopcal.cli.output import log
+
+
+@app.command(name="app")
+def serve_app(
+    context: typer.Context,
+    folder: Annotated[str, typer.Argument(metavar="[FOLDER]", help="Folder of the project.")] = ".",
+    mechanism: FunctionOption = None,
+    host: Annotated[
+        str,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Serve other machines under this address; a token is then needed.",
+        ),
+    ] = "127.0.0.1",
+    port: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", min=1, max=65535, help="Listen at this port [default: a free one]."
+        ),
+    ] = None,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Open no browser; print the address only.")
+    ] = False,
+) -> None:
+    """Serve a page on a project folder: the whole work by looking and pointing."""
+    from loopcal.app.server import serve
+
+    serve(
+        folder,
+        context.obj,  # what runs a command line
+        host=host,
+        port=port,
+        function=mechanism,
+        show=not no_browser,
+        tell=lambda address: log(f"the app is at {address}"),
+    )

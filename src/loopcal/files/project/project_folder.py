@@ -1,0 +1,284 @@
+"""A folder with one project in it: what lies there, files taken in, and every change written down.
+
+`loopcal-log.jsonl` has a line for each change and each run, with its time and reason; nothing in
+it is ever rewritten.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from stat import S_ISREG
+from typing import Any, BinaryIO
+
+from loopcal.errors import InputError
+from loopcal.files.atomic import write_atomic
+
+LOG = "loopcal-log.jsonl"
+PROJECT = "project.toml"
+RESULT = "result.json"
+PLAN_DOCUMENT = "plan.json"
+PREVIEW = ".preview"
+"""Folder of exports that are only looked at."""
+_APPENDING = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of the log; number: from 1; at: UTC; told: what it says, by name."""
+
+    number: int
+    at: str
+    kind: str
+    what: str
+    told: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Log:
+    """The entries that can be read; broken: numbers of the lines that cannot."""
+
+    entries: tuple[Entry, ...]
+    broken: tuple[int, ...] = ()
+
+    def edits(self) -> list[Entry]:
+        """Changes of the project that are not undone, the last one last."""
+        undone = {entry.told.get("of") for entry in self.entries if entry.kind == "undo"}
+        return [e for e in self.entries if e.kind == "edit" and e.number not in undone]
+
+    def unfinished(self) -> Entry | None:
+        """The run that began last, where nothing says how it ended."""
+        last = next((e for e in reversed(self.entries) if e.kind in ("begun", "ended")), None)
+        return last if last is not None and last.kind == "begun" else None
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A file of the folder; modified: [ns]."""
+
+    name: str
+    size: int
+    modified: int
+
+
+@dataclass(frozen=True)
+class ProjectFolder:
+    """The folder; nothing outside it is touched."""
+
+    path: Path
+
+    @property
+    def project(self) -> Path:
+        """The project file: project.toml, or the only TOML file that states a project."""
+        named = self.path / PROJECT
+        if named.exists():
+            return named
+        others = [p for p in sorted(self.path.glob("*.toml")) if _is_project(p)]
+        return others[0] if len(others) == 1 else named
+
+    @property
+    def result(self) -> Path:
+        """Where `loopcal calibrate` writes the result of the project."""
+        return self.path / f"{self.project.stem}-result"
+
+    @property
+    def plan(self) -> Path:
+        """Where `loopcal plan` writes the plan of the project."""
+        return self.path / f"{self.project.stem}-plan"
+
+    @property
+    def export(self) -> Path:
+        """Where `loopcal export` writes files for the robot."""
+        return self.result / "export"
+
+    @property
+    def tried(self) -> list[Path]:
+        """Folders of results beside that of the project."""
+        beside = self.path.glob(f"{self.project.stem}-*/{RESULT}")
+        return sorted(path.parent for path in beside if path.parent != self.result)
+
+    def listed(self) -> list[Listed]:
+        """The files in the folder, and in those of results, plan and export, by name; without
+        hidden ones and names with control characters."""
+        found = []
+        for folder in (self.path, self.result, self.plan, self.export, *self.tried):
+            if not folder.is_dir():
+                continue
+            for path in sorted(folder.iterdir()):
+                if path.name.isprintable() and path.name[0] != ".":
+                    with suppress(FileNotFoundError):  # gone since
+                        known = path.stat()
+                        name = path.relative_to(self.path).as_posix()
+                        if S_ISREG(known.st_mode):
+                            found.append(Listed(name, known.st_size, known.st_mtime_ns))
+        return found
+
+    def text(self) -> str | None:
+        """Of the project file; None where there is none."""
+        try:
+            return self.project.read_text("utf-8")
+        except (FileNotFoundError, IsADirectoryError):
+            return None
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(
+                f"cannot be read: {error}",
+                code="unreadable-file",
+                place=str(self.project),
+                remedy="check the file",
+            ) from None
+
+    def inside(self, name: str) -> Path:
+        """The path of a file of the folder. Raises InputError for any other."""
+        root = Path(os.path.realpath(self.path))
+        path = root if "\0" in name else Path(os.path.realpath(root / name))
+        if path == root or not path.is_relative_to(root):
+            raise InputError(
+                "the file is not in the project's folder",
+                code="missing-file",
+                place=name,
+                remedy=f"name a file in {self.path}",
+            )
+        return path
+
+    def file(self, name: str) -> Path:
+        """The path of a file of the folder that is there. Raises InputError for any other."""
+        path = self.inside(name)
+        if not path.is_file():
+            raise InputError(
+                "there is no such file in the project's folder",
+                code="missing-file",
+                place=name,
+                remedy="look at the list of files",
+            )
+        return path
+
+    def inside_of(self, folder: str) -> list[str]:
+        """Names of the files in a folder of this one, without backups."""
+        paths = sorted(self.inside(folder).glob("*"))
+        return [p.name for p in paths if p.is_file() and ".bak" not in p.name]
+
+    def content(self, name: str) -> str | None:
+        """The text of a file of the folder; None where it is not there or is no text."""
+        try:
+            return self.inside(name).read_text("utf-8")
+        except (OSError, UnicodeDecodeError):
+            return None
+
+    def take(self, name: str, content: bytes) -> Path:
+        """Keep a file that was handed in, under its own last name. Raises InputError for a name
+        that cannot stand, and where a file of other content has it."""
+        last = name.replace("\\", "/").rsplit("/", 1)[-1].strip()
+        if not last or last.startswith(".") or any(ord(c) < 32 for c in last) or len(last) > 200:
+            raise InputError(
+                f"{name!r} is no name of a file",
+                code="invalid-value",
+                remedy="rename the file",
+            )
+        path = self.inside(last)
+        if path.exists() and path.read_bytes() != content:
+            raise InputError(
+                "another file of this name is in the folder already",
+                code="unwritable-file",
+                place=last,
+                remedy="rename one of them",
+            )
+        write_atomic(path, content)
+        self.noted("file", f"took in {last}", {"name": last, "bytes": len(content)})
+        return path
+
+    def change(self, text: str, what: str, reason: str) -> None:
+        """Write the project anew, and the change into the log."""
+        before = self.text()
+        write_atomic(self.project, text)
+        self.noted("edit", what, {"reason": reason, "before": before, "after": text})
+
+    def remove(self, reason: str) -> None:
+        """Remove the project file, and write that into the log; `undo` brings it back."""
+        before = self.text()
+        self.project.unlink(missing_ok=True)
+        told = {"reason": reason, "before": before, "after": None}
+        self.noted("edit", f"removed {self.project.name}", told)
+
+    def undo(self) -> str:
+        """Take the last change of the project back, and say which. Raises InputError where there
+        is none, and where the project was changed since by someone else."""
+        edits = self.log().edits()
+        if not edits:
+            raise InputError("there is nothing to undo", code="no-data", remedy="go on")
+        last = edits[-1]
+        if self.text() != last.told.get("after") or not isinstance(last.told.get("before"), str):
+            raise InputError(
+                "the project was changed since, outside the app",
+                code="conflicting-keys",
+                place=self.project.name,
+                remedy="change it there",
+            )
+        write_atomic(self.project, last.told["before"])
+        self.noted("undo", f"undid: {last.what}", {"of": last.number})
+        return last.what
+
+    def noted(self, kind: str, what: str, told: Mapping[str, Any]) -> None:
+        """Add a line to the log: on the disk before this returns. Raises InputError where it
+        cannot be written."""
+        at = datetime.now(UTC).isoformat(timespec="seconds")
+        line = json.dumps({"at": at, "kind": kind, "what": what, **told}, ensure_ascii=True)
+        path = self.path / LOG
+        try:
+            with _APPENDING, path.open("ab+") as file:
+                broken = file.tell() > 0 and not _ends_a_line(file)
+                file.write(b"\n" * broken + line.encode() + b"\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise InputError(
+                f"cannot be written: {error.strerror or error}",
+                code="unwritable-file",
+                place=str(path),
+                remedy="free some space, or choose a folder with write permission",
+            ) from None
+
+    def log(self) -> Log:
+        """What was done in the folder."""
+        try:
+            lines = (self.path / LOG).read_bytes().splitlines()
+        except FileNotFoundError:
+            return Log(())
+        entries, broken = [], []
+        for number, line in enumerate(lines, 1):
+            try:
+                told = json.loads(line)
+                entries.append(
+                    Entry(number, str(told["at"]), str(told["kind"]), str(told["what"]), told)
+                )
+            except (ValueError, KeyError, TypeError):
+                broken.append(number)
+        return Log(tuple(entries), tuple(broken))
+
+
+def _ends_a_line(file: BinaryIO) -> bool:
+    """Whether what a file ends with is a whole line; it can be read and appended to."""
+    file.seek(-1, os.SEEK_END)
+    return file.read(1) == b"\n"
+
+
+def _is_project(path: Path) -> bool:
+    try:
+        return "[mechanism]" in path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+def existing_folder(path: str | Path) -> Path:
+    """The path of a folder. Raises InputError where it is none."""
+    found = Path(path).resolve()
+    if not found.is_dir():
+        raise InputError(
+            "there is no such folder", code="missing-file", place=str(path), remedy="make it first"
+        )
+    return found

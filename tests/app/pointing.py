@@ -1,0 +1,66 @@
+"""A user at a page of the app: what a hand does there."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+
+@dataclass
+class Hand:
+    """Points, clicks and drags; page: of playwright."""
+
+    page: Any
+
+    def step(self, name: str) -> None:
+        """Go to a step."""
+        button = self.page.locator(f'button.step[aria-label^="{name}:"]')
+        if not button.is_visible():
+            self.page.get_by_label("Steps", exact=True).click()
+        button.click()
+        self.page.get_by_role("heading", name=name, exact=True, level=1).wait_for()
+
+    def press(self, name: str | re.Pattern[str]) -> None:
+        """Press a button."""
+        self.page.get_by_role("button", name=name).first.click()
+
+    def run(self, name: str, ends: str = "done") -> None:
+        """Press a button that runs a command, and wait until it has ended so."""
+        bar = self.page.locator(".run")
+        before = int(bar.get_attribute("data-finished"))
+        self.press(name)
+        self.page.locator(f'.run[data-finished="{before + 1}"]').wait_for(state="attached")
+        told = bar.inner_text()
+        assert ends in told, told
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose from a list."""
+        self.page.get_by_label(label, exact=True).first.click()
+        self.page.get_by_role("option", name=option).first.click()
+
+    def drop(self, label: str, *files: Path) -> None:
+        """Hand in files."""
+        box = self.page.locator(".q-uploader", has_text=label).locator("input[type=file]")
+        box.set_input_files([str(file) for file in files])
+
+    def brush(self, label: str, begin: float, end: float) -> None:
+        """Drag over the points of a figure between two values of its x axis."""
+        plot = self.page.get_by_label(label, exact=True)
+        plot.scroll_into_view_if_needed()
+        plot.locator(".nsewdrag").first.wait_for()
+        box = plot.locator(".nsewdrag").first.bounding_box()
+        low, high = plot.evaluate(
+            "e => (e.querySelector('.js-plotly-plot') ?? e)._fullLayout.xaxis.range"
+        )
+        across = [box["x"] + box["width"] * (v - low) / (high - low) for v in (begin, end)]
+        self.page.mouse.move(across[0], box["y"] + 2)
+        self.page.mouse.down()
+        self.page.mouse.move(across[1], box["y"] + box["height"] - 2, steps=4)
+        self.page.mouse.up()
+        self.page.get_by_text(re.compile("poses selected")).wait_for()
+
+    def sees(self, text: str | re.Pattern[str]) -> None:
+        """Wait until the page shows this."""
+        self.page.get_by_text(text).first.wait_for()
