@@ -143,8 +143,9 @@ def choose(
             words = f"{entrant.name}; nothing was compared: the file is at fault"
             none = Chosen(entrant.name, (), words, ())
             return Choice(case.fit.method.name, whole, none, None, None)
-    waiting = [_begun(e, judged[-1].whole) for e in waiting]
-    judged += _all_fitted(waiting, iterated)
+    judged += _all_fitted([_begun(e, None) for e in waiting if e.structured], iterated)
+    near = next((one.whole for one in judged if one.whole and not one.failed), None)
+    judged += _all_fitted([_begun(e, near) for e in waiting if not e.structured], iterated)
     _refuse(judged)
     case = replace(case, trusted=True)
     best = _closest(judged)
@@ -196,10 +197,10 @@ def _closest(judged: Sequence[Judged]) -> Judged | None:
 def _begun(one: Entrant, whole: Result | None) -> Entrant:
     """A further candidate, for which no fault of the file is sought.
 
-    A plain one begins where the first, whole, converged, and needs no other starts.
+    A plain one begins where another, whole, has converged, and needs no other starts.
     """
     case = replace(one.case, trusted=True)
-    if whole is not None and whole.status.converged and not (one.structured or one.drawn):
+    if whole is not None and not (one.structured or one.drawn):
         own = case.mechanism.parameters.names
         start = {name: value for name, value in whole.value.items() if name in own}
         near = unread(whole) if len(case.data) == whole.problem.count else {}
