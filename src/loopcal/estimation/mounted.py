@@ -170,7 +170,7 @@ def see_poses(bodies: Bodies, measured: Array, turns: Array, rounds: int = _ROUN
 
 
 def _held(J: Array, left: Array, at: Array, count: int, common: float) -> Array:
-    """The least-squares step of columns J, the last of which move what is mounted, now `at`.
+    """The Gauss-Newton step of columns J, the last of which move what is mounted, now `at`.
 
     It is held near the body with `common`, as the head of this module says; count: of readings.
     """
