@@ -42,12 +42,15 @@ def serve(
     from loopcal.app.frame import build
     from loopcal.app.sending import sent, shown
     from loopcal.app.session import Session
+    from loopcal.files.paths import INSIDE
     from loopcal.files.project.folder_lock import FolderLock
     from loopcal.files.project.project_folder import existing_folder
 
     path = existing_folder(folder)
     number = _port(host, port)
     rules = Rules.of(host, number)
+    if rules.token is not None:
+        os.environ[INSIDE] = str(path)
     session = Session(path, command, function)
     asked = "" if rules.token is None else f"/?token={rules.token}"
     shown_host = f"[{host}]" if ":" in host else host

@@ -31,6 +31,7 @@ NO_REGION = "The result states no working region, so loopcal cannot predict over
 RUNNING = "running"
 LEFT = "about {seconds} s left"
 CANCELLED = "cancelled; nothing was written"
+CHANGED = "Another page or program has changed the folder. This page shows it now."
 UNFINISHED = "The last run did not finish: {command}. Run it again."
 FAULT = "This step cannot be shown: {fault}. This is a fault of loopcal; please report it."
 DONE, ENDED = "done", "ended with exit code {code}"

@@ -156,9 +156,13 @@ class _Said:
         self.begun += text
         if self.begun.startswith("\r") or "\n" in self.begun:
             whole, newline, rest = self.begun.rpartition("\n")
-            self.connection.send((self.name, whole if newline else rest))
+            self._send(whole if newline else rest)
             self.begun = rest if newline else ""
         return len(text)
+
+    def _send(self, text: str) -> None:
+        with suppress(OSError):  # the server is gone
+            self.connection.send((self.name, text))
 
     def flush(self) -> None:
         """Nothing is kept back but the beginning of a line."""
@@ -170,7 +174,7 @@ class _Said:
     def close(self) -> None:
         """Send what is left."""
         if self.begun.strip():
-            self.connection.send((self.name, self.begun))
+            self._send(self.begun)
 
 
 def _work(command: Command, words: tuple[str, ...], folder: str, said: Connection) -> None:

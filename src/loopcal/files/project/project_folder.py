@@ -79,7 +79,7 @@ class ProjectFolder:
         named = self.path / PROJECT
         if named.exists():
             return named
-        others = [p for p in sorted(self.path.glob("*.toml")) if _is_project(p)]
+        others = [p for p in sorted(self.path.glob("[!.-]*.toml")) if _is_project(p)]
         return others[0] if len(others) == 1 else named
 
     @property
@@ -105,13 +105,13 @@ class ProjectFolder:
 
     def listed(self) -> list[Listed]:
         """The files in the folder, and in those of results, plan and export, by name; without
-        hidden ones and names with control characters."""
+        hidden ones, and names that a command line or a page would take for something else."""
         found = []
         for folder in (self.path, self.result, self.plan, self.export, *self.tried):
             if not folder.is_dir():
                 continue
             for path in sorted(folder.iterdir()):
-                if path.name.isprintable() and path.name[0] != ".":
+                if path.name.isprintable() and path.name[0] not in ".-":
                     with suppress(FileNotFoundError):  # gone since
                         known = path.stat()
                         name = path.relative_to(self.path).as_posix()
@@ -174,7 +174,7 @@ class ProjectFolder:
         """Keep a file that was handed in, under its own last name. Raises InputError for a name
         that cannot stand, and where a file of other content has it."""
         last = name.replace("\\", "/").rsplit("/", 1)[-1].strip()
-        if not last or last.startswith(".") or any(ord(c) < 32 for c in last) or len(last) > 200:
+        if not last or last[0] in ".-" or not last.isprintable() or len(last) > 200:
             raise InputError(
                 f"{name!r} is no name of a file",
                 code="invalid-value",
