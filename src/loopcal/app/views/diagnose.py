@@ -56,7 +56,7 @@ class _Linked:
             plot.run_plot_method("restyle", {"selectedpoints": marks}, [0])
         if self.space is not None:
             self.space.run_plot_method("restyle", self.errors.space_of(self.view.selected), [1])
-        _selected.refresh(self.view, self.errors)
+        _selected.refresh(self)
 
 
 def show(view: View) -> None:
@@ -89,7 +89,7 @@ def show(view: View) -> None:
                 for name in errors.joints:
                     linked.plot(errors.over_joint(name, what), f"error over {name}")
         with ui.column().classes("acts"):
-            _selected(view, errors)
+            _selected(linked)
             ui.button("Select none", on_click=partial(linked.select, [])).props("outline")
             _undo(view)
             heading("Fit again")
@@ -145,9 +145,27 @@ def _state(view: View, changes: ChangePoints) -> None:
     button.props("outline")
 
 
+def _ends(linked: _Linked) -> None:
+    """Move the ends of a run by one pose: a finger is not as exact as a number."""
+    first, last = linked.view.selected[0], linked.view.selected[-1]
+    if len(linked.view.selected) != last - first + 1:
+        return
+    with ui.row().classes("q-gutter-xs"):
+        for label, begin, end in (
+            ("first −", first - 1, last),
+            ("first +", first + 1, last),
+            ("last −", first, last - 1),
+            ("last +", first, last + 1),
+        ):
+            if 0 <= begin <= end < len(linked.errors.size):
+                poses = range(begin, end + 1)
+                ui.button(label, on_click=partial(linked.select, poses)).props("flat")
+
+
 @ui.refreshable
-def _selected(view: View, errors: Errors) -> None:
+def _selected(linked: _Linked) -> None:
     """The selected poses, and what can be done with them."""
+    view, errors = linked.view, linked.errors
     heading("Selected poses")
     if not view.selected:
         ui.label(words.NONE_SELECTED)
@@ -156,6 +174,7 @@ def _selected(view: View, errors: Errors) -> None:
     told = words.SELECTED.format(count=len(poses), all=len(errors.size))
     ui.label(told).classes("text-subtitle1")
     ui.label(f"pose {poses[0]} to {poses[-1]}, rms {errors.rms(view.selected):.3g} {errors.unit}")
+    _ends(linked)
 
     def do(act: Callable[[str], Any], kept: str) -> None:
         chosen = list(view.selected)
