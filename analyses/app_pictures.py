@@ -62,9 +62,11 @@ def _walk(hand: Hand) -> None:
     hand.step("Diagnose")
     hand.brush("error over the poses", SLIPPED - 0.5, 60.5)
     hand.sees("30 of 60 poses selected")
-    _picture(hand, "diagnose", "Diagnose")
+    _picture(hand, "diagnose")
     hand.press("Reflector moved here")
     hand.sees("The project has changed since this result")
+    hand.choose("Method", "implicit-loop: ")
+    hand.choose("Validate on", "10 parts")
     hand.run("Calibrate")
     hand.step("Fit")
     _picture(hand, "refit")
@@ -83,8 +85,9 @@ def _walk(hand: Hand) -> None:
 
 
 def _picture(hand: Hand, name: str, at: str = "") -> None:
-    """A picture of the window as it stands; at: a text at its top."""
+    """A picture of the window; at: a text at its top, else it shows the top of the page."""
     hand.page.mouse.move(SIZE["width"] - 2, 100)
+    hand.page.evaluate("window.scrollTo(0, 0)")
     if at:
         text = hand.page.get_by_text(at).first
         text.evaluate("e => window.scrollTo(0, e.getBoundingClientRect().top + scrollY - 120)")

@@ -77,7 +77,7 @@ def machine_figure(
     if flat:
         more: dict[str, Any] = {"xaxis": axis("x [m]"), "yaxis": axis("y [m]", scaleanchor="x")}
     else:
-        camera = {"eye": {"x": 1.4, "y": 1.4, "z": 0.8}}
+        camera = {"eye": {"x": 2.0, "y": 2.0, "z": 1.1}}
         more = {"scene": _space([f"{k} [m]" for k in keys], camera)}
     return {
         "data": data,

@@ -184,7 +184,7 @@ def _selected(linked: _Linked) -> None:
 
     reason(view, "shifted", words.REASONS["shifted"])
     for label, names in view.session.moved().items():
-        act = partial(view.session.shifted, names, poses[0], poses[-1])
+        act = partial(view.session.shifted, names, poses)
         ui.button(f"{label} moved here", on_click=partial(do, act, "shifted")).props("unelevated")
     reason(view, "excluded", words.REASONS["excluded"])
     exclude = partial(view.session.excluded, poses)
