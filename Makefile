@@ -5,7 +5,7 @@ VENV     ?= .venv
 JOBS     ?= 2
 VERSIONS ?= 3.11 3.12 3.13
 # Independent programs that some tests compare with; those tests skip where they are absent.
-PARTNERS ?= casadi distributed example-robot-data-loaders mujoco pin playwright pytransform3d roboticstoolbox-python \
+PARTNERS ?= casadi distributed drake example-robot-data-loaders mujoco pin playwright pytransform3d roboticstoolbox-python \
 	rtb-data urchin xacro
 
 # Programs that `make benchmark` compares with, beside those of the tests.

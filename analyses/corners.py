@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 import loopcal as lc
 from analyses.written import write_block
 from loopcal.statistics.candidates import nominal_case
+from loopcal.statistics.case import Case
 from loopcal.statistics.folds import Scheme
-from loopcal.statistics.validation import Case, validated
+from loopcal.statistics.validation import validated
 
 PROJECT = Path(__file__).parents[1] / "examples/motoman/right_arm_workspace.toml"
 PAGE = Path(__file__).parents[1] / "docs" / "explanation" / "model-error.md"

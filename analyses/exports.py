@@ -4,9 +4,9 @@
 
 Of each URDF of example-robot-data and rtb-data the longest chain is perturbed by 1 mm and 1 mrad,
 exported, and moved by Pinocchio, with zero offsets in the origins and apart. Printed per robot: the
-largest difference of any entry of the pose [m, 1], MuJoCo's of the MJCF, and whether
-`check_urdf` accepts the file. Asserted: bytes outside <origin> are the same, and a second export
-is the first. Robots that a program cannot read by itself are named.
+largest difference of any entry of the pose [m, 1], MuJoCo's of the MJCF, Drake's of the SDF, and
+whether `check_urdf` accepts the file. Asserted: bytes outside <origin> are the same, and a second
+export is the first. Robots that a program cannot read by itself are named.
 """
 
 from __future__ import annotations
@@ -17,23 +17,26 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.document.exported import Exported
 from loopcal.errors import InputError
 from loopcal.files.exports.format import ExportOptions
-from loopcal.files.exports.simulators import mjcf
+from loopcal.files.exports.simulators import mjcf, sdf
 from loopcal.files.exports.urdf import patched_urdf
 from loopcal.files.machines.urdf import Branch, branches, read_urdf
 from loopcal.mechanisms.calibrated_origins import calibrated_origins
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.origins import joint_chain
+from loopcal.mechanisms.placement import rigid
 from loopcal.mechanisms.rest import RestChain, rest_chain
 
+Array = NDArray[np.float64]
 FOLDERS = {
     "example-robot-data": "cmeel.prefix/share/example-robot-data/robots",
     "rtb-data": "rtbdata/xacro",
@@ -60,7 +63,8 @@ def main() -> None:
             print(f"{path.name}: {str(error).splitlines()[0]}")
             continue
         print(
-            f"{path.name}: {max(largest):.1e}, {mujoco_says(path, chains)}, {checked(path, chains)}"
+            f"{path.name}: {max(largest):.1e}, {mujoco_says(path, chains, poses)}, "
+            f"{drake_says(path, chains, poses)}, {checked(path, chains)}"
         )
         done, worst = done + 1, max(worst, *largest)
     print(f"{done} robots, {poses} poses each; largest difference {worst:.1e}")
@@ -124,27 +128,61 @@ def one_robot(path: Path, chains: Sequence[Branch], poses: int, *, apart: bool) 
     return worst
 
 
-def mujoco_says(path: Path, chains: Sequence[Branch]) -> str:
+def mujoco_says(path: Path, chains: Sequence[Branch], poses: int) -> str:
     try:
         import mujoco
     except ImportError:
         return "MuJoCo is not installed"
     _, made, chain, exported = machine(path, chains, apart=False)
-    files = mjcf(exported, ExportOptions()).files
-    model = mujoco.MjModel.from_xml_string(files["robot.xml"])
+    model = mujoco.MjModel.from_xml_string(str(mjcf(exported, ExportOptions()).files["robot.xml"]))
     data = mujoco.MjData(model)
+
+    def moved(joints: Mapping[str, float]) -> Array:
+        for name, value in joints.items():
+            data.joint(name).qpos[:] = value
+        mujoco.mj_kinematics(model, data)
+        site = data.site("tip")
+        return rigid(site.xmat.reshape(3, 3), site.xpos)
+
+    return f"MuJoCo {largest_difference(made, chain, moved, poses):.1e}"
+
+
+def drake_says(path: Path, chains: Sequence[Branch], poses: int) -> str:
+    try:
+        from pydrake.multibody.parsing import Parser
+        from pydrake.multibody.plant import MultibodyPlant
+    except ImportError:
+        return "Drake is not installed"
+    _, made, chain, exported = machine(path, chains, apart=False)
+    plant = MultibodyPlant(0.0)
+    text = sdf(exported, ExportOptions()).files["robot.sdf"]
+    Parser(plant).AddModelsFromString(str(text), "sdf")
+    plant.Finalize()
+    context = plant.CreateDefaultContext()
+    base, tip = plant.GetFrameByName("base"), plant.GetFrameByName("tip")
+
+    def moved(joints: Mapping[str, float]) -> Array:
+        positions = plant.GetPositions(context)
+        for name, value in joints.items():
+            positions[plant.GetJointByName(name).position_start()] = value
+        plant.SetPositions(context, positions)
+        return np.array(plant.CalcRelativeTransform(context, base, tip).GetAsMatrix4())
+
+    return f"Drake {largest_difference(made, chain, moved, poses):.1e}"
+
+
+def largest_difference(
+    made: Machine, chain: RestChain, moved: Callable[[Mapping[str, float]], Array], poses: int
+) -> float:
+    """Of the poses of a program that commands every joint, also those that follow others."""
     rng = np.random.default_rng(1)
     worst = 0.0
-    for _ in range(50):
+    for _ in range(poses):
         q = {n: rng.uniform(-3.0, 3.0) for n in made.quantities}
-        for joint in chain.joints:
-            own = 1.0 if joint.name == joint.reads else abs(joint.factor)
-            data.joint(joint.name).qpos[:] = own * q[joint.reads]
-        mujoco.mj_kinematics(model, data)
-        site, T = data.site("tip"), chain.pose(q)
-        worst = max(worst, float(np.abs(site.xpos - T[:3, 3]).max()))
-        worst = max(worst, float(np.abs(site.xmat.reshape(3, 3) - T[:3, :3]).max()))
-    return f"MuJoCo {worst:.1e}"
+        own = {j.name: 1.0 if j.name == j.reads else abs(j.factor) for j in chain.joints}
+        joints = {j.name: own[j.name] * q[j.reads] for j in chain.joints}
+        worst = max(worst, float(np.abs(moved(joints) - chain.pose(q)).max()))
+    return worst
 
 
 def checked(path: Path, chains: Sequence[Branch]) -> str:

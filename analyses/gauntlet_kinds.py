@@ -252,6 +252,11 @@ FAULTY = (
     Kind("sds three times too small", replace(_LONG, stated=1 / 3), cause=SDS),
     Kind("sds three times too large", replace(_LONG, stated=3.0), cause=SDS),
     Kind("sds 1,000 times too large", replace(_TRACKER, stated=1e3), cause=SDS),
+    Kind(
+        "three reflectors, no sd stated",
+        World(instrument="three reflectors", poses=150, stated=None),
+        cause="share errors",
+    ),
     Kind("small region", replace(_LONG, share=0.15), cause=NEAR),
     Kind("small region, sag", replace(_LONG, share=0.25, worn=_sag), cause=NEAR),
     Kind(

@@ -36,7 +36,10 @@ ARMS = {"six": truth.SIX, "seven": truth.SEVEN, "scara": truth.SCARA, "planar": 
 
 @dataclass(frozen=True, eq=False)
 class Fresh:
-    """Poses that nobody measured: readings as a controller has them, and true outputs (N, o)."""
+    """Poses that nobody measured: readings as a controller has them, and true outputs (N, o).
+
+    Machine and instrument stand as the measurement left them.
+    """
 
     readings: Readings
     outputs: tuple[str, ...]
@@ -161,6 +164,19 @@ class World:
         if self.instrument == "two trackers":
             run.turn[half:], run.shift[half:] = stands[1]
         self.event(run, rng)
+
+        def left(n: int) -> Run:
+            """As the measurement left the machine: predictions hold after the last change."""
+            return Run(
+                np.repeat(run.target[-1:], n, axis=0),
+                np.repeat(run.turn[-1:], n, axis=0),
+                np.repeat(run.shift[-1:], n, axis=0),
+                np.repeat(run.zero[-1:], n),
+                np.repeat(run.encoders[-1:], n, axis=0),
+                np.zeros((n, 3)),
+                np.zeros(n),
+            )
+
         measured = seen(q, run)
         measured = measured + self.sd * rng.standard_normal(measured.shape)
         if self.left_handed:
@@ -184,7 +200,8 @@ class World:
             q = drawn(box, FRESH, rng)
             count = {"planar": 2}.get(self.machine, 1 if self.instrument == "wire" else 3)
             outputs = tuple(names[:count])
-            return Fresh(self._joints(q, rng), outputs, seen(q, quiet(FRESH))[:, :count])
+            now = quiet(FRESH) if self.event is _nothing else left(FRESH)
+            return Fresh(self._joints(q + now.encoders, rng), outputs, seen(q, now)[:, :count])
 
         return Trial(
             mechanism,

@@ -23,7 +23,7 @@ from analyses.corners import PAGE, PROJECT, SETTLED
 from analyses.written import write_block
 from loopcal.mechanisms.structure.smooth import vectors_for
 from loopcal.statistics.candidates import nominal_case
-from loopcal.statistics.validation import Case
+from loopcal.statistics.case import Case
 
 Array = NDArray[np.float64]
 POSES = 120

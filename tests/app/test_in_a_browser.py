@@ -1,69 +1,86 @@
-"""The page in Chromium: it opens, asks nobody else, and is no wider than its window."""
+"""The page in Chromium: it opens, asks nobody else, fits its window and shows names as text."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.app.serving import Served, asked, serving
-from tests.browser import chromium
-from tests.command_line import run
+from tests.app.conftest import SCRIPT
+from tests.app.pointing import Hand
+from tests.app.serving import Served
+from tests.browser import Seen
 
 STEPS = ("Robot", "Data", "Plan", "Check", "Fit", "Diagnose", "Validate", "Deploy", "History")
-GONE = "Resize must be passed a displayed plot div element"
-"""What plotly throws, without harm, where a figure goes while it measures itself."""
+HARMLESS = ("Resize must be passed a displayed plot div element", "Plotly is not loaded yet")
+"""What plotly says where a step is left before its figures have been drawn."""
 SIZES = {"desktop": (1440, 900), "tablet": (820, 1180)}
+MADE_OF_NAMES = "document.querySelectorAll('img[src=\"x\"]').length + (window.hit ?? 0)"
 
 
-@pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """The app on a project that was simulated and calibrated by the command line."""
-    folder = tmp_path_factory.mktemp("app") / "arm"
-    for line in (
-        ("new", folder, "--mechanism", "planar-two-link"),
-        ("simulate", folder / "project.toml", "--out", folder / "poses.csv", "--seed", "1"),
-        ("calibrate", folder / "project.toml"),
-    ):
-        done = run(*line)
-        assert done.returncode == 0, done.stderr
-    with serving(folder) as server:
-        yield server
+def opened(browser: Any, served: Served, size: str = "desktop") -> Seen:
+    """A page of the app, and what it asked for elsewhere and complained about."""
+    width, height = SIZES[size]
+    seen = Seen(browser.new_page(viewport={"width": width, "height": height}))
+    seen.page.set_default_timeout(120_000)  # a busy machine takes its time
+    own = (served.address, served.address.replace("http", "ws"), "data:", "blob:")
 
+    def asked(request: Any) -> None:
+        if not request.url.startswith(own):
+            seen.requests.append(request.url)
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as found:
-        yield found
+    def said(message: Any) -> None:
+        if message.type == "error" and not message.text.startswith(HARMLESS):
+            seen.complaints.append(message.text)
+
+    def thrown(error: Any) -> None:
+        if not str(error).startswith(HARMLESS):
+            seen.complaints.append(str(error))
+
+    seen.page.on("request", asked)
+    seen.page.on("console", said)
+    seen.page.on("pageerror", thrown)
+    seen.page.goto(served.address)
+    return seen
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_every_step_opens_without_complaint_and_asks_nobody_else(
+def test_every_step_opens_in_its_window_and_shows_names_as_text(
     served: Served, browser: Any, size: str
 ) -> None:
-    width, height = SIZES[size]
-    page = browser.new_page(viewport={"width": width, "height": height})
-    complaints: list[str] = []
-    elsewhere: list[str] = []
-    page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
-    page.on("pageerror", lambda e: complaints.append(str(e)) if GONE not in str(e) else None)
-    own = (served.address, served.address.replace("http", "ws"), "data:", "blob:")
-    page.on("request", lambda r: elsewhere.append(r.url) if not r.url.startswith(own) else None)
-    page.goto(served.address)
-    for step in STEPS:
-        page.locator(f'button[aria-label^="{step}:"]').click()
-        page.get_by_role("heading", name=step, level=1).wait_for()
-        wide = page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
-        assert wide <= 0, f"{step} is {wide} pixels wider than the window"
-    page.close()
-    assert complaints == []
-    assert elsewhere == []
+    seen = opened(browser, served, size)
+    for name in STEPS:
+        Hand(seen.page).step(name)
+        wide = seen.page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
+        assert wide <= 0, f"{name} is {wide} pixels wider than the window"
+        assert seen.page.evaluate(MADE_OF_NAMES) == 0, name
+        assert "This is a fault of loopcal" not in seen.page.inner_text("body"), name
+    assert SCRIPT in seen.page.inner_text("body")  # the log shows it
+    seen.page.close()
+    assert seen.complaints == []
+    assert seen.requests == []
 
 
-def test_scripts_run_by_a_nonce_only(served: Served) -> None:
-    policy = asked(served.address).headers["content-security-policy"]
-    scripts = next(part for part in policy.split(";") if part.strip().startswith("script-src"))
-    assert "'nonce-" in scripts
-    assert "'unsafe-inline'" not in scripts
-    assert "*" not in policy
+def test_an_error_and_a_name_handed_in_are_shown_as_text(
+    served: Served, browser: Any, hostile: Path
+) -> None:
+    """Also the page follows a change of the folder by another program."""
+    seen = opened(browser, served)
+    project = hostile / "project.toml"
+    before = project.read_text("utf-8")
+    try:
+        project.write_text(f'"{SCRIPT}" = 1\n{before}', "utf-8")
+        seen.page.get_by_text("unknown key").first.wait_for()
+        assert seen.page.evaluate(MADE_OF_NAMES) == 0
+    finally:
+        project.write_text(before, "utf-8")
+    Hand(seen.page).step("Data")
+    name = f"{SCRIPT}{SCRIPT}.txt"
+    file = {"name": name, "mimeType": "text/plain", "buffer": b"1"}
+    seen.page.set_input_files('input[type="file"] >> nth=0', [file])
+    Hand(seen.page).step("Deploy")
+    seen.page.get_by_text(name).first.wait_for()
+    assert seen.page.evaluate(MADE_OF_NAMES) == 0
+    (hostile / name).unlink()
+    seen.page.close()

@@ -8,7 +8,7 @@ import pytest
 import loopcal as lc
 from loopcal.estimation.fit import Fit
 from loopcal.measurements.copies import copies
-from loopcal.statistics.validation import Case
+from loopcal.statistics.case import Case
 from tests.reference.simulated import planar_arm
 
 ARM = planar_arm(40)

@@ -242,3 +242,19 @@ def test_noise_that_targets_share_is_no_step() -> None:
         trial.mechanism, trial.readings, method="least-squares", model_error="structured"
     )
     assert len(lc.find_shifts(result)) == 0
+
+
+@pytest.mark.parametrize("slope", [1.0, 0.3], ids=["nothing left", "rounding left"])
+@pytest.mark.parametrize("method", ["least-squares", "implicit-loop"])
+def test_readings_without_noise_hide_no_change_and_no_outlier(slope: float, method: str) -> None:
+    line = lc.Mechanism.from_function(
+        lambda x, p: p.slope * x.q + p.zero - x.y,
+        {"q": "m", "y": "m"},
+        {"slope": (1.0, "1"), "zero": (0.0, "m")},
+        outputs=("y",),
+    )
+    q = 0.25 * np.arange(60)
+    data = {"q": q, "y": slope * q + (1.0 - slope)}
+    result = lc.calibrate(line, data, noise=lc.Noise({"q": 1e-4, "y": 1e-4}), method=method)
+    assert lc.find_shifts(result).found == ()
+    assert lc.find_outliers(result).found == ()

@@ -9,10 +9,10 @@ import pytest
 
 import loopcal as lc
 from loopcal.files.result import result_file
+from loopcal.statistics.case import Case
 from loopcal.statistics.changes import NUMBER, changes
 from loopcal.statistics.choice import choose
 from loopcal.statistics.folds import Scheme
-from loopcal.statistics.validation import Case
 from loopcal.workflow.checking import run_prediction
 from tests.estimation.test_real_data import RIGHT, measured
 from tests.reference.simulated import MA1400_RANGES

@@ -11,11 +11,11 @@ import pytest
 import loopcal as lc
 from loopcal.execution.executor import InProcess
 from loopcal.statistics.candidates import entrants
+from loopcal.statistics.case import Case
 from loopcal.statistics.choice import choose
 from loopcal.statistics.folds import Scheme
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.noise_floor import noise_floor
-from loopcal.statistics.validation import Case
 from tests.reference.simulated import Simulated, planar_arm
 from tests.refusals import refused
 

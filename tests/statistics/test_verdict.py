@@ -79,6 +79,7 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
     "mounting-unstated": ("mechanism.unstated", (("x6B", "y6B", "z6B"),), None),
     "model-incomplete": ("dependence", depends(1.0, 1e-9), False),
     "serial-dependence": ("dependence", depends(1e-9, 1.0), None),
+    "errors-shared": ("dependence", Dependence((), 1e-3, shared=likeness(1e-9)), None),
     "regions-too-small": ("validation.coverage", Coverage(0.95, 0.6, 60), False),
     "overfitted": ("accuracy.after.rms", 1e-4, None),
     "outliers": ("outliers", (OUTLIER,), None),
@@ -165,6 +166,14 @@ def test_an_error_of_the_machine_model_leaves_the_question_open() -> None:
     assert "1.37 mm" in found.sound.words
     nothing = replace(model, sd=0.0)
     assert verdict_of(replace(document, noise=(*document.noise, nothing))) == verdict_of(document)
+
+
+def test_regions_that_take_shared_errors_as_independent_say_so_alone() -> None:
+    few = changed(clean(), "validation.coverage", Coverage(0.95, 0.6, 60))
+    shared = replace(few, dependence=Dependence((), 1e-3, shared=likeness(1e-9)))
+    assert verdict_of(shared).sound.code == "errors-shared"
+    independent = replace(few, dependence=Dependence((), 1e-3, shared=likeness(0.1)))
+    assert verdict_of(independent).sound.code == "regions-too-small"
 
 
 def test_a_slip_is_named_with_row_size_and_cause() -> None:

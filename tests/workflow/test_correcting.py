@@ -12,10 +12,12 @@ import loopcal as lc
 from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
 from loopcal.cli import main
+from loopcal.cli.reporting import run_report
 from loopcal.deployment.inverse import solve
 from loopcal.deployment.rigid import quaternion_of
 from loopcal.files.programs.poses_text import turns_of_pose
 from loopcal.workflow.correcting import run_correct
+from loopcal.workflow.exporting import run_export
 from tests.refusals import refused
 
 NAMES = [f"q{i}" for i in range(1, 7)]
@@ -175,6 +177,30 @@ def test_files_are_written_beside_the_program_and_nothing_is_replaced(
     assert "moved-too-far" in capsys.readouterr().out
     assert main(["correct", str(folder), str(path), "--force", "--tool", "1,2"]) == 2
     assert main(["correct", str(folder), str(path), "--force", "--at", "t=x"]) == 2
+
+
+def test_the_report_shows_what_was_made_of_this_result_and_of_no_other(
+    result: lc.Result, tmp_path: Path
+) -> None:
+    folder, path = tmp_path / "result", tmp_path / "p.csv"
+    lc.write_result(result, folder, report=False)
+    assert "Into the robot" not in run_report([folder], None).read_text()
+    rows = [listed(q) for q in [*Q, 0.0 * Q[0]]]
+    path.write_text("\n".join([",".join(NAMES), *rows, ""]))
+    done = run_correct(folder, path)
+    assert [r and r.reason for r in done.corrected.refused][3] == "singular"
+    run_export(folder, "zeros")
+    page = run_report([folder], None).read_text()
+    told = ("Into the robot", "p.csv (table): 3 targets corrected, 1 refused", "Exported as zeros")
+    for words in (*told, "near a singular pose", "targets_1", "zeros and tool"):
+        assert words in page
+    note = folder / "deployed" / "correction-p.csv.json"
+    note.write_text(note.read_text()[:100])
+    with refused("invalid-syntax", "correction-p.csv.json"):
+        run_report([folder], None)
+    note.unlink()
+    (folder / "result.json").write_text((folder / "result.json").read_text() + "\n")
+    assert "Into the robot" not in run_report([folder], None).read_text()
 
 
 def test_another_model_of_the_controller_is_read_from_a_table(

@@ -71,10 +71,10 @@ def offer(
     """A button that runs a command, and the line that does the same; it follows the controls."""
 
     def action() -> Action:
-        return Action(what or label, tuple(line()))
+        return view.session.action(what or label, line())
 
     async def run() -> None:
-        await view.run_to_end(action().what, *action().words)
+        await view.run_to_end(what or label, *line())
 
     with ui.row().classes("items-center w-full"):
         ui.button(label, on_click=run).props("unelevated")

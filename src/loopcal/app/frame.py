@@ -81,7 +81,8 @@ def build(session: Session) -> None:
     ui.add_css(STYLE)
     ui.colors(primary="#0b5cad")
     view = View(session)
-    known = {"version": session.version}
+    known = {"version": session.version, "finished": session.finished}
+    alive: list[Callable[[], Any]] = []
 
     with ui.header(elevated=False).classes("items-center q-px-md"):
         menu_button = ui.button(icon="menu").props('flat color=white aria-label="Steps"')
@@ -96,11 +97,6 @@ def build(session: Session) -> None:
     menu_button.on_click(drawer.toggle)
 
     @ui.refreshable
-    def menu() -> None:
-        for step in steps(session.state()):
-            _step(step, view, show)
-
-    @ui.refreshable
     def content() -> None:
         labels = {step.key: step.label for step in steps(session.state())}
         title(view, labels[view.step])
@@ -111,11 +107,12 @@ def build(session: Session) -> None:
         run = session.worker.run
         foot.set_value(run is not None or session.folder.log().unfinished() is not None)
         foot.props(f"data-finished={session.finished}")
-        _run(session)
+        alive[:] = [_run(session)]
 
     def draw() -> None:
-        known["version"] = session.version
-        menu.refresh()
+        known.update(version=session.version, finished=session.finished)
+        for step in steps(session.state()):
+            lights[step.key].show(step, chosen=step.key == view.step)
         content.refresh()
         running.refresh()
 
@@ -124,19 +121,23 @@ def build(session: Session) -> None:
         draw()
 
     def look() -> None:
-        run = session.worker.run
         if session.version != known["version"]:
+            own = session.going or session.finished != known["finished"]
             draw()
-        elif run is not None and run.code is None:
-            running.refresh()
+            if not own:
+                ui.notify(words.CHANGED)
+        elif session.going:
+            for follow in alive:
+                follow()
 
     view.refresh = draw
     with drawer:
-        menu()
+        lights = {step.key: _Light(step, show) for step in steps(session.state())}
     with ui.column().classes("w-full q-pa-md"):
         content()
     with ui.footer(elevated=True).classes("run") as foot:
         running()
+    lights[view.step].show(steps(session.state())[0], chosen=True)
     ui.timer(LOOKS_EVERY, look)
 
 
@@ -151,38 +152,53 @@ def _shown(view: View) -> None:
         ui.label(words.FAULT.format(fault=f"{type(error).__name__}: {error}")).classes("bad")
 
 
-def _step(step: Step, view: View, show: Callable[[str], Any]) -> None:
-    icon, said = words.LIGHTS[step.light]
-    chosen = "outline" if step.key == view.step else "flat"
-    button = ui.button(on_click=lambda key=step.key: show(key)).classes("step")
-    button.props(f'{chosen} no-caps align=left aria-label="{step.label}: {said}"')
-    with button:
-        ui.icon(icon).classes(step.light)
-        ui.label(step.label).classes("q-ml-sm")
-        ui.tooltip(shortened(step.words)).props(TIP).classes("tip")
+class _Light:
+    """The button of a step. It stays where it is, so that neither a click nor the focus is lost
+    where its light changes."""
+
+    def __init__(self, step: Step, show: Callable[[str], Any]) -> None:
+        self.button = ui.button(on_click=lambda: show(step.key)).classes("step")
+        self.button.props("no-caps align=left")
+        with self.button:
+            self.icon = ui.icon("")
+            ui.label(step.label).classes("q-ml-sm")
+            self.words = ui.tooltip("").props(TIP).classes("tip")
+        self.show(step, chosen=False)
+
+    def show(self, step: Step, *, chosen: bool) -> None:
+        """How the step stands now, and whether the page shows it."""
+        icon, said = words.LIGHTS[step.light]
+        look, other = ("outline", "flat") if chosen else ("flat", "outline")
+        current = "step" if chosen else "false"
+        told = f'{look} aria-label="{step.label}: {said}" aria-current={current}'
+        self.button.props(told, remove=other)
+        self.icon.set_name(icon)
+        self.icon.classes(replace=step.light)
+        self.words.set_text(shortened(step.words))
 
 
-def _run(session: Session) -> None:
-    """The run that goes on, or the last one."""
+def _run(session: Session) -> Callable[[], Any]:
+    """The run that goes on, or the last one; returns what shows its progress."""
     run = session.worker.run
     unfinished = session.folder.log().unfinished() if run is None else None
     if unfinished is not None:
         told = words.UNFINISHED.format(command=unfinished.told.get("command"))
         ui.label(told).classes("care")
     if run is None:
-        return
+        return lambda: None
+    progress = left = None
     with ui.row().classes("items-center w-full q-gutter-sm"):
         ui.label(run.action.what).classes("text-subtitle2")
         ui.code(run.action.command, language="bash").classes("text-caption gt-sm")
         ui.space()
         if run.code is None:
             ui.spinner(size="sm")
-            ui.label(run.progress or words.RUNNING)
-            left = seconds_left(run.progress, time.monotonic() - run.began)
-            ui.label("" if left is None else words.LEFT.format(seconds=left))
+            progress, left = ui.label(words.RUNNING), ui.label()
             ui.button("Cancel", on_click=session.worker.cancel).props("outline")
         elif run.cancelled:
             ui.label(words.CANCELLED)
+        elif run.code < 0:
+            ui.label(words.KILLED).classes("bad")
         elif run.code == 0:
             ui.label(words.DONE).classes("good")
         else:
@@ -195,6 +211,14 @@ def _run(session: Session) -> None:
             ui.button("Output", on_click=output.open).props("flat")
     if run.code not in (None, 0) and not run.cancelled:
         text_block(run.text[max(run.text.rfind("loopcal: "), 0) :][-SAID:])
+
+    def follow() -> None:
+        if progress is not None and left is not None:
+            progress.set_text(run.progress or words.RUNNING)
+            seconds = seconds_left(run.progress, time.monotonic() - run.began)
+            left.set_text("" if seconds is None else words.LEFT.format(seconds=seconds))
+
+    return follow
 
 
 def seconds_left(progress: str, passed: float) -> int | None:

@@ -22,7 +22,7 @@ Send = Callable[[Message], Awaitable[None]]
 Application = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 COOKIE = "loopcal_token"
-LARGEST = 1_000_000_000
+LARGEST = 500_000_000
 """Bytes of one upload."""
 _POLICY = (
     "default-src 'self'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; "
@@ -30,6 +30,14 @@ _POLICY = (
     "connect-src 'self'; worker-src 'self' blob:; frame-ancestors 'none'; base-uri 'self'; "
     "object-src 'none'; form-action 'self'"
 )
+
+
+@dataclass(frozen=True)
+class Objection:
+    """Why a request is refused, and the status that says so."""
+
+    words: str
+    status: int = 403
 
 
 @dataclass(frozen=True)
@@ -48,20 +56,20 @@ class Rules:
         named = set() if host in ("0.0.0.0", "::") else {f"{host}:{port}"}
         return cls(frozenset(own | named), secrets.token_urlsafe(24))
 
-    def objection(self, scope: Scope) -> str | None:
+    def objection(self, scope: Scope) -> Objection | None:
         """Why a request is refused; None where it is not."""
         headers = {name.lower(): value for name, value in scope.get("headers", ())}
         host = headers.get(b"host", b"").decode("latin-1").lower()
         if self.token is None and host not in self.hosts:
-            return f"this app answers to {sorted(self.hosts)[0]} only"
+            return Objection(f"this app answers to {sorted(self.hosts)[0]} only")
         origin = headers.get(b"origin", b"").decode("latin-1").lower()
         if origin and origin.partition("://")[2] != host:
-            return "another page may not use this app"
+            return Objection("another page may not use this app")
         if self.token is not None and not self.known(scope, headers):
-            return "the token is missing: open the address that `loopcal app` printed"
+            return Objection("the token is missing: open the address that `loopcal app` printed")
         length = headers.get(b"content-length", b"0")
         if not length.isdigit() or int(length) > LARGEST:
-            return f"an upload has at most {LARGEST / 1e9:.0f} GB"
+            return Objection(f"an upload has at most {LARGEST // 10**6} MB", 413)
         return None
 
     def known(self, scope: Scope, headers: dict[bytes, bytes]) -> bool:
@@ -119,14 +127,15 @@ def _capped(receive: Receive) -> Receive:
     return next_part
 
 
-async def _refuse(scope: Scope, receive: Receive, send: Send, words: str) -> None:
+async def _refuse(scope: Scope, receive: Receive, send: Send, why: Objection) -> None:
     if scope["type"] == "websocket":
         await receive()
         await send({"type": "websocket.close", "code": 1008})
         return
     headers = [(b"content-type", b"text/plain; charset=utf-8")]
-    await send({"type": "http.response.start", "status": 403, "headers": headers})
-    await send({"type": "http.response.body", "body": f"refused: {words}\n".encode()})
+    headers += [(b"connection", b"close"), *_COMMON]
+    await send({"type": "http.response.start", "status": why.status, "headers": headers})
+    await send({"type": "http.response.body", "body": f"refused: {why.words}\n".encode()})
 
 
 class _Page:

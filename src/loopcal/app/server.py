@@ -42,20 +42,26 @@ def serve(
     from loopcal.app.frame import build
     from loopcal.app.sending import sent, shown
     from loopcal.app.session import Session
+    from loopcal.files.paths import INSIDE
+    from loopcal.files.project.folder_lock import FolderLock
     from loopcal.files.project.project_folder import existing_folder
 
     path = existing_folder(folder)
     number = _port(host, port)
     rules = Rules.of(host, number)
+    if rules.token is not None:
+        os.environ[INSIDE] = str(path)
     session = Session(path, command, function)
-    session.state()  # reads what is there before the first page asks
-    app.add_middleware(Guard, rules=rules)
     asked = "" if rules.token is None else f"/?token={rules.token}"
     shown_host = f"[{host}]" if ":" in host else host
+    lock = FolderLock(path, f"http://{shown_host}:{number}")
+    session.state()  # reads what is there before the first page asks
+    app.add_middleware(Guard, rules=rules)
     tell(f"http://{shown_host}:{number}{asked}")
     app.add_api_route("/file/{name:path}", lambda name: sent(session, name))
     app.add_api_route("/page/{name:path}", lambda name: shown(session, name))
     ui.page("/", title=f"loopcal: {path.name}", response_timeout=60.0)(lambda: build(session))
+    app.on_shutdown(session.worker.cancel)
     ui.run(
         host=host,
         port=number,
@@ -65,6 +71,7 @@ def serve(
         reconnect_timeout=30.0,
         show_welcome_message=False,
     )
+    lock.release()
 
 
 def _port(host: str, asked: int | None) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from loopcal.app.steps import State
 from loopcal.app.worker import Command, Run, Worker
 from loopcal.document.change_points import ChangePoints
 from loopcal.errors import InputError, LoopcalError
+from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.edits import with_changes, with_shift, with_value, without_poses
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project, read_project
@@ -19,6 +20,12 @@ from loopcal.files.project.stream import load_sample
 from loopcal.measurements.dataset import Dataset
 from loopcal.report.source import Source, read_source
 from loopcal.statistics.shifted import COLUMN, ids_are_numbers
+
+OF_A_MACHINE = {
+    *("calibrate", "check", "compare", "export", "fleet", "noise", "plan", "predict"),
+    *("simulate", "update", "verify"),
+}
+"""Commands that take loops written in Python."""
 
 
 class Session:
@@ -29,11 +36,12 @@ class Session:
 
     def __init__(self, folder: Path, command: Command, function: str | None = None) -> None:
         self.folder = ProjectFolder(folder)
-        self.function = function
-        self.worker = Worker(command, self._ended)
-        self.after: Callable[[], None] | None = None
+        self.function = None if function is None else _absolute(function)
+        self._loops = None if function is None else load_function(function)
+        self.worker = Worker(command, self._begun, self._ended)
         self.last: dict[str, Run] = {}  # of each command, since the server started
         self.finished = 0
+        self._noted: Run | None = None
         self._source: tuple[int, Source | None, str] | None = None
         self._loaded: tuple[int, LoadedData | None, str] | None = None
         self._read: tuple[str, Project | None, str] | None = None
@@ -41,23 +49,35 @@ class Session:
     @property
     def version(self) -> int:
         """Another number whenever a file of the folder has changed."""
-        run = self.worker.run
-        going = (id(run), run.code) if run is not None else None
-        return hash((tuple(self.folder.listed()), going))
+        return hash((tuple(self.folder.listed()), id(self.worker.run), self.going))
+
+    @property
+    def going(self) -> bool:
+        """Whether a run goes on, or its end is not in the log yet."""
+        return self.worker.run is not self._noted
+
+    def action(self, what: str, line: Sequence[str]) -> Action:
+        """`loopcal LINE`, with the loops where they are Python code."""
+        named = self.function is not None and line[0] in OF_A_MACHINE
+        return Action(what, (*line, "--mechanism", str(self.function)) if named else tuple(line))
+
+    def read(self, text: str) -> Project:
+        """The project that a text states. Its loops are those of the command line, never others."""
+        return read_project(self.folder.project, text=text, mechanism=self._loops)
 
     def start(self, action: Action) -> Run:
         """Run a command in the folder."""
-        run = self.worker.start(action, str(self.folder.path))
+        return self.worker.start(action, str(self.folder.path))
+
+    def _begun(self, action: Action) -> None:
         self.folder.noted("begun", action.what, {"command": action.command})
-        return run
 
     def _ended(self, run: Run) -> None:
         self.last[run.action.words[0]] = run
-        self.finished += 1
         told = {"command": run.action.command, "code": run.code, "cancelled": run.cancelled}
         self.folder.noted("ended", run.action.what, told)
-        if self.after is not None:
-            self.after()
+        self.finished += 1
+        self._noted = run
 
     def project(self) -> Project | None:
         """The project as it stands; None where there is none or it cannot be read."""
@@ -75,7 +95,7 @@ class Session:
             self._read = None
         elif self._read is None or self._read[0] != text:
             try:
-                self._read = text, read_project(self.folder.project, text=text), ""
+                self._read = text, self.read(text), ""
             except LoopcalError as error:
                 self._read = text, None, str(error)
 
@@ -219,13 +239,19 @@ class Session:
     def _numbered(self, names: Sequence[str]) -> Dataset:
         """The readings, with the numbers of the poses as the project would read them."""
         text = with_shift(self._counted(), names, [0.0], COLUMN)
-        return load_sample(read_project(self.folder.project, text=text)).dataset
+        return load_sample(self.read(text)).dataset
 
     def _write(self, text: str, what: str, reason: str) -> None:
-        read_project(self.folder.project, text=text)  # raises where it would not be read
+        self.read(text)  # raises where it would not be read
         self.folder.change(text, what, reason)
 
 
 def _that_count(inputs: Mapping[str, Any]) -> dict[str, Any]:
     """What a calibration follows from."""
     return {key: value for key, value in inputs.items() if key not in ("record", "title")}
+
+
+def _absolute(function: str) -> str:
+    """FILE.py:NAME for a command that runs in another folder."""
+    file, colon, name = function.rpartition(":")
+    return f"{Path(file).absolute()}{colon}{name}"

@@ -10,7 +10,6 @@ from typing import Any
 from nicegui import ui
 
 from loopcal.app import words
-from loopcal.app.action import Action
 from loopcal.app.session import Session
 from loopcal.errors import LoopcalError
 
@@ -24,6 +23,8 @@ class View:
     step: str = "robot"
     selected: list[int] = field(default_factory=list)
     kept: dict[str, Any] = field(default_factory=dict)
+    poses: tuple[str, ...] = ()
+    """Ids of the poses of the result that is shown."""
     refresh: Callable[[], Any] = lambda: None
     follow: list[Callable[[], Any]] = field(default_factory=list)
     """What is called when a control changes."""
@@ -33,6 +34,13 @@ class View:
         self.kept[name] = value
         for follower in self.follow:
             follower()
+
+    def select_among(self, poses: Sequence[str]) -> None:
+        """Keep the selected poses, by their ids, where the result has others than before."""
+        ids = {self.poses[i] for i in self.selected}
+        if tuple(poses) != self.poses:
+            self.selected[:] = [i for i, pose in enumerate(poses) if pose in ids]
+        self.poses = tuple(poses)
 
     def act(self, do: Callable[[], Any]) -> bool:
         """Do something that a user asked for, and show why where it cannot be done."""
@@ -48,7 +56,7 @@ class View:
 
     def run(self, what: str, *line: str) -> bool:
         """Begin a run of `loopcal LINE`."""
-        return self.act(lambda: self.session.start(Action(what, line)))
+        return self.act(lambda: self.session.start(self.session.action(what, line)))
 
     async def run_to_end(self, what: str, *line: str) -> bool:
         """Run, and wait; whether it ended well."""

@@ -31,9 +31,11 @@ NO_REGION = "The result states no working region, so loopcal cannot predict over
 RUNNING = "running"
 LEFT = "about {seconds} s left"
 CANCELLED = "cancelled; nothing was written"
+CHANGED = "Another page or program has changed the folder. This page shows it now."
 UNFINISHED = "The last run did not finish: {command}. Run it again."
 FAULT = "This step cannot be shown: {fault}. This is a fault of loopcal; please report it."
 DONE, ENDED = "done", "ended with exit code {code}"
+KILLED = "the run was killed; nothing was written. Run it again."
 MEANING = {
     2: "the command line was wrong",
     3: "an input was wrong",

@@ -2,17 +2,21 @@
 
 A run that is cancelled, crashes or is killed takes nothing with it: what a command writes, it
 writes whole or not at all. Each run has a fresh process, so memory does not grow from run to run.
+A run ends where its server has ended: nothing goes on that no page shows.
 """
 
 from __future__ import annotations
 
 import io
 import multiprocessing
+import multiprocessing.forkserver
 import os
+import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -27,6 +31,8 @@ LINES = 2_000
 """So many lines of a run are kept; of more the last ones."""
 PRELOADED = ["numpy", "polars", "loopcal.workflow.calibration", "loopcal.report.page"]
 """What the warm process loads beside the command itself."""
+WRITTEN = (0, 4)
+"""Exit codes of a run that has written what it makes."""
 _GRACE = 3.0
 """Seconds that a cancelled run has to end by itself."""
 
@@ -61,17 +67,24 @@ class Run:
 
 
 class Worker:
-    """Runs one action at a time; `ended` is called in a thread when one is over."""
+    """Runs one action at a time.
 
-    def __init__(self, command: Command, ended: Callable[[Run], Any]) -> None:
+    begun: called before a run begins; ended: called in a thread when it is over, before another
+    one can begin.
+    """
+
+    def __init__(
+        self, command: Command, begun: Callable[[Action], Any], ended: Callable[[Run], Any]
+    ) -> None:
         names = multiprocessing.get_all_start_methods()
         self._context: Any = multiprocessing.get_context(
             "forkserver" if "forkserver" in names else "spawn"
         )
-        if hasattr(self._context, "set_forkserver_preload"):
+        if "forkserver" in names:
             self._context.set_forkserver_preload([command.__module__, *PRELOADED])
+            multiprocessing.forkserver.ensure_running()  # loads while the user looks
         self._command = command
-        self._ended = ended
+        self._begun, self._ended = begun, ended
         self._lock = threading.Lock()
         self._process: BaseProcess | None = None
         self.run: Run | None = None
@@ -87,7 +100,8 @@ class Worker:
             if self.busy:
                 assert self.run is not None
                 raise Busy(f"{self.run.action.what} goes on; cancel it or wait")
-            heard, said = self._context.Pipe(duplex=False)
+            self._begun(action)
+            heard, said = self._context.Pipe()
             run = Run(action)
             process = self._context.Process(
                 target=_work, args=(self._command, action.words, folder, said)
@@ -106,9 +120,7 @@ class Worker:
             return
         run.cancelled = True
         process.terminate()
-        process.join(_GRACE)
-        if process.is_alive():
-            process.kill()
+        threading.Thread(target=_killed_late, args=(process,), daemon=True).start()
 
     def _listen(self, run: Run, process: BaseProcess, heard: Connection) -> None:
         while True:
@@ -118,8 +130,17 @@ class Worker:
                 break
             run.told(stream, text)
         process.join()
-        run.code = process.exitcode if process.exitcode is not None else -1
-        self._ended(run)
+        with self._lock:
+            code = process.exitcode if process.exitcode is not None else -1
+            run.cancelled = run.cancelled and code not in WRITTEN
+            run.code = code
+            self._ended(run)
+
+
+def _killed_late(process: BaseProcess) -> None:
+    process.join(_GRACE)
+    if process.is_alive():
+        process.kill()
 
 
 class _Said:
@@ -135,9 +156,13 @@ class _Said:
         self.begun += text
         if self.begun.startswith("\r") or "\n" in self.begun:
             whole, newline, rest = self.begun.rpartition("\n")
-            self.connection.send((self.name, whole if newline else rest))
+            self._send(whole if newline else rest)
             self.begun = rest if newline else ""
         return len(text)
+
+    def _send(self, text: str) -> None:
+        with suppress(OSError):  # the server is gone
+            self.connection.send((self.name, text))
 
     def flush(self) -> None:
         """Nothing is kept back but the beginning of a line."""
@@ -149,11 +174,13 @@ class _Said:
     def close(self) -> None:
         """Send what is left."""
         if self.begun.strip():
-            self.connection.send((self.name, self.begun))
+            self._send(self.begun)
 
 
 def _work(command: Command, words: tuple[str, ...], folder: str, said: Connection) -> None:
     """In the child: run the command line."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that what is begun is undone
+    threading.Thread(target=_ends_with, args=(said,), daemon=True).start()
     os.chdir(folder)
     out, error = _Said("stdout", said), _Said("stderr", said)
     streams: list[TextIO] = [out, error]  # type: ignore[list-item]
@@ -161,6 +188,14 @@ def _work(command: Command, words: tuple[str, ...], folder: str, said: Connectio
     code = command(words)
     out.close()
     error.close()
-    said.close()
     sys.stdout = sys.stderr = io.StringIO()
     raise SystemExit(code)
+
+
+def _ends_with(server: Connection) -> None:
+    """In the child: interrupt the run where the server is gone."""
+    with suppress(EOFError, OSError):
+        server.recv()  # the server sends nothing: this returns when it has ended
+    signal.raise_signal(signal.SIGTERM)
+    time.sleep(_GRACE)
+    os._exit(1)

@@ -6,9 +6,14 @@
 
 from __future__ import annotations
 
+import copy
 import io
+import sys
 import warnings
 from collections.abc import Sequence
+
+import typer
+from typer.models import CommandInfo
 
 from loopcal.cli.app import serve_app
 from loopcal.cli.application import app
@@ -42,7 +47,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Sequence[str] | None) -> int:
     try:
-        code = app(arguments, prog_name="loopcal", standalone_mode=False, obj=main) or 0
+        asked = sys.argv[1:] if arguments is None else list(arguments)
+        own = _with_command(asked)
+        code = own(asked, prog_name="loopcal", standalone_mode=False, obj=main) or 0
     except LoopcalError as error:
         if type(error) is LoopcalError:
             return _fault(error)
@@ -63,6 +70,21 @@ def _run(arguments: Sequence[str] | None) -> int:
     if code == INTERRUPTED:
         log("interrupted")
     return int(code)
+
+
+def _with_command(arguments: Sequence[str]) -> typer.Typer:
+    """The application with the command that is asked for, or with all where none is.
+
+    To prepare the options of every command takes longer than a short calibration.
+    """
+    own = copy.copy(app)
+    named = [one for one in app.registered_commands if _name(one) in arguments[:1]]
+    own.registered_commands = named or app.registered_commands
+    return own
+
+
+def _name(command: CommandInfo) -> str:
+    return command.name or str(getattr(command.callback, "__name__", ""))
 
 
 def _fault(error: Exception) -> int:

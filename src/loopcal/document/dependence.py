@@ -43,6 +43,9 @@ class Dependence:
     """Share of the drift in the variance of a reading; null: no serial dependence."""
     drift_poses: Size | None = None
     """Poses over which the drift forgets to 1/e."""
+    shared: Likeness | None = None
+    """The largest canonical correlation of two instruments' residuals in one pose; null: there is
+    one instrument, or the sds of the joints explain what instruments share."""
 
     @property
     def serial(self) -> tuple[InstrumentDependence, ...]:
@@ -55,6 +58,11 @@ class Dependence:
         """The instruments that depend on the place in joint space."""
         limit = self.level / max(len(self.instruments), 1)
         return tuple(i for i in self.instruments if i.spatial and i.spatial.p_value < limit)
+
+    @property
+    def errors_shared(self) -> bool:
+        """Whether instruments share errors that the fit takes as independent."""
+        return self.shared is not None and self.shared.p_value < self.level
 
     def warnings(self) -> tuple[str, ...]:
         """What it means, and what to do."""

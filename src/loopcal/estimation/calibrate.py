@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.findings import ColumnFault
-from loopcal.errors import InputError
+from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.faults.misfit import at_start
-from loopcal.estimation.faults.search import PLAUSIBLE, UNREPAIRED, column_faults
+from loopcal.estimation.faults.search import PLAUSIBLE, UNREPAIRED, column_faults, suspicious
 from loopcal.estimation.fit import Fit, FitOptions, Start
 from loopcal.estimation.methods.registry import PLAIN, names_where
 from loopcal.estimation.model_error import modelled, noise_told, weighed
@@ -62,21 +62,11 @@ def calibrate(
     sensor reads, so a misfit is no reason to try other starts; trusted: no fault of the file is
     sought.
     """
-    fit, stated = Fit.of(fit or Fit(method=PLAIN), options), Noise.of(noise)
-    refuse_noise(fit, stated)
-    if not isinstance(data, Dataset):
-        data = Dataset.from_arrays(data)
-    copied = copies(data, [*mechanism.quantities, *mechanism.known], mechanism.outputs)
-    if copied.size:
-        kept = np.delete(np.arange(len(data)), copied)
-        data, stated = data.without_copies(copied), stated and stated.take(kept)
-        near = near and {name: values[kept] for name, values in near.items()}
-    mechanism = modelled(fit, fit.with_prior(mechanism), len(data))
-    told = noise_told(fit, mechanism, data, stated)
-    refuse_learning(fit, mechanism, told)
-    if told is not None:
-        data = weighed(fit, data)
-        mechanism, data = with_model(mechanism, data, told)
+    fit = Fit.of(fit or Fit(method=PLAIN), options)
+    taken = _prepared(mechanism, data, Noise.of(noise), fit)
+    mechanism, data, told = taken.mechanism, taken.data, taken.noise
+    if taken.copied.size:
+        near = near and {name: np.delete(values, taken.copied) for name, values in near.items()}
 
     def fitted(
         problem: Problem, tolerance: float | None, max_iterations: int = fit.max_iterations
@@ -148,6 +138,52 @@ def calibrate(
         learnt = replace(estimate.problem, start=problem.start)
         faults = faults and left_after(faults, problem, estimate.solution)
         return Result(fit, data, learnt, estimate.solution, problem, estimate, faults=faults)
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """A machine with its model error, its readings, and what is known of their noise; copied:
+    positions of the rows that copy others, which are out."""
+
+    mechanism: Mechanism
+    data: Dataset
+    noise: Noise | None
+    copied: NDArray[np.intp]
+
+
+def _prepared(
+    mechanism: Mechanism, data: Dataset | Any, stated: Noise | None, fit: Fit
+) -> _Prepared:
+    """What is fitted; raises InputError for settings that do not go together."""
+    refuse_noise(fit, stated)
+    if not isinstance(data, Dataset):
+        data = Dataset.from_arrays(data)
+    copied = copies(data, [*mechanism.quantities, *mechanism.known], mechanism.outputs)
+    if copied.size:
+        kept = np.delete(np.arange(len(data)), copied)
+        data, stated = data.without_copies(copied), stated and stated.take(kept)
+    mechanism = modelled(fit, fit.with_prior(mechanism), len(data))
+    told = noise_told(fit, mechanism, data, stated)
+    refuse_learning(fit, mechanism, told)
+    if told is not None:
+        data = weighed(fit, data)
+        mechanism, data = with_model(mechanism, data, told)
+    return _Prepared(mechanism, data, told, copied)
+
+
+def may_be_faulty(mechanism: Mechanism, data: Dataset, noise: Noise | None, fit: Fit) -> bool:
+    """Whether `calibrate` would seek faults of the file: the machine as drawn misses the readings.
+
+    Also where it cannot be placed.
+    """
+    if not isinstance(fit.start, str):
+        return False
+    with one_blas_thread():
+        try:
+            at = _prepared(mechanism, data, noise, fit)
+            return suspicious(started(at.mechanism, at.data, at.noise, fit.start))
+        except (InputError, NoTrustworthyResult):
+            return True
 
 
 def left_after(

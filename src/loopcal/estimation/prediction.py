@@ -30,7 +30,8 @@ def predict_outputs(
     rows = [mechanism.tape.quantities.index(name) for name in mechanism.outputs]
     predicting = mechanism.predicting()
     loops = tuple(range(len(predicting.tape.loops)))
-    return _closed(predicting, loops, rows, parameters, readings, known)[rows]
+    none = np.empty(0, dtype=np.intp)
+    return _closed(predicting, loops, rows, parameters, readings, known, none)[rows]
 
 
 def _closed(
@@ -40,32 +41,33 @@ def _closed(
     parameters: Array,
     readings: Array,
     known: Array,
+    free: NDArray[np.intp],
 ) -> Array:
     """All quantities (k, N) [SI], those at the positions `unknown` found; NaN where none close.
 
     They close the loops at the given positions with all other readings taken as exact, or come
     nearest in least squares where there are more loops than unknowns. A pose whose loops have no
-    value at the start is lost.
+    value at the start is lost. free: the parameters that a fit estimates, whose engine serves here.
     """
-    start = _loop_values(held_loops(mechanism.tape, loops), parameters, readings, known)
+    names = tuple(mechanism.parameters.names[i] for i in free)
+    start = _loop_values(held_loops(mechanism.tape, loops), parameters, readings, known, names)
     begun = np.isfinite(start).all(axis=0)
     found: Array = np.full(readings.shape, np.nan)
     if not begun.any():
         return found
     if not begun.all():
         some = readings[:, begun], known[:, begun]
-        found[:, begun] = _closed(mechanism, loops, unknown, parameters, *some)
+        found[:, begun] = _closed(mechanism, loops, unknown, parameters, *some, free)
         return found
-    none = np.empty(0)
     problem = Problem(
         mechanism,
         readings,
         known,
         ReadingUncertainty(np.zeros((len(readings), 1))),
         parameters,
-        np.empty(0, dtype=np.intp),
-        none,
-        none,
+        free,
+        parameters[free],
+        np.full(len(free), np.inf),
         ("",) * readings.shape[1],
         (Pattern(loops, tuple(unknown), (), slice(None)),),
     )
@@ -104,14 +106,14 @@ def output_differences(
             x = x.copy()
             x[list(pattern.unmeasured)] += corrections[list(pattern.unmeasured)][:, pattern.poses]
         known = problem.known[:, pattern.poses]
-        found = _closed(mechanism, loops, unknown, parameters, x, known)
+        found = _closed(mechanism, loops, unknown, parameters, x, known, problem.free)
         for row in measured:
             computed = found[row] - problem.readings[row, pattern.poses]
             differences[compared.index(row), pattern.poses] = computed
         turns = [i for i in pattern.loops if mechanism.tape.loops[i] in mechanism.turns]
         if turns:
             values = _loop_values(
-                held_loops(mechanism.tape, tuple(turns)), parameters, found, known
+                held_loops(mechanism.tape, tuple(turns)), parameters, found, known, ()
             )
             for loop, value in zip(turns, values, strict=True):
                 row = mechanism.compared.index(mechanism.tape.loops[loop])
@@ -119,9 +121,11 @@ def output_differences(
     return differences
 
 
-def _loop_values(tape: Tape, parameters: Array, readings: Array, known: Array) -> Array:
-    """f(x, p) (m, N) at readings (k, N)."""
-    engine = engine_for(tape, (), min(BLOCK, max(readings.shape[1], 1)), ())
+def _loop_values(
+    tape: Tape, parameters: Array, readings: Array, known: Array, names: tuple[str, ...]
+) -> Array:
+    """f(x, p) (m, N) at readings (k, N), by the engine with derivatives by these parameters."""
+    engine = engine_for(tape, names, min(BLOCK, max(readings.shape[1], 1)))
     engine.at(parameters)
     out = np.empty((len(tape.loops), readings.shape[1]))
     for begin in range(0, readings.shape[1], BLOCK):

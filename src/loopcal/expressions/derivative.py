@@ -9,7 +9,7 @@ Source of the method: Griewank and Walther, Evaluating Derivatives, 2nd ed. (200
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -46,7 +46,8 @@ def _linearised(
     loops = [place[output] for output in tape.outputs]
     inputs = [graph.leaf("quantity", tape.quantities.index(q)) for q in quantities]
     inputs += [graph.leaf("parameter", tape.parameters.index(p)) for p in parameters]
-    gradients = [_reverse(graph, loop, inputs) for loop in loops]
+    useful = _leading_to(graph, inputs)
+    gradients = [_reverse(graph, loop, inputs, useful) for loop in loops]
     outputs = [*loops, *(gradient[i] for i in range(len(inputs)) for gradient in gradients)]
     lowered, place = rewritten(graph.operations, turns_written_out)
     names = [str(i) for i in range(len(outputs))]
@@ -80,7 +81,7 @@ def lagrangian_gradient(tape: Tape) -> Tape:
     inputs = [graph.leaf("quantity", i) for i in range(len(tape.quantities))]
     return Tape.from_graph(
         graph,
-        _reverse(graph, total, inputs),
+        _reverse(graph, total, inputs, _leading_to(graph, inputs)),
         quantities=tape.quantities,
         known=[*tape.known, *(f"lambda {loop}" for loop in tape.loops)],
         parameters=tape.parameters,
@@ -88,10 +89,14 @@ def lagrangian_gradient(tape: Tape) -> Tape:
     )
 
 
-def _reverse(graph: Graph, output: Node, inputs: Sequence[Node]) -> list[Node]:
-    """d output / d input for every input: one reverse sweep over what the output needs."""
+def _reverse(
+    graph: Graph, output: Node, inputs: Sequence[Node], useful: Collection[Node]
+) -> list[Node]:
+    """d output / d input for every input: one reverse sweep over what the output needs.
+
+    useful: the nodes up to the output whose value depends on an input.
+    """
     adjoint: dict[Node, Node] = {output: graph.constant(1.0)}
-    useful = _leading_to(graph, output, set(inputs))
     for node in range(output, -1, -1):
         if node not in adjoint or node not in useful:
             continue
@@ -109,12 +114,11 @@ def _reverse(graph: Graph, output: Node, inputs: Sequence[Node]) -> list[Node]:
     return [adjoint.get(node, zero) for node in inputs]
 
 
-def _leading_to(graph: Graph, output: Node, inputs: set[Node]) -> set[Node]:
-    """The nodes up to the output whose value depends on an input: no other adjoint is needed."""
-    useful: set[Node] = set()
-    for node in range(output + 1):
-        name, payload = graph.operations[node]
-        if node in inputs or (name not in LEAVES and any(int(a) in useful for a in payload)):
+def _leading_to(graph: Graph, inputs: Sequence[Node]) -> set[Node]:
+    """The nodes whose value depends on an input: no other adjoint is needed."""
+    useful = set(inputs)
+    for node, (name, payload) in enumerate(graph.operations):
+        if name not in LEAVES and not useful.isdisjoint(payload):
             useful.add(node)
     return useful
 

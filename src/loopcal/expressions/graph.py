@@ -39,8 +39,10 @@ class Graph:
 
     def apply(self, name: str, *arguments: Node) -> Node:
         """The node of an operation on nodes, simplified where the result is the same number."""
-        values = [self.value_of(a) for a in arguments]
-        if all(v is not None for v in values):
+        values: list[float | None] = []
+        for kind, payload in [self.operations[a] for a in arguments]:
+            values.append(payload[0] if kind == "constant" else None)
+        if None not in values:
             folded = evaluate_scalar(name, *(v for v in values if v is not None))
             if math.isfinite(folded):
                 return self.constant(folded)

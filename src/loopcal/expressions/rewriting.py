@@ -80,7 +80,7 @@ def in_stages(tape: Tape, ends: Sequence[int]) -> Tape:
         needed = set(tape.needed_by(tape.outputs[:end])) - order.keys()
         order |= {position: len(order) + i for i, position in enumerate(sorted(needed))}
     operations = tuple(
-        (name, payload if name in LEAVES else tuple(order[int(a)] for a in payload))
+        (name, payload if name in LEAVES else tuple([order[int(a)] for a in payload]))
         for name, payload in (tape.operations[position] for position in order)
     )
     return replace(tape, operations=operations, outputs=tuple(order[o] for o in tape.outputs))

@@ -71,7 +71,7 @@ class Tape:
         needed = _reachable(everything, outputs)
         place = {node: position for position, node in enumerate(needed)}
         operations = tuple(
-            (name, payload if name in LEAVES else tuple(place[int(a)] for a in payload))
+            (name, payload if name in LEAVES else tuple([place[int(a)] for a in payload]))
             for name, payload in (everything[node] for node in needed)
         )
         return cls(
@@ -243,13 +243,13 @@ def _checked(position: int, row: Any, sizes: Mapping[str, int]) -> tuple[str, tu
 def _reachable(
     operations: Sequence[tuple[str, tuple[float, ...]]], outputs: Sequence[Node]
 ) -> list[Node]:
-    needed: set[Node] = set()
-    stack = list(outputs)
-    while stack:
-        node = stack.pop()
-        if node not in needed:
-            needed.add(node)
+    needed = bytearray(len(operations))
+    for node in outputs:
+        needed[node] = True
+    for node in range(max(outputs, default=-1), -1, -1):  # arguments stand before what they make
+        if needed[node]:
             name, payload = operations[node]
             if name not in LEAVES:
-                stack.extend(int(a) for a in payload)
-    return sorted(needed)
+                for argument in payload:
+                    needed[int(argument)] = True
+    return [node for node, wanted in enumerate(needed) if wanted]

@@ -9,13 +9,16 @@ from pathlib import Path
 from loopcal.errors import InputError
 from loopcal.files.toml.place import Place
 
+INSIDE = "LOOPCAL_INSIDE"
+"""Environment variable with the folder outside of which files may name no others."""
 _VARIABLE = re.compile(r"\$\{(\w+)\}")
 
 
 def expanded(path: str, folder: Path, place: Place) -> Path:
     """A path of a file, ${NAME} replaced by the environment, relative to the folder.
 
-    Raises InputError naming a variable that is not set.
+    Raises InputError naming a variable that is not set, and for a path that leads out of the
+    folder in `INSIDE`.
     """
     for name in _VARIABLE.findall(path):
         if not os.environ.get(name):
@@ -26,6 +29,14 @@ def expanded(path: str, folder: Path, place: Place) -> Path:
                 remedy=f"set it to the folder: export {name}=/path/to/folder",
             )
     found = folder / Path(_VARIABLE.sub(lambda match: os.environ[match[1]], path))
+    inside = os.environ.get(INSIDE)
+    if inside and not Path(os.path.realpath(found)).is_relative_to(os.path.realpath(inside)):
+        raise InputError(
+            f"the path {path!r} leads out of the folder {inside}",
+            code="missing-file",
+            place=str(place),
+            remedy="name a file in the folder",
+        )
     return found if folder.is_dir() else Path(os.path.normpath(found))  # nothing leads through it
 
 

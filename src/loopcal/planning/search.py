@@ -14,7 +14,8 @@ Fedorov (1972), Theory of Optimal Experiments; Miller and Nguyen (1994) for its 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -31,6 +32,12 @@ _SUDDEN = 1e4
 _SINGULAR = 1e-9
 _BETTER = 1e-9
 _PASSES = 20
+"""Passes over the chosen poses, at most."""
+_PROMISING = 1000
+"""So many candidates are chosen among at a time, where there are more than twice as many."""
+_AT_ONCE = 5
+_WORTH = 1e-3
+"""Relative gain below which exchange among many ends: the certificate's bound is not closer."""
 _SHORTLIST = 128
 _PEAK = 8.0
 """The worst test poses weigh by this power of their variance in the shortlist of G."""
@@ -50,15 +57,23 @@ class _System:
         self.A = self._blocks(self.C)
         self.Q = None if self.aim is None else self._blocks(self.C @ self.aim @ self.C)
 
+    def narrowed(self, some: NDArray[np.intp]) -> _System:
+        """The same of some candidates alone."""
+        less = copy(self)
+        less.rows, less.A = self.rows[some], self.A[some]
+        less.flat = less.rows.reshape(-1, self.rows.shape[2])
+        less.Q = None if self.Q is None else self.Q[some]
+        return less
+
     def _blocks(self, matrix: Array) -> Array:
         right = (self.flat @ matrix).reshape(self.rows.shape)
         found: Array = right @ self.rows.transpose(0, 2, 1)
         return found
 
-    def change(self, i: int, sign: float) -> None:
-        """Add (sign 1) or remove (sign -1) a candidate."""
-        B = self.rows[i]
-        self.total += sign * (B.T @ B)
+    def change(self, some: Sequence[int], sign: float) -> None:
+        """Add (sign 1) or remove (sign -1) candidates."""
+        B = self.rows[list(some)].reshape(-1, self.rows.shape[2])
+        self.total = self.total + sign * (B.T @ B)
         half = self.C @ B.T
         S = np.eye(len(B)) + sign * (B @ half)
         values, vectors = np.linalg.eigh(S)
@@ -76,10 +91,10 @@ class _System:
             BK, BV = both[..., :r], both[..., r:]
             cross = BV @ BK.transpose(0, 2, 1)
             W = K.T @ (self.aim @ K)
-            self.Q -= sign * (cross + cross.transpose(0, 2, 1))
-            self.Q += BK @ W @ BK.transpose(0, 2, 1)
-        self.A -= sign * (BK @ BK.transpose(0, 2, 1))
-        self.C -= sign * (K @ K.T)
+            known = self.Q - sign * (cross + cross.transpose(0, 2, 1))
+            self.Q = known + BK @ W @ BK.transpose(0, 2, 1)
+        self.A = self.A - sign * (BK @ BK.transpose(0, 2, 1))
+        self.C = self.C - sign * (K @ K.T)
 
     def log_gain(self) -> Array:
         """(N,) log det(I + A)."""
@@ -117,18 +132,35 @@ class Search:
 
     def add(self, i: int) -> None:
         """Choose a candidate."""
-        self._change(i, 1.0)
+        self._change([i], 1.0)
         self.chosen.append(i)
 
     def remove(self, i: int) -> None:
         """Let a chosen candidate go."""
-        self._change(i, -1.0)
+        self._change([i], -1.0)
         self.chosen.remove(i)
 
-    def _change(self, i: int, sign: float) -> None:
+    def copied(self) -> Search:
+        """A second choice that begins as this one is."""
+        same = copy(self)
+        same.systems = [copy(system) for system in self.systems]
+        same.without = [copy(system) for system in self.without]
+        same.chosen = list(self.chosen)
+        return same
+
+    def narrowed(self, some: NDArray[np.intp]) -> Search:
+        """The same choice among some candidates, those chosen included; positions are theirs."""
+        less = copy(self)
+        less.draws = [replace(draw, rows=draw.rows[some]) for draw in self.draws]
+        less.systems = [system.narrowed(some) for system in self.systems]
+        less.without = [s if s is None else s.narrowed(some) for s in self.without]
+        less.chosen = np.searchsorted(some, self.chosen).tolist()
+        return less
+
+    def _change(self, some: Sequence[int], sign: float) -> None:
         for system in (*self.systems, *self.without):
-            if system is not None:
-                system.change(i, sign)
+            if system is not None and some:
+                system.change(some, sign)
 
     def gains(self, also: int | None = None) -> Array:
         """(N,) by how much each candidate would lower the criterion; -inf for those chosen.
@@ -149,6 +181,24 @@ class Search:
         total: Array = np.mean(parts, axis=0)
         total[self.chosen] = -np.inf
         return total
+
+    def become(self, chosen: Sequence[int]) -> None:
+        """Choose these instead."""
+        self._change([i for i in self.chosen if i not in chosen], -1.0)
+        self._change([i for i in chosen if i not in self.chosen], 1.0)
+        self.chosen = list(chosen)
+
+    def promising(self) -> NDArray[np.intp]:
+        """Ascending positions of those that promise most, and of those chosen."""
+        gains = self.gains()
+        found: NDArray[np.intp] = np.argpartition(-gains, _PROMISING)[:_PROMISING]
+        return np.union1d(found, self.chosen).astype(np.intp)
+
+    def scale(self) -> float:
+        """Of the criterion, for relative changes."""
+        if self.criterion == "D":
+            return float(self.draws[0].root.shape[1])
+        return self.value()
 
     def value(self) -> float:
         """The criterion of what is chosen."""
@@ -225,18 +275,19 @@ def choose(
     size = draws[0].rows.size * len(draws)
     starts = int(np.clip(_EFFORT / max(size * number, 1), 1, _STARTS))
     rng = np.random.default_rng(0)
+    many = len(draws[0].rows) > 2 * _PROMISING and criterion != "G"
     best: Chosen | None = None
     for start in range(starts):
-        search = Search(draws, criterion)
+        search, told = Search(draws, criterion), _Told(progress, number)
         if start:
-            for i in rng.permutation(len(draws[0].rows))[:number]:
-                search.add(int(i))
+            search.become(rng.permutation(len(draws[0].rows))[:number].tolist())
+        elif many:
+            _begun_among_many(search, number, told)
         else:
-            for done in range(number):
+            for _ in range(number):
                 search.add(int(np.argmax(search.gains())))
-                if progress is not None:
-                    progress(done + 1, number)
-        _exchange(search, progress)
+                told.chose()
+        search = (_exchanged_among_many if many else _exchanged)(search, told)
         found = Chosen(tuple(search.chosen), search.value())
         if best is None or found.value < best.value:
             best = found
@@ -244,23 +295,74 @@ def choose(
     return best
 
 
-def _exchange(search: Search, progress: Progress | None) -> None:
-    """Exchange each chosen pose in turn for the best candidate until no exchange helps."""
-    number, tried = len(search.chosen), 0
+@dataclass
+class _Told:
+    """Counts the poses chosen or tried for exchange, and reports them."""
+
+    progress: Progress | None
+    number: int
+    chosen: int = 0
+    tried: int = 0
+
+    def chose(self) -> None:
+        """One more pose was chosen."""
+        self.chosen += 1
+        if self.progress is not None:
+            self.progress(self.chosen, self.number)
+
+    def exchanged(self) -> None:
+        """One more pose was tried for exchange."""
+        self.tried += 1
+        if self.progress is not None:
+            passes = 2 + self.tried // self.number
+            self.progress(self.number + self.tried, self.number * passes)
+
+
+def _begun_among_many(search: Search, number: int, told: _Told) -> None:
+    """Greedy choice, some poses at a time among the candidates that promise most."""
+    while len(search.chosen) < number:
+        some = search.promising()
+        less = search.narrowed(some)
+        for _ in range(min(_AT_ONCE, number - len(search.chosen))):
+            less.add(int(np.argmax(less.gains())))
+            told.chose()
+        search.become(some[less.chosen].tolist())
+
+
+def _exchanged_among_many(search: Search, told: _Told) -> Search:
+    """Exchange among the candidates that promise most, chosen anew until that gains little."""
     for _ in range(_PASSES):
-        changed = False
-        for old in list(search.chosen):
-            search.remove(old)
-            gains = search.gains(old)
-            new, kept = int(np.argmax(gains)), float(gains[old])
-            better = bool(gains[new] > kept + _BETTER * abs(kept))
-            search.add(new if better else old)
-            changed |= better and new != old
-            tried += 1
-            if progress is not None:
-                progress(number + tried, number * (2 + tried // number))
-        if not changed:
-            return
+        value, some = search.value(), search.promising()
+        less = _exchanged(search.narrowed(some), told, _WORTH * search.scale())
+        search.become(some[less.chosen].tolist())
+        if value - search.value() <= _WORTH * search.scale():
+            break
+    return search
+
+
+def _exchanged(search: Search, told: _Told, least: float = 0.0) -> Search:
+    """Exchange each chosen pose in turn for the best candidate, until a pass exchanges none or
+    gains no more than the least."""
+    for _ in range(_PASSES):
+        before = search
+        search = _passed(search, told)
+        if search is before or before.value() - search.value() <= least:
+            break
+    return search
+
+
+def _passed(search: Search, told: _Told) -> Search:
+    """Each chosen pose exchanged for the best candidate, if that is better."""
+    for old in list(search.chosen):
+        without = search.copied()
+        without.remove(old)
+        gains = without.gains(old)
+        new, kept = int(np.argmax(gains)), float(gains[old])
+        if new != old and gains[new] > kept + _BETTER * abs(kept):
+            without.add(new)
+            search = without
+        told.exchanged()
+    return search
 
 
 def inverse(matrix: Array) -> Array:

@@ -22,6 +22,7 @@ from loopcal.estimation.result import Result
 from loopcal.figures.figure import plotly_javascript
 from loopcal.presentation.wrapped import shortened
 from loopcal.report import tables, top
+from loopcal.report.deployed import deployed_figures, deployed_tables, deployed_words
 from loopcal.report.drawn import distances, figures
 from loopcal.report.glossary import meaning
 from loopcal.report.parameters import parameter_groups
@@ -99,7 +100,12 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "record": top.record(document),
         "bars": top.accuracy_bars(document),
         "region": top.region_bars(source),
-        "figures": figures(source),
+        "figures": figures(source) | deployed_figures(source.deployed),
+        "deployed": {
+            "words": deployed_words(source.deployed),
+            "figures": list(deployed_figures(source.deployed)),
+            "tables": deployed_tables(source.deployed),
+        },
         "accuracy": tables.accuracy_tables(document),
         "worst": tables.worst_table(source, before, after),
         "models": tables.model_table(document),

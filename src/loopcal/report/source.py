@@ -8,6 +8,7 @@ from pathlib import Path
 from loopcal.document.result_document import MechanismEntry, ResultDocument
 from loopcal.estimation.result import Result
 from loopcal.files.machines.mechanism_file import read_arm
+from loopcal.files.result.deployed import Deployed, read_deployed
 from loopcal.files.result.pose_table import PoseTable, pose_table, read_pose_table
 from loopcal.files.result.result_file import read_result
 from loopcal.mechanisms.mechanism import Mechanism
@@ -18,13 +19,15 @@ class Source:
     """One result.
 
     name: what distinguishes it from others; document: of result.json; table: of residuals.csv;
-    mechanism: the calibrated one, None where only its author's code has it.
+    mechanism: the calibrated one, None where only its author's code has it; deployed: what was made
+    of it since.
     """
 
     name: str
     document: ResultDocument
     table: PoseTable
     mechanism: Mechanism | None
+    deployed: tuple[Deployed, ...] = ()
 
     @property
     def title(self) -> str:
@@ -51,4 +54,4 @@ def read_source(path: str | Path) -> Source:
     if names is None and mechanism is not None:
         names = MechanismEntry.of(mechanism)
     table = read_pose_table(path.with_name("residuals.csv"), names)
-    return Source(path.absolute().parent.name, document, table, mechanism)
+    return Source(path.absolute().parent.name, document, table, mechanism, read_deployed(path))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 from loopcal.errors import InputError
 from loopcal.estimation.calibrate import calibrate as calibrate_by_method
@@ -14,10 +14,11 @@ from loopcal.execution.executor import Executor
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.statistics.choice import choose
-from loopcal.statistics.folds import Scheme
+from loopcal.statistics.case import Case
 from loopcal.statistics.judging import verdict
-from loopcal.statistics.validation import Case
+
+if TYPE_CHECKING:
+    from loopcal.statistics.folds import Scheme
 
 
 def calibrate(
@@ -75,6 +76,8 @@ def calibrate(
         _refuse_sharing(asked, scheme, executor)
         found = calibrate_by_method(mechanism, data, noise=told, fit=asked, progress=progress)
         return replace(found, judge=verdict)
+    from loopcal.statistics.choice import choose
+
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
     case = Case(mechanism, data, told, asked)

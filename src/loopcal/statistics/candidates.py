@@ -9,7 +9,7 @@ from loopcal.estimation.methods import implicit_loop
 from loopcal.estimation.model_error import instrument_noise, modelled
 from loopcal.estimation.nominal import nominal_machine
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.statistics.validation import Case
+from loopcal.statistics.case import Case
 
 NOMINAL = "nominal"
 

@@ -127,6 +127,11 @@ def find_shifts(result: Result, *, level: float = 0.01, most: int = 8) -> Shifts
         return result.remembered(("shifts", level, most), lambda: _Search(result, level).run(most))
 
 
+def apart(point: ChangePoint, known: Sequence[ChangePoint]) -> bool:
+    """Whether a change is none of those known, whose date is uncertain by some poses."""
+    return all(abs(point.number - other.number) > LEAST for other in known)
+
+
 class _Search:
     """Forward selection of steps, each placed anew when another joins."""
 

@@ -22,11 +22,10 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.model_error import modelled
 from loopcal.estimation.result import Result
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.statistics.change_points import LEAST, Shifts, find_shifts
+from loopcal.statistics.case import Case, taken
+from loopcal.statistics.change_points import Shifts, apart, find_shifts
 from loopcal.statistics.outliers import find_outliers
-from loopcal.statistics.predictive import taken
 from loopcal.statistics.shifted import shift_lines, with_shifts
-from loopcal.statistics.validation import Case
 
 CERTAIN = 1e-6
 """Changes of so small a p-value, corrected for the search, are modelled; such poses discarded."""
@@ -116,11 +115,6 @@ def changes(case: Case, way: Fit, whole: Result) -> Changes:
 def _certain(point: ChangePoint, known: Sequence[ChangePoint]) -> bool:
     """Whether a step is beyond doubt, and none that is known with its date shifted by a little."""
     return point.shape == "step" and point.p_value < CERTAIN and apart(point, known)
-
-
-def apart(point: ChangePoint, known: Sequence[ChangePoint]) -> bool:
-    """Whether a change is none of those known, whose date is uncertain by some poses."""
-    return all(abs(point.number - other.number) > LEAST for other in known)
 
 
 def _modelled(

@@ -36,12 +36,12 @@ from loopcal.execution.local import own_threads
 from loopcal.presentation.shown import by_sd, size, unit_shown
 from loopcal.presentation.wrapped import shortened
 from loopcal.statistics.candidates import Entrant, entrants
+from loopcal.statistics.case import Case
 from loopcal.statistics.changes import Changes, changes, unchanged
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.validation import (
-    Case,
     Failed,
     Outcome,
     Plan,
@@ -131,7 +131,9 @@ def choose(
     Raises InputError where no candidate can be fitted.
     """
     judged, waiting = list[Judged](), list(entrants(case))
-    while waiting and not any(one.whole for one in judged):  # the first fit seeks faults for all
+    doubted = waiting[0].case.may_be_faulty
+    while doubted and waiting and not any(one.whole for one in judged):
+        # the first fit seeks faults for all
         entrant = waiting.pop(0)
         judged.append(_fitted(entrant, iterated))
         whole = judged[-1].whole

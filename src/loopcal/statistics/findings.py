@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from loopcal.document.accuracy import Distances
@@ -13,9 +13,11 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.execution.executor import gathered
+from loopcal.execution.local import own_threads
 from loopcal.statistics.candidates import nominal_case
-from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, find_shifts
-from loopcal.statistics.changes import apart
+from loopcal.statistics.case import Case
+from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, apart, find_shifts
 from loopcal.statistics.identifiability import WhatDataSay, calibration_index, what_data_say
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.observability import data_spectrum, observability
@@ -26,7 +28,6 @@ from loopcal.statistics.region import Span, region_of
 from loopcal.statistics.reliability import ReadingReliability, reliability
 from loopcal.statistics.scatter import Scatter, scatter
 from loopcal.statistics.shifted import shift_lines
-from loopcal.statistics.validation import Case
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +105,10 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
     solution, chosen = result.solution, result.chosen is not None
     with one_blas_thread():
         known = predictor(result)
-        outliers = find_outliers(result)
-        searched = result.status.converged and not outliers.columns
-        shifts = find_shifts(result) if searched else NOT_SEARCHED
+        # both take as long; the document is kept with the result
+        searched, _ = gathered(own_threads(), _asked, result, (_searched, _documented))
+        assert searched is not None
+        outliers, shifts = searched.outliers, searched.shifts
         told = result.document.change_points or ChangePoints((), shifts.level, 0)
         modelled, discarded = told.found, result.document.outliers or ()
         new = tuple(p for p in shifts.found if apart(p, modelled))
@@ -135,6 +137,28 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
         )
 
 
+@dataclass(frozen=True, eq=False)
+class _Searched:
+    """What does not fit, and what changed during the run."""
+
+    outliers: Outliers
+    shifts: Shifts
+
+
+def _asked(result: Result, what: Callable[[Result], _Searched | None]) -> _Searched | None:
+    return what(result)
+
+
+def _searched(result: Result) -> _Searched:
+    outliers = find_outliers(result)
+    able = result.status.converged and not outliers.columns
+    return _Searched(outliers, find_shifts(result) if able else NOT_SEARCHED)
+
+
+def _documented(result: Result) -> None:
+    _ = result.document
+
+
 def _unit_sd(result: Result) -> float | None:
     """Sd of a whitened equation: 1 by the stated sds, else from the residuals."""
     freedom = result.solution.equations - data_spectrum(result.information).rank
@@ -147,8 +171,9 @@ def nominal_distances(result: Result) -> Distances | None:
     if not result.mechanism.outputs:
         return None
     try:
-        case = Case(result.mechanism, result.dataset, None, replace(result.fit, prior=None))
-        found = nominal_case(case).calibrated().accuracy_after
+        fit, sought = replace(result.fit, prior=None), not result.faults
+        case = Case(result.mechanism, result.dataset, None, fit)
+        found = replace(nominal_case(case), trusted=sought).calibrated().accuracy_after
     except (InputError, NoTrustworthyResult):
         return None  # nothing can be placed, or not by these readings
     return None if found is None else found.distances

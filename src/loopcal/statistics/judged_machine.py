@@ -97,7 +97,9 @@ def off_the_drawing(document: ResultDocument) -> Said | None:
         others = len(alike) - 1
         if others < _FEWEST or (unit, len(alike)) not in learnt or not worst.sd:
             continue
-        usual = math.sqrt(sum(_off(p) ** 2 for p in alike if p is not worst) / others)
+        # what the poses hardly determine stays at the drawing: its sd counts as well
+        squares = [_off(p) ** 2 + (p.sd or 0.0) ** 2 for p in alike if p is not worst]
+        usual = math.sqrt(sum(squares) / others)
         if _off(worst) < _CLEAR * max(usual, worst.sd):
             continue
         freedom = np.array(float(others))

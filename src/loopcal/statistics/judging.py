@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from loopcal.document.verdict import Verdict
 from loopcal.estimation.result import Result
 from loopcal.statistics.findings import Findings, findings
 from loopcal.statistics.region import Span
-from loopcal.statistics.validation import Validation
 from loopcal.statistics.verdict import verdict_of
+
+if TYPE_CHECKING:
+    from loopcal.statistics.validation import Validation
 
 
 def verdict(

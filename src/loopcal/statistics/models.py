@@ -35,9 +35,10 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.effects.model import Model, with_only
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.statistics.case import Case
 from loopcal.statistics.folds import Scheme, grouped, stated_sds
 from loopcal.statistics.judging import verdict
-from loopcal.statistics.validation import Asked, Case, Validation, ValidationOptions, validated
+from loopcal.statistics.validation import Asked, Validation, ValidationOptions, validated
 
 Array = NDArray[np.float64]
 GEOMETRIC = "geometric"

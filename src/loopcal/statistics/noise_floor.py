@@ -40,7 +40,9 @@ def noise_floor(result: Result) -> float | None:
     for pattern in problem.patterns:
         x = problem.readings[:, pattern.poses] + result.solution.corrections[:, pattern.poses]
         known, sd = problem.known[:, pattern.poses], sds[:, pattern.poses]
-        S = output_sensitivity(mechanism, values, (), x, known, pattern.unmeasured).by_reading
+        S = output_sensitivity(
+            mechanism, values, problem.names, x, known, pattern.unmeasured
+        ).by_reading
         spread = S * np.where(np.isfinite(sd), sd, 0.0).T[:, None, :]
         for seen in seen_outputs(mechanism):
             its = seen.position or seen.turns

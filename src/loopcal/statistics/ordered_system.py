@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from loopcal.chi_squared import tail
 from loopcal.estimation.dependence.dependence import joint_rows, pose_order
 from loopcal.estimation.dependence.seen import instruments, units_of
+from loopcal.estimation.problem.pose_equations import rounding_left
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.lazy import cached_property
@@ -40,7 +41,8 @@ class OrderedSystem:
 
     E: (N, R); Z: (N, R, m); D, X: (N, R, n), (N, R, k) of parameters and readings; P: (m, m) the
     precision of z, pull: (m,) P (nominal - present); patterns: (N,) poses with the same equations;
-    rows: (N, R) which are there; smooth: the last so many columns of Z whose variance is learnt.
+    rows: (N, R) which are there; smooth: the last so many columns of Z whose variance is learnt;
+    rounding: mean square that rounding leaves in a row, below which no scatter is taken.
     """
 
     problem: Problem
@@ -54,6 +56,7 @@ class OrderedSystem:
     patterns: NDArray[np.intp]
     rows: NDArray[np.bool_]
     smooth: int
+    rounding: float
 
     def columns(self, names: Sequence[str]) -> Array:
         """(N, R, d) of a change of these parameters or zeros of readings by one [SI]."""
@@ -110,7 +113,8 @@ class OrderedSystem:
                 share = min(1.0, poses / few)
                 S = share * own.T @ own / poses / freedom + (1.0 - share) * S
             values, vectors = np.linalg.eigh(S)
-            values = np.maximum(values, 1e-12 * max(float(values.max(initial=0.0)), 1e-300))
+            least = max(1e-12 * float(values.max(initial=0.0)), self.rounding)
+            values = np.maximum(values, least or 1.0)  # where nothing is left, any scale will do
             root = (vectors / np.sqrt(values)) @ vectors.T
             T[np.ix_(here, there, there)] = root
         return T
@@ -304,6 +308,7 @@ def ordered_system(result: Result) -> OrderedSystem:
         patterns[order],
         rows[order],
         B.shape[2],
+        rounding_left(problem, equations),
     )
 
 

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from loopcal.chi_squared import quantile
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.faults.misfit import HALF, misfit
-from loopcal.estimation.problem.pose_equations import pose_equations
+from loopcal.estimation.problem.pose_equations import rounding_left
 from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.loss import Huber, Loss
 from loopcal.estimation.solve.solution import Solution
 from loopcal.statistics.blocks import blocks
-from loopcal.statistics.pose_tests import Fitted, PoseTests, pose_tests, settle
+from loopcal.statistics.pose_tests import Fitted, PoseTests, independent, pose_tests, settle
 
 Array = NDArray[np.float64]
 MOST = 0.3
@@ -183,9 +183,7 @@ class Search:
         """|E|^2 / r of every pose (N,), in units in which the median of a good one is that of a
         normal one; infinite where it is no number."""
         ratios = np.zeros(len(self.problem.poses))
-        for block in pose_equations(
-            self.problem, fit.parameters, fit.corrections, exact=self.exact
-        ):
+        for block in fit.equations(self.problem, exact=self.exact):
             r = block.E.shape[1]
             if r:
                 ratios[block.poses] = np.square(block.E).sum(axis=1) / r
@@ -255,13 +253,16 @@ class Search:
         """
         if self.scale == "stated":
             return replace(fit, factor=1.0)
+        if self.scale == "residual":
+            blocks = replace(fit, alike={}).equations(self.problem, exact=self.exact)
+            fit = replace(fit, alike=independent(blocks, ~gone))
         factor = self._factor(fit, gone, cleaned)
         if self.scale == "auto" and factor < self._plausible(gone):
             factor = 1.0
         return replace(fit, factor=factor)
 
     def _factor(self, fit: Fitted, gone: NDArray[np.bool_], cleaned: bool) -> float:
-        found = pose_equations(self.problem, fit.parameters, fit.corrections, exact=self.exact)
+        found = fit.equations(self.problem, exact=self.exact)
         ratios, total, equations = [], 0.0, 0
         for block in found:
             r = block.E.shape[1]
@@ -273,7 +274,7 @@ class Search:
         known = self.result.solution.equations
         spare = max(known - len(self.problem.free), 1) / known
         mean = total / equations if cleaned else 0.0
-        return max(middle / spare, mean / spare, 1e-300)
+        return max(middle / spare, mean / spare, rounding_left(self.problem, found), 1e-300)
 
     def _plausible(self, gone: NDArray[np.bool_]) -> float:
         """Up to here a median ratio is chance: its sd is about 1.5 / sqrt(poses)."""

@@ -13,8 +13,9 @@ part in the fit W = 1 - D C D^T and y = E with C of all poses, which is the same
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,9 @@ from loopcal.estimation.solve.reduced import Closed
 from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]
+_POINT, _ENOUGH, _HUBER, _ROUNDS = 3, 10, 1.5, 4
+"""Equations that a point gives; poses for each equation from which their scatter is known; from so
+many sds on a pose counts less, in so many rounds."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +57,52 @@ class PoseTests:
 @dataclass(frozen=True)
 class Fitted:
     """Where a fit stands: parameters (n_all,), corrections (k, N) [SI], covariance (n, n) at a
-    variance factor of 1, the factor itself."""
+    variance factor of 1, the factor itself.
+
+    alike: number of equations r -> (r, r) by which those of a pose are turned to be independent and
+    alike, where the scale of errors that several targets share comes from the residuals.
+    """
 
     parameters: Array
     corrections: Array
     covariance: Array
     factor: float
+    alike: Mapping[int, Array] = field(default_factory=dict)
+
+    def equations(self, problem: Problem, *, exact: bool) -> tuple[PoseEquations, ...]:
+        """Of every pose where the fit stands."""
+        found = pose_equations(problem, self.parameters, self.corrections, exact=exact)
+        return tuple(self._turned(block) for block in found)
+
+    def _turned(self, block: PoseEquations) -> PoseEquations:
+        T = self.alike.get(block.E.shape[1])
+        if T is None:
+            return block
+        return replace(block, E=block.E @ T.T, D=T @ block.D, X=T @ block.X)
+
+
+def independent(blocks: Sequence[PoseEquations], kept: NDArray[np.bool_]) -> dict[int, Array]:
+    """What makes the equations of a pose independent and alike, by their number.
+
+    From the scatter of the poses that are kept (N,), those that fit badly counting less (Huber).
+    Only where a pose has more equations than one point gives.
+    """
+    found = {}
+    for block in blocks:
+        E, r = block.E[kept[block.poses]], block.E.shape[1]
+        if r <= _POINT or len(E) <= 2 * r:
+            continue
+        # of few poses partly as if the equations were alike: their scatter is unsure itself
+        share, weights = min(1.0, len(E) / (_ENOUGH * r)), np.ones(len(E))
+        for _ in range(_ROUNDS):
+            own = weights[:, None] * E
+            values, vectors = np.linalg.eigh(own.T @ own / len(E))
+            values = share * values + (1.0 - share) * values.mean()
+            values = np.maximum(values, 1e-9 * max(float(values[-1]), 1e-300))
+            away = np.sqrt(np.square(E @ (vectors / np.sqrt(values))).mean(axis=1))
+            weights = np.sqrt(np.minimum(1.0, _HUBER / np.maximum(away, 1e-300)))
+        found[r] = math.sqrt(values.mean()) * (vectors / np.sqrt(values)) @ vectors.T
+    return found
 
 
 def tail(t: Array, freedom: NDArray[np.intp]) -> Array:
@@ -72,7 +116,7 @@ def pose_tests(
     problem: Problem, fit: Fitted, fitted: NDArray[np.bool_], *, exact: bool = False
 ) -> PoseTests:
     """The tests of all poses; fitted: (N,) those that took part in the fit."""
-    equations = pose_equations(problem, fit.parameters, fit.corrections, exact=exact)
+    equations = fit.equations(problem, exact=exact)
     k, N = problem.readings.shape
     t, freedom = np.zeros(N), np.zeros(N, dtype=np.intp)
     w, sd = np.full((k, N), np.nan), np.full((k, N), np.nan)

@@ -52,11 +52,6 @@ class Held:
     corrections: Array
 
 
-def taken(noise: Noise | None, index: NDArray[np.intp] | None) -> Noise | None:
-    """The noise of the poses at these positions."""
-    return noise if noise is None or index is None else noise.take(index)
-
-
 def held_problem(
     fit: Result,
     data: Dataset,

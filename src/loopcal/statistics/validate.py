@@ -15,8 +15,9 @@ from loopcal.execution.executor import Executor, Progress
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.statistics.case import Case
 from loopcal.statistics.choice import choose
-from loopcal.statistics.validation import Asked, Case, Validation, ValidationOptions, validated
+from loopcal.statistics.validation import Asked, Validation, ValidationOptions, validated
 
 
 def validate(

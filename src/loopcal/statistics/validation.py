@@ -24,23 +24,19 @@ from loopcal.document.accuracy import Coverage, FailedPart, ValidationEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import Accuracy, accuracy, by_pose, deviations
-from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.leaving_out import leaving_out
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.local import own_threads
-from loopcal.lazy import cached_property
-from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
-from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.blocks import blocks_of
 from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.case import Case, of_poses, taken
 from loopcal.statistics.folds import (
     Index,
     Parts,
@@ -51,7 +47,7 @@ from loopcal.statistics.folds import (
     stated_sds,
 )
 from loopcal.statistics.innovation import Linearised, components_of
-from loopcal.statistics.predictive import LEVEL, Held, Predictive, held_problem, predictive, taken
+from loopcal.statistics.predictive import LEVEL, Held, Predictive, held_problem, predictive
 from loopcal.statistics.replacing import Freedom, replaced
 from loopcal.statistics.same_run import Run
 from loopcal.statistics.verification import day_problem
@@ -293,55 +289,6 @@ Outcome = Predicted | Failed
 """What became of a part."""
 
 
-@dataclass(frozen=True, eq=False)
-class Case:
-    """A calibration as it was asked for."""
-
-    mechanism: Mechanism
-    data: Dataset
-    noise: Noise | None
-    fit: Fit
-    near: Mapping[str, Array] | None = None
-    """Corrections (N,) of what no sensor reads, where a fit of these readings ended."""
-    trusted: bool = False
-    """Whether faults of the file were sought, and there are none."""
-
-    @cached_property
-    def copied(self) -> Index:
-        """Positions of the rows that copy others."""
-        own = self.mechanism
-        return copies(self.data, [*own.quantities, *own.known], own.outputs)
-
-    def calibrated(self, index: Index | None = None, progress: Iterated | None = None) -> Result:
-        """The calibration of these poses, by default of all; what copies are, all rows say.
-
-        progress: called at every iteration.
-        """
-        data = self.data
-        if index is not None:
-            index = index[~np.isin(index, self.copied)]
-            data = replace(data, source=replace(data.source, judged=True)).take(index)
-        noise = taken(self.noise, index)
-        near = _of_poses(self.near, index)
-        return calibrate(
-            self.mechanism,
-            data,
-            noise=noise,
-            fit=self.fit,
-            progress=progress,
-            near=near,
-            trusted=self.trusted,
-        )
-
-
-def _of_poses(
-    values: Mapping[str, Array] | None, index: Index | None
-) -> Mapping[str, Array] | None:
-    if values is None or index is None:
-        return values
-    return {name: value[index] for name, value in values.items()}
-
-
 @dataclass(frozen=True)
 class _Begun:
     """What the fits of all parts share: the calibration, and where that of all poses ended.
@@ -410,7 +357,7 @@ def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
             if begun.anew:
                 part = case.data.take(index)
                 return _placed_anew(found, part, taken(case.noise, index), index)
-            near = _of_poses(begun.near.near, index)
+            near = of_poses(begun.near.near, index)
             held = held_problem(found, case.data.take(index), taken(case.noise, index), near)
             return replace(
                 _predicted(found, held, index), rest=np.setdiff1d(rest, begun.near.copied)

@@ -83,7 +83,7 @@ def _first_of(found: Sequence[ChangePoint]) -> str:
 def _plain_model(document: ResultDocument) -> Said | None:
     """By terms that the chosen candidate lacks."""
     chosen = document.chosen
-    if chosen is None:
+    if chosen is None or _errors_shared(document):  # which a term takes for its own
         return None
     known = {*chosen.terms, *_GEOMETRY}
     by: dict[str, list[TermEntry]] = {}
@@ -162,9 +162,21 @@ def _serial(document: ResultDocument) -> Said | None:
     )
 
 
+def _errors_shared(document: ResultDocument) -> Said | None:
+    depends = document.dependence
+    if depends is None or depends.shared is None or not depends.errors_shared:
+        return None
+    correlation = depends.shared.correlation
+    return Said(
+        "The targets share errors, which the stated regions take as independent: their residuals "
+        f"in one pose are correlated by {significant(correlation, 2)}.",
+        correlation,
+    )
+
+
 def _coverage(document: ResultDocument) -> Said | None:
     held = document.validation and document.validation.coverage
-    if not held or not held.poses:
+    if not held or not held.poses or _errors_shared(document):
         return None
     spread = math.sqrt(held.level * (1.0 - held.level) / held.poses)
     if held.level - held.share <= max(4.0 * spread, 0.05):
@@ -308,6 +320,12 @@ SOUND: tuple[Rule, ...] = (
     ),
     Rule("sds-generous", None, _noise_generous, "State smaller sds, or estimate them."),
     Rule("serial-dependence", None, _serial, "Look for shifts, or measure in random order."),
+    Rule(
+        "errors-shared",
+        None,
+        _errors_shared,
+        "State the sds of the joints and of the instruments. The fit then knows what they share.",
+    ),
     Rule("overfitted", None, _overfitted, "Measure more poses, or estimate fewer parameters."),
     Rule(
         "white-model-error",

@@ -23,8 +23,8 @@ from loopcal.files.study.study_file import Scenario, StudyMethod
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.simulation.simulate import Simulation, simulate
+from loopcal.statistics.case import Case
 from loopcal.statistics.choice import choose
-from loopcal.statistics.validation import Case
 
 Array = NDArray[np.float64]
 Columns = dict[str, list[str] | NDArray[np.float64]]

@@ -31,8 +31,6 @@ from loopcal.lazy import cached_property
 from loopcal.measurements.checks import DataWarning
 from loopcal.statistics.calibrate import calibrate
 from loopcal.statistics.findings import Findings, findings
-from loopcal.statistics.folds import Scheme
-from loopcal.statistics.validation import Case
 from loopcal.statistics.verdict import refuses, verdict_of
 from loopcal.workflow.projects import named_project
 
@@ -268,7 +266,9 @@ class _Run:
 
     def _chosen(self, loaded: LoadedData) -> _Done:
         """The calibration by the method that poses not used choose, validated thereby."""
+        from loopcal.statistics.case import Case
         from loopcal.statistics.choice import choose
+        from loopcal.statistics.folds import Scheme
 
         case = Case(self.project.mechanism, loaded.dataset, loaded.noise, self.fit)
         scheme = None

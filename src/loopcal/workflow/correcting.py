@@ -29,6 +29,7 @@ from loopcal.files.programs.program import Program, ProgramTarget
 from loopcal.files.programs.reader import beside, read_program, refuse_existing, write_program
 from loopcal.files.project.new_readings import result_columns, result_pose_column
 from loopcal.files.recognition.robots import dh_robot
+from loopcal.files.result.deployed import CORRECTION, note_deployed, result_path
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.predictor import Predictor, predictor, predictor_of
 from loopcal.workflow.given import readings, result_of
@@ -133,7 +134,7 @@ def run_correct(
     """`correct` a program on the disk, and write the corrected one.
 
     out: by default NAME-corrected beside the program; a file that exists is replaced only with
-    force. Nothing is written where every target is refused.
+    force. Nothing is written where every target is refused. The report of the result shows it.
     """
     path = beside(targets) if out is None else Path(out)
     refuse_existing(path, force)
@@ -141,7 +142,9 @@ def run_correct(
     if not done.corrected.done.any():
         return done
     write_program(path, done.content)
-    return replace(done, written=str(path))
+    done = replace(done, written=str(path))
+    note_deployed(result_path(result), CORRECTION, Path(targets).name, done.document())
+    return done
 
 
 def _known(given: Any) -> tuple[Predictor, dict[str, float], Mapping[str, Any]]:

@@ -16,6 +16,7 @@ from loopcal.files.exports.geometry_json import accuracy
 from loopcal.files.exports.placing import PlacedFiles, place_files
 from loopcal.files.exports.registry import format_named
 from loopcal.files.machines.python_function import load_function
+from loopcal.files.result.deployed import EXPORT, note_deployed
 from loopcal.files.result.result_poses import read_result_poses
 from loopcal.presentation.shown import with_unit
 from loopcal.statistics.predictor import predictor, predictor_of
@@ -120,10 +121,12 @@ def run_export(
     **options: Any,
 ) -> Export:  # fmt: skip
     """`export` of a folder, by default into its folder `export`; function: the loops, for a machine
-    written in Python."""
+    written in Python. The report of the result shows it."""
     loops = None if function is None else load_function(function)
     read = read_result(result, mechanism=loops)
-    return export(read, to, out=read.path.parent / "export" if out is None else out, **options)
+    done = export(read, to, out=read.path.parent / "export" if out is None else out, **options)
+    note_deployed(read.path, EXPORT, done.format, done.document())
+    return done
 
 
 def _check_options(one: Format, source: Any, offsets: str, vendor: str | None) -> None:

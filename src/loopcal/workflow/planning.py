@@ -19,6 +19,7 @@ from loopcal.files.programs.reader import write_program
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.readings_file import readings_tables
+from loopcal.files.result.deployed import PLAN, note_deployed, result_path
 from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.result.result_poses import poses_of_result, read_result_poses
 from loopcal.files.toml.place import Place
@@ -123,6 +124,8 @@ def run_plan(
     if request.report:
         files[PAGE] = plan_html(made, read.title, known.mechanism)
     write_files(folder, files, remove=() if request.report else (PAGE,))
+    if known.calibrated:
+        note_deployed(result_path(str(request.existing)), PLAN, folder.name, document)
     if told is not None and write is not None:
         write_program(told, write(made))
     return Planned(made, read.title, folder, tuple(files), told)

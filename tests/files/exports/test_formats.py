@@ -55,7 +55,7 @@ def rows_of(text):
     return list(csv.DictReader(io.StringIO(text)))
 
 
-def configurations(machine, count=20):
+def configurations(machine, count=1000):
     rng = np.random.default_rng(1)
     names = dict.fromkeys(j.reads for j in machine.chain.joints)
     return [{n: rng.uniform(-2, 2) for n in names} for _ in range(count)]
@@ -187,6 +187,27 @@ def test_sdf_states_each_frame_in_the_one_before():
         tip = model.find("frame")
         found = T[tip.get("attached_to")] @ quat_pose(tip.findtext("pose"))
         np.testing.assert_allclose(found, machine.chain.pose(q), atol=1e-13)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_drake_reads_the_sdf_and_moves_the_arm_as_we_do(name):
+    parsing = pytest.importorskip(
+        "pydrake.multibody.parsing", reason="drake is not installed (make partners)"
+    )
+    from pydrake.multibody.plant import MultibodyPlant
+
+    machine, plant = robot(name), MultibodyPlant(0.0)
+    parsing.Parser(plant).AddModelsFromString(files_of("sdf", machine)["robot.sdf"], "sdf")
+    plant.Finalize()
+    context = plant.CreateDefaultContext()
+    base, tip = plant.GetFrameByName("base"), plant.GetFrameByName("tip")
+    for q in configurations(machine):
+        positions = plant.GetPositions(context)
+        for joint, reading in q.items():
+            positions[plant.GetJointByName(joint).position_start()] = reading
+        plant.SetPositions(context, positions)
+        found = plant.CalcRelativeTransform(context, base, tip).GetAsMatrix4()
+        np.testing.assert_allclose(found, machine.chain.pose(q), atol=1e-12)
 
 
 def quat_pose(text):

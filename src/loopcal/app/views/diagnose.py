@@ -31,6 +31,7 @@ class _Linked:
         self.plots: list[Any] = []
         self.space: Any = None
         self.where = {int(i): n for n, i in enumerate(errors.drawn)}
+        self.selection = ui.refreshable(lambda: _selected(self))
 
     def plot(self, drawn: dict[str, Any], label: str) -> None:
         """Draw a figure that takes part."""
@@ -56,7 +57,7 @@ class _Linked:
             plot.run_plot_method("restyle", {"selectedpoints": marks}, [0])
         if self.space is not None:
             self.space.run_plot_method("restyle", self.errors.space_of(self.view.selected), [1])
-        _selected.refresh(self)
+        self.selection.refresh()
 
 
 def show(view: View) -> None:
@@ -69,7 +70,7 @@ def show(view: View) -> None:
     if errors is None:
         ui.label(words.NO_OUTPUTS)
         return
-    view.selected[:] = [i for i in view.selected if i < len(errors.size)]
+    view.select_among(source.table.poses)
     if view.session.state().stale:
         ui.label(words.STALE).classes("care")
     if len(errors.drawn) < len(errors.size):
@@ -89,7 +90,7 @@ def show(view: View) -> None:
                 for name in errors.joints:
                     linked.plot(errors.over_joint(name, what), f"error over {name}")
         with ui.column().classes("acts"):
-            _selected(linked)
+            linked.selection()
             ui.button("Select none", on_click=partial(linked.select, [])).props("outline")
             _undo(view)
             heading("Fit again")
@@ -162,7 +163,6 @@ def _ends(linked: _Linked) -> None:
                 ui.button(label, on_click=partial(linked.select, poses)).props("flat")
 
 
-@ui.refreshable
 def _selected(linked: _Linked) -> None:
     """The selected poses, and what can be done with them."""
     view, errors = linked.view, linked.errors

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.dependence import Dependence, InstrumentDependence
+from loopcal.chi_squared import tail
+from loopcal.document.dependence import Dependence, InstrumentDependence, Likeness
 from loopcal.estimation.dependence.neighbours import Pairs, in_order, likeness, near
 from loopcal.estimation.dependence.seen import instruments, seen
 from loopcal.estimation.dependence.serial import Drift, Whole, learnt_drift
@@ -21,6 +23,8 @@ Array = NDArray[np.float64]
 LEVEL = 0.001
 MOST_NEIGHBOURS = 2000
 """Poses among which neighbours in joint space are sought; of more, every second, third, ..."""
+_PAIRED = 3
+"""Poses for each reading of two instruments from which their errors are compared."""
 _APART = 0.1
 """Poses closer in order than this share of all are no neighbours in joint space."""
 _ROUNDING = 1e-14
@@ -70,14 +74,15 @@ def dependence(
         serial = likeness(own, following, square, freedom)
         spatial = likeness(own, pairs, square, freedom)
         rows.append(InstrumentDependence(family.name, serial, spatial))
-    found = Dependence(tuple(rows), LEVEL)
+    shared = _shared(problem, equations, root) if _joints_exact(problem, exact=exact) else None
+    found = Dependence(tuple(rows), LEVEL, shared=shared)
     drifting = [f for f, row in zip(families, rows, strict=True) if row in found.serial]
     if not drifting:
         return Depending(found)
     readings = tuple(dict.fromkeys(q for f in drifting for q in f.readings))
     its = seen(problem, equations, root, readings).take(order)
     drift = learnt_drift(whole, its)
-    found = Dependence(tuple(rows), LEVEL, drift.share, drift.length)
+    found = replace(found, drift_share=drift.share, drift_poses=drift.length)
     return Depending(found, Drifting(drift, readings), root @ drift.covariance(whole, its) @ root.T)
 
 
@@ -122,6 +127,34 @@ def _whole(
     pull = np.where(precision > 0.0, precision * away, 0.0)
     P, square = root.T @ (precision[:, None] * root), float(pull @ away)
     return Whole(DD, DE, EE, P, root.T @ pull, square, count)
+
+
+def _joints_exact(problem: Problem, *, exact: bool) -> bool:
+    """Whether the fit gives the joints no noise, which all instruments would see."""
+    return exact or not problem.uncertainty.sd[joint_rows(problem)].any()
+
+
+def _shared(problem: Problem, equations: Sequence[PoseEquations], root: Array) -> Likeness | None:
+    """Whether residuals of two instruments in one pose are independent (Bartlett 1938).
+
+    The largest canonical correlation of any pair, and the p-value after Bonferroni.
+    """
+    every = [seen(problem, equations, root, f.readings) for f in instruments(problem)]
+    found = []
+    for a, b in combinations(every, 2):
+        both = a.read & b.read
+        X, Y = a.y[both] - a.y[both].mean(axis=0), b.y[both] - b.y[both].mean(axis=0)
+        n, p, q = len(X), X.shape[1], Y.shape[1]
+        if n < _PAIRED * (p + q):
+            continue
+        r = np.linalg.svd(np.linalg.qr(X)[0].T @ np.linalg.qr(Y)[0], compute_uv=False)
+        left = 1.0 - np.square(np.minimum(r, 1.0 - 1e-12))
+        square = -(n - 0.5 * (p + q + 3)) * float(np.log(left).sum())
+        found.append((tail(max(square, 0.0), p * q), float(r[0])))
+    if not found:
+        return None
+    p_value, correlation = min(found, key=lambda one: (one[0], -one[1]))
+    return Likeness(correlation, min(1.0, len(found) * p_value))
 
 
 def joint_rows(problem: Problem) -> list[int]:

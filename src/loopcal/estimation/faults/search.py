@@ -85,6 +85,12 @@ def column_faults(problem: Problem, *, suspected: bool = True) -> tuple[ColumnFa
     return tuple(found) or _hopeless(file.problem)
 
 
+def suspicious(problem: Problem) -> bool:
+    """Whether `column_faults` would seek any where nothing but the drawing speaks for a fault."""
+    file = _File(problem)
+    return not file.blind and file.suspicious
+
+
 @dataclass(frozen=True, eq=False)
 class _File:
     """The readings of a problem as they stand, and what the machine as drawn says of them."""

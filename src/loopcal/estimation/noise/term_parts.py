@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from loopcal.document.terms import TermPart
 from loopcal.estimation.problem.problem import Problem
-from loopcal.expressions.engine import engine_for
+from loopcal.expressions.engine import LoopValues, engine_for
+from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
 from loopcal.mechanisms.structure.sag import BASE, Column, Sag
 from loopcal.mechanisms.structure.smooth import Smooth
@@ -93,29 +94,51 @@ def _given(at: _Fitted, arm: Sag, columns: Sequence[Column]) -> list[TermPart]:
         # a tape needs a reading in every row, and some of these are zero in every pose
         return [component + x[read[0]] for j in joints for component in given[j]]
 
+    def along(x: Any, p: Any) -> list[Any]:
+        given = arm.given(columns, x, p)
+        return [sum(given[j] @ np.array([x[name] for name in ways[j]]) for j in joints)]
+
     x = np.array([at.readings[q] for q in read])
-    tape = trace(turns, quantities=read, parameters=tuple(at.values))
-    engine = engine_for(tape, at.names, x.shape[1], ())
-    engine.at(np.array(list(at.values.values())))
-    made = engine.evaluate(x, np.empty((0, x.shape[1])))
-    given = (made.f - x[0]).reshape(len(joints), 3, -1)
+    ways = {j: tuple(f"{j} along {axis}" for axis in "xyz") for j in joints}
+    values = np.array(list(at.values.values()))
+    given = _evaluated(trace(turns, quantities=read, parameters=tuple(at.values)), values, x).f
+    turned = (given - x[0]).reshape(len(joints), 3, -1)
+    sizes = np.nan_to_num(np.linalg.norm(turned, axis=1))
+    poses = sizes.argmax(axis=1)
+    largest = sizes.max(axis=1)
+    # each joint in the pose where it gives way most, along the way it gives there
+    ahead = np.zeros((len(joints), 3, len(joints)))
+    for i in np.flatnonzero(largest > _NOTHING).tolist():
+        ahead[i, :, i] = turned[i, :, poses[i]] / largest[i]
+    names = tuple(name for j in joints for name in ways[j])
+    tape = trace(along, quantities=read, known=names, parameters=tuple(at.values))
+    known: Array = ahead.reshape(len(names), -1)
+    slopes = _evaluated(tape, values, x[:, poses], known, at.names).by_parameter[:, 0]
     found = []
     for i, joint in enumerate(joints):
-        rows = slice(3 * i, 3 * i + 3)
-        sizes = np.linalg.norm(given[i], axis=0)
-        pose = int(np.argmax(np.nan_to_num(sizes)))
-        size = float(sizes[pose])
+        size, pose = float(largest[i]), int(poses[i])
         if not size > _NOTHING:
             continue
-        along = given[i, :, pose] / size
-        slopes = along @ made.by_parameter[:, rows, pose].T
-        sd = at.sd(dict(zip(at.names, slopes.tolist(), strict=True)))
+        sd = at.sd(dict(zip(at.names, slopes[:, i].tolist(), strict=True)))
         who = "the base" if joint == BASE else joint
         way = "about its axis" if columns[0].own else "across its axis"
         way = "" if joint == BASE else f" {way}"
         words = f"under gravity {who} gives way{way} by up to {_turn(size, sd, at.poses[pose])}"
         found.append(TermPart((joint,), "rad", size, sd, at.poses[pose], words))
     return found
+
+
+def _evaluated(
+    tape: Tape,
+    values: Array,
+    x: Array,
+    known: Array | None = None,
+    names: tuple[str, ...] = (),
+) -> LoopValues:
+    """A tape at readings x (k, N) and known constants (c, N), with derivatives by parameters."""
+    engine = engine_for(tape, names, x.shape[1], ())
+    engine.at(values)
+    return engine.evaluate(x, np.empty((0, x.shape[1])) if known is None else known)
 
 
 def _out_of_round(at: _Fitted, joint: str) -> TermPart:

@@ -150,16 +150,16 @@ def term_system(
 
 def _root(K: Array) -> Array:
     """L, lower triangular, with L L^T = K, no eigenvalue of which is below 1."""
-    from scipy.linalg import LinAlgError, cho_factor
+    from scipy.linalg import lapack
 
-    try:
-        factor: Array = cho_factor(K, lower=True, check_finite=False)[0]
-        return factor
-    except LinAlgError:  # rounding hides the 1 beside eigenvalues of 1e16
-        values, vectors = np.linalg.eigh(K)
-        R = np.linalg.qr(np.sqrt(np.maximum(values, 1.0))[:, None] * vectors.T, mode="r")
-        turned: Array = (R * np.sign(np.diag(R))[:, None]).T
-        return turned
+    factor, failed = lapack.dpotrf(K.T, lower=1)
+    if not failed:
+        return np.asarray(factor, dtype=np.float64)
+    # rounding hides the 1 beside eigenvalues of 1e16
+    values, vectors = np.linalg.eigh(K)
+    R = np.linalg.qr(np.sqrt(np.maximum(values, 1.0))[:, None] * vectors.T, mode="r")
+    turned: Array = (R * np.sign(np.diag(R))[:, None]).T
+    return turned
 
 
 def evaluate(system: TermSystem, x: Array) -> TermFit:
@@ -173,22 +173,29 @@ def evaluate(system: TermSystem, x: Array) -> TermFit:
         else (system.prior_sd)
     )
     m = len(T)
-    K = system.S * np.outer(T, T) / phi
+    K = system.S * (T / phi)
+    K *= T[:, None]
     K.reshape(-1)[:: m + 1] += 1.0
     factor = _root(K) if m else K
     log_K = 2.0 * float(np.log(np.diag(factor)).sum())
-    B = lapack.dpotri(factor, lower=1)[0] if m else K
-    B = np.tril(B) + np.tril(B, -1).T
-    w = B @ (T * (system.s - system.S @ system.offset)) / phi
+    half = lapack.dpotri(factor, lower=1)[0] if m else K  # of B; the rest is zero
+    diagonal = np.diag(half)
+
+    def times_B(z: Array) -> Array:
+        return np.asarray(half @ z + half.T @ z - diagonal * z)
+
+    w = times_B(T * (system.s - system.S @ system.offset)) / phi
     dp = T * w + system.offset
     misfit = system.square - 2.0 * float(dp @ system.s) + float(dp @ system.S @ dp)
     residual = max(misfit, 0.0) / phi
     away, weight = _away(system.terms, x), _weights(system.terms)
     squares = np.square(w)
-    members, diagonal = system.members, np.diag(B)
-    by_column, Bw = np.square(B), B @ w
-    blocks = members @ by_column @ members.T
-    cross = members @ (B * np.outer(w, w)) @ members.T
+    members = system.members
+    by_half, Bw = np.square(half), times_B(w)
+    by_column = by_half.sum(axis=0) + by_half.sum(axis=1) - np.square(diagonal)
+    # a parameter is in one term: the diagonal, which both halves hold, is in blocks of one term
+    blocks = _both_halves(members @ by_half @ members.T, members @ np.square(diagonal))
+    cross = _both_halves((members * w) @ half @ (members * w).T, members @ (diagonal * squares))
     traces = members @ diagonal
     weighed = members @ squares
     c = len(system.terms)
@@ -196,7 +203,7 @@ def evaluate(system: TermSystem, x: Array) -> TermFit:
     gradient[0] = system.count - (m - diagonal.sum()) - residual
     gradient[1:] = members.sum(axis=1) - traces - weighed + away * weight
     hessian[0, 0] = diagonal.sum() - by_column.sum() + residual - 2.0 * float(w @ Bw)
-    hessian[0, 1:] = members @ (by_column.sum(axis=1) - diagonal + 2.0 * w * Bw)
+    hessian[0, 1:] = members @ (by_column - diagonal + 2.0 * w * Bw)
     hessian[1:, 0] = hessian[0, 1:]
     hessian[1:, 1:] = np.diag(traces + weighed + 0.5 * weight) - blocks - 2.0 * cross
     penalties = np.square(away) * weight
@@ -204,6 +211,11 @@ def evaluate(system: TermSystem, x: Array) -> TermFit:
     criterion += float(squares.sum() + penalties.sum())
     freedom = members.sum(axis=1) - traces
     return TermFit(x, criterion, penalties, gradient, hessian, freedom)
+
+
+def _both_halves(sums: Array, diagonal: Array) -> Array:
+    """Sums over one half of a symmetric matrix, as over all of it."""
+    return np.asarray(sums + sums.T - np.diag(diagonal))
 
 
 def learn_scales(system: TermSystem, start: Start) -> TermFit:

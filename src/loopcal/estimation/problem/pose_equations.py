@@ -7,6 +7,7 @@ after elimination of unmeasured quantities: D = T J_p, X = T J_x, T the whitenin
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,8 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.sweep import Sweeper
 
 Array = NDArray[np.float64]
+_ROUNDING = 4.0 * np.finfo(np.float64).eps
+"""Of each reading, as a share: so much of what an equation leaves is arithmetic."""
 
 
 @dataclass(frozen=True)
@@ -64,3 +67,14 @@ def pose_equations(
             )
         )
     return tuple(found)
+
+
+def rounding_left(problem: Problem, equations: Sequence[PoseEquations]) -> float:
+    """Mean square that rounding of the readings leaves in an equation: what is smaller says nothing
+    of sensors or poses."""
+    total, count = 0.0, 0
+    readings = np.nan_to_num(np.abs(problem.readings))
+    for block in equations:
+        left = _ROUNDING * np.einsum("brk,kb->br", np.abs(block.X), readings[:, block.poses])
+        total, count = total + float(np.square(left).sum()), count + left.size
+    return total / max(count, 1)

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from stat import S_ISREG
+from typing import Any, BinaryIO
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
@@ -23,6 +26,7 @@ RESULT = "result.json"
 PLAN_DOCUMENT = "plan.json"
 PREVIEW = ".preview"
 """Folder of exports that are only looked at."""
+_APPENDING = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,7 @@ class ProjectFolder:
         named = self.path / PROJECT
         if named.exists():
             return named
-        others = [p for p in sorted(self.path.glob("*.toml")) if _is_project(p)]
+        others = [p for p in sorted(self.path.glob("[!.-]*.toml")) if _is_project(p)]
         return others[0] if len(others) == 1 else named
 
     @property
@@ -100,16 +104,19 @@ class ProjectFolder:
         return sorted(path.parent for path in beside if path.parent != self.result)
 
     def listed(self) -> list[Listed]:
-        """The files in the folder, and in those of results, plan and export, by name."""
+        """The files in the folder, and in those of results, plan and export, by name; without
+        hidden ones, and names that a command line or a page would take for something else."""
         found = []
         for folder in (self.path, self.result, self.plan, self.export, *self.tried):
             if not folder.is_dir():
                 continue
             for path in sorted(folder.iterdir()):
-                if path.is_file() and not path.name.startswith("."):
-                    known = path.stat()
-                    name = path.relative_to(self.path).as_posix()
-                    found.append(Listed(name, known.st_size, known.st_mtime_ns))
+                if path.name.isprintable() and path.name[0] not in ".-":
+                    with suppress(FileNotFoundError):  # gone since
+                        known = path.stat()
+                        name = path.relative_to(self.path).as_posix()
+                        if S_ISREG(known.st_mode):
+                            found.append(Listed(name, known.st_size, known.st_mtime_ns))
         return found
 
     def text(self) -> str | None:
@@ -167,7 +174,7 @@ class ProjectFolder:
         """Keep a file that was handed in, under its own last name. Raises InputError for a name
         that cannot stand, and where a file of other content has it."""
         last = name.replace("\\", "/").rsplit("/", 1)[-1].strip()
-        if not last or last.startswith(".") or any(ord(c) < 32 for c in last) or len(last) > 200:
+        if not last or last[0] in ".-" or not last.isprintable() or len(last) > 200:
             raise InputError(
                 f"{name!r} is no name of a file",
                 code="invalid-value",
@@ -217,15 +224,24 @@ class ProjectFolder:
         return last.what
 
     def noted(self, kind: str, what: str, told: Mapping[str, Any]) -> None:
-        """Add a line to the log: on the disk before this returns."""
+        """Add a line to the log: on the disk before this returns. Raises InputError where it
+        cannot be written."""
         at = datetime.now(UTC).isoformat(timespec="seconds")
         line = json.dumps({"at": at, "kind": kind, "what": what, **told}, ensure_ascii=True)
         path = self.path / LOG
-        broken = path.exists() and not path.read_bytes().endswith(b"\n")
-        with path.open("ab") as file:
-            file.write(b"\n" * broken + line.encode() + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
+        try:
+            with _APPENDING, path.open("ab+") as file:
+                broken = file.tell() > 0 and not _ends_a_line(file)
+                file.write(b"\n" * broken + line.encode() + b"\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise InputError(
+                f"cannot be written: {error.strerror or error}",
+                code="unwritable-file",
+                place=str(path),
+                remedy="free some space, or choose a folder with write permission",
+            ) from None
 
     def log(self) -> Log:
         """What was done in the folder."""
@@ -243,6 +259,12 @@ class ProjectFolder:
             except (ValueError, KeyError, TypeError):
                 broken.append(number)
         return Log(tuple(entries), tuple(broken))
+
+
+def _ends_a_line(file: BinaryIO) -> bool:
+    """Whether what a file ends with is a whole line; it can be read and appended to."""
+    file.seek(-1, os.SEEK_END)
+    return file.read(1) == b"\n"
 
 
 def _is_project(path: Path) -> bool:

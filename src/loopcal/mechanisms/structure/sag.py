@@ -172,7 +172,10 @@ class Sag:
             its = [column for column in columns if column.joint == self.names[number]]
             if not its:
                 continue
-            moments = {load: cross(points[load] - link.origin, g) for load in {c.load for c in its}}
+            moments = {
+                load: cross(points[load] - link.origin, g)
+                for load in dict.fromkeys(c.load for c in its)
+            }
             given = vector(0.0, 0.0, 0.0)
             for axis in "xyz":
                 e = link.axes[axis]

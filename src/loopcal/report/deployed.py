@@ -1,0 +1,163 @@
+"""What was made of a result, for its report: exports, corrected programs, and planned poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loopcal.figures.deployment import model_bars, target_errors
+from loopcal.figures.figure import Figure
+from loopcal.figures.planning import Line, by_number
+from loopcal.files.result.deployed import CORRECTION, EXPORT, PLAN, Deployed
+from loopcal.presentation.shown import factor, size, unit_shown, with_unit
+from loopcal.report.tables import Table
+
+Array = NDArray[np.float64]
+_MM = 1e3
+_NOTHING = 1e-9
+"""[m] what is left of two models that are the same."""
+_MOST = 200
+"""Targets in a table; the others are in the figure and in the JSON of the command."""
+
+
+def deployed_figures(notes: Sequence[Deployed]) -> dict[str, Figure]:
+    """Key -> figure."""
+    found = [_models(notes), *_corrections(notes), *_plans(notes)]
+    return {figure.key: figure for figure in found if figure is not None}
+
+
+def deployed_words(notes: Sequence[Deployed]) -> list[str]:
+    """What was exported, corrected and planned, one sentence each."""
+    words = []
+    for note in notes:
+        its = note.document
+        if note.kind == EXPORT:
+            lost = ", ".join(its["omitted"])
+            words.append(
+                f"Exported as {its['format']}: {', '.join(its['files'])}."
+                + (f" Left out, because the format cannot hold it: {lost}." if lost else "")
+            )
+            words += [str(warning) for warning in its["warnings"]]
+        elif note.kind == CORRECTION:
+            refused, left = its["refused"], len(its["not_understood"])
+            words.append(
+                f"{its['file']} ({its['format']}): {its['corrected']} targets corrected, {refused} "
+                f"refused, {left} lines not understood."
+            )
+            words += [str(remark) for remark in its["remarks"]]
+        elif note.kind == PLAN:
+            last = its["expected"][-1]
+            expected = with_unit(last["end_point"], its["unit"])
+            words.append(
+                f"Planned to add: {last['poses']} poses to {its['existing']} already measured. "
+                f"Expected sd of the end point then: {expected} rms."
+            )
+    return words
+
+
+def deployed_tables(notes: Sequence[Deployed]) -> list[Table]:
+    """Accuracy of the models, targets, and lines that were left alone."""
+    exports = [note.document for note in notes if note.kind == EXPORT]
+    tables = [_accuracy(exports[-1]["accuracy"])] if exports and exports[-1]["accuracy"] else []
+    for note in notes:
+        if note.kind == CORRECTION:
+            tables += _of_correction(note.document)
+    return tables
+
+
+def _accuracy(models: Sequence[Mapping[str, Any]]) -> Table:
+    rows = []
+    for one in models:
+        here, away = one["measured"] or {}, one["from_full"] or {}
+        cells = [size(here.get(key), "m") for key in ("rms", "p95", "max")]
+        apart = away.get("rms")
+        same = apart is not None and apart < _NOTHING
+        rows.append((one["model"], *cells, "0" if same else size(apart, "m")))
+    head = ("model", *(f"{key} [mm]" for key in ("rms", "95 %", "max", "rms from the full model")))
+    caption = "What each model reaches at the calibration poses when it is entered"
+    return Table(caption, head, tuple(rows))
+
+
+def _of_correction(its: Mapping[str, Any]) -> list[Table]:
+    rows = []
+    for one in its["targets"][:_MOST]:
+        refused = one["refused"]
+        rows.append(
+            (
+                str(one["target"]),
+                str(one["line"]),
+                size(_length(one["error_before"]), "m"),
+                size(one["u95_point"], "m"),
+                size(one["u95_turn"], "rad"),
+                refused["reason"] if refused else "outside" if one["extrapolated"] else "",
+            )
+        )
+    more = len(its["targets"]) - len(rows)
+    caption = f"Targets of {its['file']}" + (f"; {more} more are not listed" if more else "")
+    turn = unit_shown("rad")
+    head = ("target", "line", "error before [mm]", "U95 [mm]", f"U95 of the turn [{turn}]", "note")
+    tables = [Table(caption, head, tuple(rows))]
+    lines = [
+        (str(one["line"]), f"refused: {one['refused']['words']}")
+        for one in its["targets"]
+        if one["refused"]
+    ]
+    lines += [
+        (str(one["line"]), f"not understood: {one['words']}") for one in its["not_understood"]
+    ]
+    if lines:
+        caption = f"Lines of {its['file']} that stay as they were"
+        tables.append(Table(caption, ("line", "why"), tuple(lines[:_MOST])))
+    return tables
+
+
+def _models(notes: Sequence[Deployed]) -> Figure | None:
+    exports = [note.document for note in notes if note.kind == EXPORT]
+    models = exports[-1]["accuracy"] if exports else []
+    here = [one["measured"] or {} for one in models]
+    rms, most = (_MM * _numbers([one.get(key) for one in here]) for key in ("rms", "max"))
+    return model_bars([one["model"] for one in models], rms, most) if models else None
+
+
+def _corrections(notes: Sequence[Deployed]) -> list[Figure | None]:
+    found = []
+    for number, note in enumerate((n for n in notes if n.kind == CORRECTION), 1):
+        its = note.document
+        before = _MM * _numbers([_length(one["error_before"]) for one in its["targets"]])
+        u95 = _MM * _numbers([one["u95_point"] for one in its["targets"]])
+        ids = [f"{one['target']}, line {one['line']}" for one in its["targets"]]
+        found.append(target_errors(f"targets_{number}", its["file"], ids, before, u95))
+    return found
+
+
+def _plans(notes: Sequence[Deployed]) -> list[Figure | None]:
+    found = []
+    for note in notes:
+        if note.kind != PLAN:
+            continue
+        its, scale = note.document, factor(note.document["unit"])
+        curve, random = its["expected"], its["random"]
+        count = [one["poses"] for one in curve]
+        lines = [
+            Line(f"planned, {name}", count, _numbers([one[key] for one in curve]) / scale)
+            for name, key in (("rms", "end_point"), ("largest", "largest"))
+        ]
+        if random is not None:
+            sds = _numbers(random["end_point"]) / scale
+            lines.append(Line("random, rms", random["poses"], sds))
+        found.append(by_number(lines, unit_shown(its["unit"]), count[-1]))
+    return found
+
+
+def _length(error: Sequence[float | None]) -> float | None:
+    """Of the shift in an error of six components."""
+    if any(v is None for v in error[:3]):
+        return None
+    return float(np.linalg.norm(_numbers(error[:3])))
+
+
+def _numbers(values: Sequence[float | None]) -> Array:
+    return np.array([np.nan if v is None else v for v in values], dtype=float)

@@ -1,0 +1,102 @@
+"""What pages on one folder share: commands, their order in the log, and whose code is run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from analyses.app_robustness import finished, killed, made
+from loopcal.app.action import Action
+from loopcal.app.session import Session
+from loopcal.errors import InputError
+from loopcal.files.paths import INSIDE
+from tests.app.plain_command import command
+
+LOOPS = """
+from pathlib import Path
+Path(__file__).with_name("was-run").touch()
+def loops(x, p):
+    return [x["wire"] - p["l1"]]
+"""
+PROJECT = """
+schema = 1
+[mechanism]
+type = "function"
+quantities = { phi1 = "rad", wire = "m" }
+outputs = ["wire"]
+[parameters]
+l1 = { value = 400, unit = "mm" }
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "loops.py").write_text(LOOPS)
+    (tmp_path / "project.toml").write_text(PROJECT)
+    return tmp_path
+
+
+def test_python_of_the_folder_is_never_run(folder: Path) -> None:
+    session = Session(folder, command)
+    assert session.project() is None
+    assert "--mechanism" in (session.objection() or "")
+    assert session.state().objection is not None
+    assert not (folder / "was-run").exists()
+    project = (folder / "project.toml").read_text()
+    for stated in ("loops.py:loops", "loops.py"):
+        text = project.replace('type = "function"', f'type = "function"\nfunction = "{stated}"')
+        with pytest.raises(InputError):
+            session.read(text)
+        text = project.replace('type = "function"', f'file = "{stated}"')
+        with pytest.raises(InputError):
+            session.read(text)
+    assert not (folder / "was-run").exists()
+
+
+def test_loops_named_on_the_command_line_serve_every_command(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    session = Session(folder, command, "loops.py:loops")
+    assert session.objection() is None
+    named = ("--mechanism", f"{folder / 'loops.py'}:loops")
+    assert session.action("fit", ("calibrate", "project.toml")).words[2:] == named
+    assert session.action("see", ("history",)).words == ("history",)
+
+
+def test_a_project_for_others_names_no_file_outside(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outside = folder.parent / "arm.toml"
+    text = f'schema = 1\n[mechanism]\nfile = "{outside.as_posix()}"\n'
+    outside.write_text('schema = 1\ntype = "secret"\n')
+    monkeypatch.setenv(INSIDE, str(folder))
+    for name in (outside.as_posix(), "../arm.toml", "${HOME}/arm.toml", "link.toml"):
+        (folder / "link.toml").unlink(missing_ok=True)
+        (folder / "link.toml").symlink_to(outside)
+        with pytest.raises(InputError, match="leads out of the folder") as caught:
+            Session(folder, command).read(text.replace(outside.as_posix(), name))
+        assert "secret" not in str(caught.value)
+    monkeypatch.delenv(INSIDE)
+    with pytest.raises(InputError, match="secret"):
+        Session(folder, command).read(text)
+
+
+def test_the_log_has_the_beginning_and_the_end_of_a_run_in_their_order(tmp_path: Path) -> None:
+    session = Session(tmp_path, command)
+    for words in (("print", "a"), ("fail",)):
+        session.start(Action("do", words))
+        finished(session)
+    kinds = [entry.kind for entry in session.folder.log().entries]
+    assert kinds == ["begun", "ended", "begun", "ended"]
+    assert session.folder.log().unfinished() is None
+    assert session.finished == 2
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_kill_loses_nothing_that_was_confirmed(tmp_path: Path, seed: int) -> None:
+    """Of the server (even seeds) or of the run; `python -m analyses.app_robustness` kills 30."""
+    found = killed(made(tmp_path / "arm"), seed)
+    assert found.wrong == []
+    assert found.edited >= 1
