@@ -13,7 +13,7 @@ class Hand:
     """Points, clicks and drags; page: of playwright; folder: that of the server."""
 
     page: Any
-    folder: Path
+    folder: Path = Path()
 
     def step(self, name: str) -> None:
         """Go to a step."""

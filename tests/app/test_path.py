@@ -34,7 +34,7 @@ def hand(browser: Any, tmp_path: Path) -> Iterator[Hand]:
     folder.mkdir()
     with serving(folder) as served:
         page = browser.new_page(viewport={"width": 1440, "height": 900})
-        page.set_default_timeout(90_000)  # a busy machine takes its time
+        page.set_default_timeout(240_000)  # a busy machine takes its time
         page.goto(served.address)
         yield Hand(page, folder)
         page.close()
