@@ -62,13 +62,19 @@ body.body--dark { --good: #6fdc9a; --care: #ffb95c; --bad: #ff9a90; }
 body .q-footer.run { color: inherit; max-height: 40vh; overflow: auto; padding: 0.4rem 1rem; }
 body.body--light .q-footer.run { background: #f3f5f8; color: #1f2328; }
 body.body--dark .q-footer.run { background: #24282e; color: #e6e6e6; }
+.q-page { overflow-wrap: anywhere; } .q-checkbox { max-width: 100%; }
+.q-uploader__list { min-height: 1.5rem; padding: 4px 8px; }
 .tip { font-size: 0.85rem; max-width: 22rem; }
 .command { max-width: 100%; } .q-table td { white-space: normal; overflow-wrap: anywhere; }
 .step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }
 .q-btn { min-height: 44px; text-transform: none; }
 .q-btn:focus-visible { outline: 3px solid #0072b2; outline-offset: 2px; }
-body.body--light .q-btn.step { color: #1f2328 !important; }
-body.body--dark .q-btn.step { color: #e6e6e6 !important; }
+@layer theme { /* of important rules the first layer wins */
+  body.body--light .q-btn.step { color: #1f2328 !important; }
+  body.body--dark .q-btn.step { color: #e6e6e6 !important; }
+  body.body--dark .text-primary, body.body--dark a { color: #7db9ff !important; }
+  body.body--dark .text-negative { color: #ff9a90 !important; }
+}
 """
 
 
