@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,14 @@ def opened(browser: Any, served: Served, size: str = "desktop") -> Seen:
     return seen
 
 
+def select(page: Any, count: int) -> None:
+    """Select the first poses, as brushing does."""
+    plot = page.get_by_label("error over the poses", exact=True)
+    plot.locator(".nsewdrag").first.wait_for()
+    points = [{"customdata": i} for i in range(count)]
+    plot.evaluate("(plot, points) => plot.emit('plotly_selected', {points})", points)
+
+
 @pytest.mark.parametrize("size", SIZES)
 def test_every_step_opens_in_its_window_and_shows_names_as_text(
     served: Served, browser: Any, size: str
@@ -84,3 +93,29 @@ def test_an_error_and_a_name_handed_in_are_shown_as_text(
     assert seen.page.evaluate(MADE_OF_NAMES) == 0
     (hostile / name).unlink()
     seen.page.close()
+
+
+def test_pages_keep_what_is_theirs_and_see_what_others_change(
+    served: Served, browser: Any, hostile: Path
+) -> None:
+    project = hostile / "project.toml"
+    before = project.read_text("utf-8")
+    pages = [opened(browser, served).page for _ in range(3)]
+    first, second, third = (Hand(page) for page in pages)
+    for hand, name in ((first, "Diagnose"), (second, "Diagnose"), (third, "History")):
+        hand.step(name)
+    select(first.page, 10)
+    first.sees("10 of 49 poses selected")
+    select(second.page, 20)
+    second.sees("20 of 49 poses selected")
+    assert first.page.get_by_text("10 of 49 poses selected").is_visible()
+    first.press("Exclude")
+    for hand in (second, third):
+        hand.sees("Another page or program has changed the folder")
+    assert project.read_text("utf-8") != before
+    second.sees("20 of 49 poses selected")
+    third.press(re.compile("^Undo"))
+    second.sees("Another page or program has changed the folder")
+    assert project.read_text("utf-8") == before
+    for page in pages:
+        page.close()
