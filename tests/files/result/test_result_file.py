@@ -277,6 +277,41 @@ def test_what_is_no_result_is_told(content: str | bytes, told: str, tmp_path: Pa
     assert str(path) in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("path", "kept"),
+    [
+        (("covariance", "matrix"), 1),
+        (("covariance", "matrix", 0), 1),
+        (("covariance", "scatter"), 1),
+        (("prediction", "covariance", 0), 1),
+        (("prediction", "undetermined", 0), 1),
+    ],
+    ids=lambda value: ".".join(map(str, value)) if isinstance(value, tuple) else str(value),
+)
+def test_a_matrix_that_does_not_fit_its_names_is_told(
+    path: tuple[str | int, ...], kept: int, tmp_path: Path
+) -> None:
+    names = ("a", "b", "c")
+    square, steps = ((1.0, 0.0, 0.0),) * 3, ((1.0, 1.0, 1.0),)
+    result = RESULTS["implicit loop"]()
+    document = findings(result).added_to(result.document)
+    assert document.prediction is not None
+    covariance = replace(document.covariance, names=names, matrix=square, scatter=square)
+    ahead = replace(document.prediction, covariance=square, undetermined=steps)
+    content = plain(replace(document, covariance=covariance, prediction=ahead))
+    file = tmp_path / "result.json"
+    file.write_text(json.dumps(content), encoding="utf-8")
+    assert read_result(file).covariance.names == names
+    *outer, last = path
+    holder: Any = content
+    for key in outer:
+        holder = holder[key]
+    holder[last] = holder[last][:kept]
+    file.write_text(json.dumps(content), encoding="utf-8")
+    with refused("wrong-shape", ".".join(map(str, path[:2]))):
+        read_result(file)
+
+
 def test_a_missing_result_is_told(tmp_path: Path) -> None:
     with refused("missing-file"):
         read_result(tmp_path / "result.json")
