@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from tests.app.conftest import SCRIPT
+from tests.app.contrast import weak_texts
 from tests.app.pointing import Hand
 from tests.app.serving import Served
 from tests.browser import Seen
@@ -20,10 +21,11 @@ SIZES = {"desktop": (1440, 900), "tablet": (820, 1180)}
 MADE_OF_NAMES = "document.querySelectorAll('img[src=\"x\"]').length + (window.hit ?? 0)"
 
 
-def opened(browser: Any, served: Served, size: str = "desktop") -> Seen:
+def opened(browser: Any, served: Served, size: str = "desktop", scheme: str = "light") -> Seen:
     """A page of the app, and what it asked for elsewhere and complained about."""
     width, height = SIZES[size]
-    seen = Seen(browser.new_page(viewport={"width": width, "height": height}))
+    look = {"viewport": {"width": width, "height": height}, "color_scheme": scheme}
+    seen = Seen(browser.new_page(**look))
     seen.page.set_default_timeout(120_000)  # a busy machine takes its time
     own = (served.address, served.address.replace("http", "ws"), "data:", "blob:")
 
@@ -54,16 +56,17 @@ def select(page: Any, count: int) -> None:
     plot.evaluate("(plot, points) => plot.emit('plotly_selected', {points})", points)
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_every_step_opens_in_its_window_and_shows_names_as_text(
-    served: Served, browser: Any, size: str
+@pytest.mark.parametrize(("size", "scheme"), [("desktop", "light"), ("tablet", "dark")])
+def test_every_step_opens_in_its_window_with_names_as_text_and_contrast(
+    served: Served, browser: Any, size: str, scheme: str
 ) -> None:
-    seen = opened(browser, served, size)
+    seen = opened(browser, served, size, scheme)
     for name in STEPS:
         Hand(seen.page).step(name)
         wide = seen.page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
         assert wide <= 0, f"{name} is {wide} pixels wider than the window"
         assert seen.page.evaluate(MADE_OF_NAMES) == 0, name
+        assert weak_texts(seen.page) == [], name
         assert "This is a fault of loopcal" not in seen.page.inner_text("body"), name
     assert SCRIPT in seen.page.inner_text("body")  # the log shows it
     seen.page.close()
