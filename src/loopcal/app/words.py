@@ -54,6 +54,7 @@ SELECTED = "{count:,} of {all:,} poses selected"
 NONE_SELECTED = "No pose is selected. Drag over points of a figure, or click one."
 TOO_LARGE = "The file is larger than an upload may be."
 ROBOT_FIRST = "Describe the robot first, in the step Robot."
+STATE_IT = "State what loopcal does not recognise"
 NO_READINGS = "There is no file of readings in the folder yet."
 ROBOT_DONE = "The robot is described by {name}. Go on with the step Data."
 CHANGE_ROBOT = (
