@@ -65,13 +65,9 @@ body.body--light a.nicegui-link { color: #0b5cad; }
 body .q-footer.run { color: inherit; max-height: 40vh; overflow: auto; padding: 0.4rem 1rem; }
 body.body--light .q-footer.run { background: #f3f5f8; color: #1f2328; }
 body.body--dark .q-footer.run { background: #24282e; color: #e6e6e6; }
-<<<<<<< HEAD
 body .tip { background: #333; color: #fff; font-size: 0.85rem; max-width: 22rem; }
-=======
 .q-page { overflow-wrap: anywhere; } .q-checkbox { max-width: 100%; }
 .q-uploader__list { min-height: 1.5rem; padding: 4px 8px; }
-.tip { font-size: 0.85rem; max-width: 22rem; }
->>>>>>> main
 .command { max-width: 100%; } .q-table td { white-space: normal; overflow-wrap: anywhere; }
 .step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }
 .q-btn { min-height: 44px; text-transform: none; }
