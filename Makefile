@@ -64,8 +64,9 @@ $(STAMP): pyproject.toml CMakeLists.txt $(wildcard engine/*)
 demo: $(STAMP) ## calibrate three simulated arms, one with a fault, and print their true errors
 	@$(BIN)/python examples/demo.py
 
-pictures: demo ## make the pictures of the README from the demo's last report; needs `make partners`
+pictures: demo ## make the pictures of README and tutorial from the demo's last report and the app; needs `make partners`
 	@$(BIN)/python -m analyses.pictures
+	@$(BIN)/python -m analyses.app_pictures
 
 site: $(STAMP) ## the documentation as a site in build/site/html, to open from the disk
 	@$(call try,furo myst-parser sphinx,the site cannot be built)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,13 +37,15 @@ TURN = 5e-5
 class Case:
     """cycles; shape: sds of the scatter along x, y, z [m]; offset: size of mean offsets [m];
     common: whether tracker and frame err; growth: of the scatter from the first half of the cycles
-    to the second, in which the offsets are others; 0 for a robot that does not drift."""
+    to the second, in which the offsets are others; 0 for a robot that does not drift; planar: only
+    x and y are measured, and no orientation."""
 
     cycles: int = 30
     shape: tuple[float, float, float] = (2e-5, 2e-5, 2e-5)
     offset: float = 2e-4
     common: bool = True
     growth: float = 0.0
+    planar: bool = False
 
 
 CASES = {
@@ -52,6 +54,7 @@ CASES = {
     "four cycles": Case(cycles=4),
     "scatter along a line": Case(shape=(4e-5, 4e-6, 2e-6)),
     "hardly any offset": Case(offset=5e-6),
+    "in a plane": Case(planar=True),
     "exact instrument": Case(common=False),
     "drift": Case(growth=1.0),
     "drift of twice RP": Case(growth=2.0),
@@ -64,8 +67,9 @@ ERRORS = MeasuringErrors(
 def measured(case: Case, seed: int) -> tuple[AttainedPoses, dict[str, float]]:
     """A draw, and the true figures by name."""
     rng = np.random.default_rng(seed)
-    errors = ERRORS if case.common else MeasuringErrors()
-    asked = 0.16 * CORNERS + [1.0, 0.0, 0.8]
+    errors = replace(ERRORS if case.common else MeasuringErrors(), planar=case.planar)
+    there = np.array([1.0, 1.0, 0.0 if case.planar else 1.0])
+    asked = (0.16 * CORNERS + [1.0, 0.0, 0.8]) * there
     offsets = rng.normal(0.0, case.offset, (5, 3))
     by_direction = rng.normal(0.0, 0.5 * case.offset, (5, 3, 3))
     spread = np.array(case.shape)
@@ -74,6 +78,7 @@ def measured(case: Case, seed: int) -> tuple[AttainedPoses, dict[str, float]]:
     repeated = [rng.multivariate_normal(np.zeros(3), errors.of_point(p)) for p in asked]
     sds = errors.frame.length or 0.0, errors.frame.angle or 0.0
     frame, tilt = rng.normal(0.0, sds[0], 3), rng.normal(0.0, sds[1], 3)
+    tilt = tilt * [0.0, 0.0, 1.0] if case.planar else tilt
     turned = rng.normal(0.0, 1e-4, (5, 3))
     rows = [(i, d, k) for d in range(3) for k in range(case.cycles) for i in range(5)]
     block = [k * blocks // case.cycles for _, _, k in rows]
@@ -83,9 +88,11 @@ def measured(case: Case, seed: int) -> tuple[AttainedPoses, dict[str, float]]:
             for (i, d, _), b in zip(rows, block, strict=True)
         ]
     )
+    true = true * there
     grown = np.where(np.array(block) > 0, case.growth, 1.0)
     read = true + rng.normal(size=true.shape) * spread * grown[:, None]
     read += np.array([repeated[i] for i, _, _ in rows]) + frame + np.cross(tilt, read)
+    read = read * there
     turns = np.array([turned[i] for i, _, _ in rows]) + rng.normal(0.0, TURN, true.shape)
     attained = AttainedPoses(
         "simulated",
@@ -97,20 +104,24 @@ def measured(case: Case, seed: int) -> tuple[AttainedPoses, dict[str, float]]:
         Rotation.from_rotvec(turns + tilt).as_matrix(),
         tuple(DIRECTIONS[d] for _, d, _ in rows),
         tuple(str(b) for b in block) if blocks > 1 else None,
+        planar=case.planar,
     )
+    if case.planar:
+        attained = replace(attained, commanded_turns=None, measured_turns=None)
     return attained, _truth(case, attained, true, turned)
 
 
 def _truth(case: Case, attained: AttainedPoses, true: Array, turned: Array) -> dict[str, float]:
     """The figures without noise, of as many cycles as one likes."""
-    scatter = NormalScatter.of(np.diag(np.square(case.shape))).repeatability
+    measured = 2 if case.planar else 3
+    scatter = NormalScatter.of(np.diag(np.square(case.shape[:measured]))).repeatability
     found: dict[str, float] = {}
     groups: dict[tuple[str, str], list[int]] = {}
     assert attained.direction is not None
     for i, place in enumerate(zip(attained.pose, attained.direction, strict=True)):
         groups.setdefault(place, []).append(i)
     made = [Group(*place, np.array(rows)) for place, rows in groups.items()]
-    means = Means.of(made, true, attained.commanded, MeasuringErrors())
+    means = Means.of(made, true, attained.commanded, MeasuringErrors(planar=case.planar))
     base = fitted_base(means)
     assert not isinstance(base, str)
     turn = Rotation.from_matrix(base.rotation)

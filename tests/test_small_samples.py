@@ -66,3 +66,10 @@ def test_batches_are_treated_one_by_one() -> None:
 def test_what_has_no_value_has_no_limit_to_fail_at() -> None:
     lost = LearntCovariance.scaled(PHI, 7).through(np.full((2, 1, 3), np.nan))
     assert np.isinf(lost.denominator).all()
+
+
+def test_a_part_of_a_larger_vector_is_the_product_with_its_selection() -> None:
+    learnt, at = LearntCovariance(PHI, PHI, np.array([0.3 * PHI])), np.array([4, 0, 2])
+    embedded, product = learnt.within(6, at), learnt.through(np.eye(6)[:, at])
+    for name in ("matrix", "plain", "slopes"):
+        np.testing.assert_array_equal(getattr(embedded, name), getattr(product, name))

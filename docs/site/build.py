@@ -19,7 +19,11 @@ import loopcal as lc
 DOCS = Path(__file__).resolve().parents[1]
 BUILD = DOCS.parent / "build" / "site"
 PARTS = {
-    "Tutorials": ["tutorials/first-session", "tutorials/from-two-links-to-a-robot"],
+    "Tutorials": [
+        "tutorials/first-session",
+        "tutorials/in-the-browser",
+        "tutorials/from-two-links-to-a-robot",
+    ],
     "How to": "how-to",
     "Explanation": "explanation",
     "Reference": "reference",

@@ -58,6 +58,16 @@ class LearntCovariance:
             S @ self.matrix @ turned, S @ self.plain @ turned, S @ extended @ turned
         )
 
+    def within(self, size: int, index: NDArray[np.intp]) -> LearntCovariance:
+        """As part of a vector of this size, of which nothing else is uncertain."""
+
+        def spread(part: Array) -> Array:
+            whole = np.zeros((*part.shape[:-2], size, size))
+            whole[(..., index[:, None], index)] = part
+            return whole
+
+        return LearntCovariance(spread(self.matrix), spread(self.plain), spread(self.slopes))
+
     def plus(self, other: LearntCovariance) -> LearntCovariance:
         """Of the sum of two estimates whose variances have the same errors."""
         return LearntCovariance(

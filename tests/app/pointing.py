@@ -10,9 +10,10 @@ from typing import Any
 
 @dataclass
 class Hand:
-    """Points, clicks and drags; page: of playwright."""
+    """Points, clicks and drags; page: of playwright; folder: that of the server."""
 
     page: Any
+    folder: Path = Path()
 
     def step(self, name: str) -> None:
         """Go to a step."""
@@ -24,7 +25,7 @@ class Hand:
 
     def press(self, name: str | re.Pattern[str]) -> None:
         """Press a button."""
-        self.page.get_by_role("button", name=name).first.click()
+        self.page.locator(".q-page").get_by_role("button", name=name).first.click()
 
     def run(self, name: str, ends: str = "done") -> None:
         """Press a button that runs a command, and wait until it has ended so."""

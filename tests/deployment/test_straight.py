@@ -12,6 +12,8 @@ from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
 from loopcal.deployment.inverse import solve
 from loopcal.deployment.rigid import between, moved
+from loopcal.files.programs.joint_axes import JointAxes
+from loopcal.files.programs.reader import read_program
 
 NAMES = [f"q{i}" for i in range(1, 7)]
 ROWS = ["above,20,-10,15,40,50,-30,joint", "across,55,-5,-5,30,60,-10,linear"]
@@ -85,3 +87,98 @@ def test_a_bound_that_cannot_be_held_inserts_nothing(result: lc.Result, tmp_path
     done = lc.correct(result, program(tmp_path), bounds=lc.CorrectionBounds(line=1e-12))
     assert not len(done.moves[0].inserted)
     assert done.content.count(b"\r\n") == 3
+
+
+REST = "[9E9,9E9,9E9,9E9,9E9,9E9]"
+A, B = ("20,-10,15,40,50,-30", "45,-5,-5,30,60,-10")
+
+
+def keyed(values: str, letter: str) -> str:
+    return ",".join(f"{letter}{k} {v}" for k, v in enumerate(values.split(","), 1))
+
+
+def position(number: int, values: str) -> str:
+    axes = ",".join(f"J{k}= {float(v):.3f} deg" for k, v in enumerate(values.split(","), 1))
+    return f"P[{number}]{{\n   GP1:\n UF : 0, UT : 1,\n{axes}\n}};"
+
+
+def radians(values: str) -> str:
+    return ",".join(f"{v:.9f}" for v in np.radians([float(v) for v in values.split(",")]))
+
+
+MOVES = {
+    "a.mod": (
+        f"MODULE M\nCONST jointtarget b:=[[{B}],{REST}]; ! end\nPROC main()\n"
+        f"  MoveAbsJ [[{A}],{REST}],v100,fine,tool0;\n  SetDO do1,1; ! on\n"
+        "  MoveL b,v100,z1,tool0; ! weld\n  MoveAbsJ b,v1,fine,tool0;\nENDPROC\nENDMODULE\n"
+    ),
+    "a.src": (
+        f"DEF a()\nDECL E6AXIS XB={{{keyed(B, 'A')},E1 0}}\nPTP {{{keyed(A, 'A')}}}\n"
+        "WAIT SEC 1\n  LIN XB C_DIS ; weld\nEND\n"
+    ),
+    "a.ls": (
+        "/PROG A\n/ATTR\nLINE_COUNT\t= 4;\n/MN\n   1:J P[1] 10% FINE ;\n   2:  DO[1]=ON ;\n"
+        f"   3:L P[7:end] 50mm/sec FINE ;\n   4:J P[1] 10% FINE ;\n/POS\n{position(1, A)}\n"
+        f"{position(7, B).replace('P[7]', 'P[7:end]')}\n/END\n"
+    ),
+    "a.script": (
+        f"def a():\n  b = [{radians(B)}]\n  movej([{radians(A)}])\n  sleep(1)\n"
+        "  movel(b, a=1, v=0.1) # weld\nend\n"
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MOVES)
+def test_programs_are_divided_by_copies_of_their_moves(
+    name: str, result: lc.Result, tmp_path: Path
+) -> None:
+    path, before = tmp_path / name, MOVES[name]
+    path.write_text(before)
+    plain = lc.correct(result, path)
+    bound = plain.moves[0].error / 3.0
+    done = lc.correct(result, path, bounds=lc.CorrectionBounds(line=bound))
+    (move,) = (m for m in done.moves if len(m.inserted))
+    assert move.error < bound
+    path.write_bytes(done.content)
+    again = read_program(path, JointAxes(dict.fromkeys(NAMES, "rad")))
+    assert not again.noted
+    driven = np.array([again.targets[m.target].joints for m in again.moves if m])
+    count = len(move.inserted)
+    digits = 2e-5 if name == "a.ls" else 1e-8
+    ends = done.corrected.joints[[move.begin, move.end]]
+    assert driven[1 : 1 + count] == pytest.approx(move.inserted, abs=digits)
+    assert driven[[0, 1 + count]] == pytest.approx(ends, abs=digits)
+    assert [m.straight for m in again.moves[1 : 2 + count] if m] == [True] * (1 + count)
+    lines = done.content.decode().splitlines()
+    assert len([one for one in lines if "weld" in one or "50mm" in one]) == 1 + count
+    if name == "a.ls":
+        numbers = [int(one.split(":")[0]) for one in lines if one[:4].strip().isdigit()]
+        assert numbers == list(range(1, 5 + count))
+        assert f"LINE_COUNT\t= {4 + count};" in lines
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("a.mod", "SetDO do1,1;", "IF x THEN\n Stop;\n ENDIF"),
+        ("a.mod", "  MoveAbsJ [[", "  IF x MoveAbsJ [["),
+        ("a.mod", "  MoveL b", "  IF x MoveL b"),
+        ("a.src", "WAIT SEC 1", "LOOP"),
+        ("a.src", "WAIT SEC 1", "$TOOL=TOOL_DATA[2]"),
+        ("a.ls", "DO[1]=ON", "LBL[1]"),
+        ("a.script", "sleep(1)", "if x:"),
+        ("a.script", "b, a=1, v=0.1)", "b, a=1,\n v=0.1)"),
+    ],
+)
+def test_nothing_is_inserted_where_the_move_before_may_be_another(
+    name: str, old: str, new: str, result: lc.Result, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    path.write_text(MOVES[name].replace(old, new))
+    bounds = lc.CorrectionBounds(line=1e-9)
+    done = lc.correct(result, path, bounds=bounds)
+    assert not any(len(move.inserted) for move in done.moves)
+    assert done.moves[0].why
+    assert "NOT INSERTED" in str(done)
+    assert done.document()["straight_moves"][0]["not_inserted"] == done.moves[0].why
+    assert done.content == lc.correct(result, path).content

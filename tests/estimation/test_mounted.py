@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from loopcal.estimation.mounted import Bodies, own_coordinates, see_lengths, see_points, see_poses
+from loopcal.estimation.mounted import (
+    Bodies,
+    _points,
+    own_coordinates,
+    see_lengths,
+    see_points,
+    see_poses,
+)
 
 N = 60
 
@@ -29,6 +36,19 @@ def test_targets_of_points_are_found_beside_gross_errors(bodies: Bodies) -> None
     found = see_points(bodies, measured)
     assert found.targets == pytest.approx(targets, abs=1e-6)
     assert found.rms < 1e-6
+
+
+def test_poses_that_hardly_turn_the_body_leave_what_is_mounted_near_it(bodies: Bodies) -> None:
+    """The free fit takes up the machine's own errors, and puts the target far away."""
+    turns = 0.05 * np.random.default_rng(2).normal(size=(N, 3))
+    narrow = Bodies(Rotation.from_rotvec(turns).as_matrix(), 0.2 * bodies.origins)
+    u = np.array([0.05, -0.03, 0.1])
+    off = np.cross(turns, [0.9, -0.6, 0.4]) + 2e-3 * np.sin(20.0 * narrow.origins)
+    found = see_points(narrow, (narrow.at(u) + off)[None] @ S.T + t)
+    assert np.linalg.norm(found.targets) < 0.3
+    every = np.ones(N, dtype=bool)
+    free, _ = _points(narrow, (narrow.at(u) + off)[None] @ S.T + t, np.zeros((1, 3)), every)
+    assert np.linalg.norm(free) > 1.0
 
 
 def test_hand_and_eye_are_found(bodies: Bodies) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.files.history.folder import append_entry
 from loopcal.life.trends import chart, drift_rate
 from loopcal.report.history_page import history_html
 from tests.command_line import run
@@ -41,6 +43,21 @@ def test_limits_hold_a_steady_accuracy_and_not_one_that_has_doubled() -> None:
     assert worse is not None
     assert worse.outside
     assert chart([1.0, 2.0]) is None
+
+
+def test_a_history_states_the_drift_since_its_last_calibration(tmp_path: Path) -> None:
+    """The random walk of two sds in a year: half of it after a quarter of a year."""
+    begin = datetime(2026, 1, 1, tzinfo=UTC)
+    for i, value in enumerate([0.0, 2e-4, -1e-4, 3e-4, 1e-4]):
+        its = {"l2": {"value": 0.8 + value, "sd": 1e-6, "unit": "m", "kind": "length"}}
+        content = {"words": "ok", "rms": None, "parameters": its}
+        append_entry(tmp_path, "calibration", content, time=begin + timedelta(days=365.25 * i))
+    found = lc.history(tmp_path)
+    (trend,) = found.trends
+    later = begin + timedelta(days=365.25 * 4.25)
+    assert trend.rate is not None
+    assert found.drift(later) == {"l2": pytest.approx(0.5 * trend.rate)}
+    assert found.drift(begin) == {"l2": 0.0}
 
 
 def test_commands_add_what_they_found(tmp_path: Path) -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +14,17 @@ import pytest
 import loopcal as lc
 from analyses.instruments import setup
 from analyses.verify import another_day
+from analyses.what_changed import NOISE, joints, measured
+from analyses.what_changed import arm as arm_as_drawn
+from loopcal.document.triangle import symmetric
+from loopcal.life.updating import update
+from loopcal.statistics.calibrated import Calibrated
 from tests.command_line import run
 from tests.reference.simulated import planar_arm
 from tests.refusals import refused
 from tests.statistics.test_comparison import sds_of
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "motoman"
 FIRST, SECOND = np.arange(50), np.arange(50, 100)
 
 
@@ -67,6 +76,70 @@ def test_an_arm_is_within_a_tenth_of_an_sd_of_fitting_everything_at_once() -> No
     found, every = half(same_place=True)
     assert np.abs((values(found) - values(every)) / sds(every)).max() < 0.1
     assert sds(found) / sds(every) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_along_a_curved_valley_it_equals_fitting_everything_at_once(
+    seed: int, shared_data: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The grid determines some directions by a 30,000th of others, and the halves differ there."""
+    path = shared_data("motoman_ma1400_leica/left_arm_grid.csv")
+    monkeypatch.setenv("LOOPCAL_DATA", os.fspath(path.parents[1]))
+    project = lc.read_project(EXAMPLES / "left_arm_grid.toml")
+    loaded = lc.load_dataset(project)
+    rows = np.random.default_rng(seed).permutation(len(loaded.dataset))
+    first, every = (
+        lc.calibrate(project.mechanism, data, noise=loaded.noise, method="implicit-loop")
+        for data in (loaded.dataset.take(np.sort(rows[:104])), loaded.dataset)
+    )
+    found = lc.update(first, loaded.dataset.take(np.sort(rows[104:])), moved=False)
+    away = np.abs(values(found) - values(every)) / np.sqrt(np.diag(every.spectrum.covariance()))
+    assert np.abs(values(first) - values(every)).max() > 0.01
+    assert away.max() < 0.02
+    plain, of_all = found.spectrum.covariance(), every.spectrum.covariance()
+    assert np.sqrt(np.diag(plain) / np.diag(of_all)) == pytest.approx(1.0, abs=0.01)
+    # residuals depend on the pose order: that widens what is stated, not what is known
+    assert np.all(np.diag(found.covariance) >= 0.999 * np.diag(plain))
+    assert (np.diag(first.covariance) / np.diag(first.spectrum.covariance())).max() > 2.0
+    entry = found.document.covariance
+    assert entry.unwidened is not None
+    assert symmetric(entry.unwidened) == pytest.approx(plain)
+
+
+def test_without_the_earlier_poses_the_covariance_serves() -> None:
+    given = setup("six-axis spherical")
+    data = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1).dataset
+    nominal = given.truth.with_parameters(given.truth.parameters.with_fixed(given.held))
+    first = lc.calibrate(nominal, data.take(FIRST), noise=given.noise, method="implicit-loop")
+    known = Calibrated.of(first, "")
+    with_poses, bare = (
+        update(one, data.take(SECOND), moved=False) for one in (known, replace(known, poses=None))
+    )
+    assert np.abs((values(with_poses) - values(bare)) / sds(with_poses)).max() < 0.05
+
+
+def test_readings_of_another_machine_are_reported() -> None:
+    arm = planar_arm(60)
+    data, noise = arm.read(sds_of(arm), 1), lc.Noise(sds_of(arm))
+    first = lc.calibrate(arm.truth, data, noise=noise, method="implicit-loop")
+    longer = arm.truth.with_nominal({"l2": arm.values["l2"] + 5e-3})
+    driven = {q: v for q, v in arm.exact.items() if q in ("phi2", "phi3")}
+    day = lc.simulate(longer, driven, noise=noise, seed=2).dataset
+    words = [w for w in lc.update(first, day).warnings if "mixes both machines" in w]
+    assert len(words) == 1
+    assert "l2 changed by" in words[0]
+    allowed = lc.update(first, day, drift={"length": 1e-2})
+    assert not any("mixes" in words for words in allowed.warnings)
+
+
+def test_the_learnt_model_error_is_carried() -> None:
+    drawn, rng = arm_as_drawn(sagging=True), np.random.default_rng(0)
+    data = measured(drawn, "sagging", joints(rng, 40), 1)
+    first = lc.calibrate(drawn, data, noise=NOISE, method="implicit-loop")
+    assert first.terms
+    found = lc.update(first, measured(drawn, "sagging", joints(rng, 10), 2))
+    assert found.document.terms == first.document.terms
+    assert Calibrated.of(found, "").carried
 
 
 def test_a_placement_that_is_an_arm_of_its_own_is_kept_too() -> None:

@@ -115,6 +115,29 @@ def test_another_frame_changes_nothing_after_the_fit() -> None:
     assert any("another frame" in note for note in there.notes)
 
 
+def test_in_a_plane_two_poses_fix_the_frame_and_z_counts_nowhere() -> None:
+    flat = PLACES * [1.0, 1.0, 0.0]
+    turn = Rotation.from_rotvec([0.0, 0.0, 2.5]).as_matrix()
+    table = replace(attained(CROSS, CROSS, at=flat), planar=True)
+    errors = MeasuringErrors(Figures.of("2 um"), tracker_of("10 um, 20 um"))
+    here = pose_performance(table, errors).conditions[0]
+    assert here.poses[0].accuracy.value == pytest.approx(1e-4)
+    assert here.poses[0].instrument == pytest.approx(
+        NormalScatter.of(4e-12 * np.eye(2)).repeatability
+    )
+    assert here.poses[0].accuracy_fitted is not None
+    assert here.poses[0].accuracy_fitted.value == pytest.approx(0.0, abs=1e-12)
+    moved = replace(table, measured=table.measured @ turn.T + [5.0, 1.0, 0.0])
+    there = pose_performance(moved, errors).conditions[0]
+    assert there.poses[1].accuracy_fitted is not None
+    assert there.poses[1].accuracy_fitted.value == pytest.approx(0.0, abs=1e-12)
+    mirrored = attained(*[np.zeros((2, 3))] * 3, at=flat)
+    mirrored = replace(mirrored, planar=True, measured=mirrored.commanded * [1.0, -1.0, 0.0])
+    for pose in pose_performance(mirrored).conditions[0].poses:
+        assert pose.accuracy_fitted is not None
+        assert pose.accuracy_fitted.value > 1e-2  # no turn in the plane mirrors
+
+
 def test_the_fitted_base_is_no_worse() -> None:
     rng = np.random.default_rng(2)
     table = attained(*(rng.normal(0, 1e-5, (3, 3)) + rng.normal(0, 1e-3, 3) for _ in range(4)))
@@ -241,7 +264,7 @@ def test_exact_readings_have_exact_figures() -> None:
     assert (found.value, found.low, found.high) == (0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("name", ["usual", "scatter along a line", "drift"])
+@pytest.mark.parametrize("name", ["usual", "in a plane", "scatter along a line", "drift"])
 def test_intervals_hold_the_truth(name: str) -> None:
     """`python -m analyses.pose_performance` has more cases and draws."""
     found = coverage(CASES[name], 6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,6 +19,8 @@ NOMINAL = np.array(  # a [m], d [m], alpha [rad], theta [rad]
     ]
 )
 LIMITS = np.radians([120.0, 60.0, 60.0, 150.0, 100.0, 170.0])
+SLIPPED = 31
+"""The first pose after the reflector has slipped, of `write_slipped`."""
 TARGET = np.array([0.05, -0.03, 0.12])
 
 
@@ -119,3 +122,19 @@ def urdf() -> str:
         "</robot>",
     ]
     return "\n".join(lines)
+
+
+def write_slipped(folder: Path) -> None:
+    """arm.urdf, and poses.csv of an arm whose reflector slips by 3 mm after 30 of 60 poses."""
+    joints = poses(60)
+    found, numbers = seen(joints), np.arange(1, 61)
+    slip = np.where(numbers >= SLIPPED, 3e-3, 0.0)
+    points = 1e3 * (found[:, :3, 3] + slip[:, None] * found[:, :3, 0])
+    named = [*(f"J{i} [rad]" for i in range(1, 7)), "x [mm]", "y [mm]", "z [mm]"]
+    rows = [
+        ",".join([str(number), *(f"{value:.5f}" for value in row)])
+        for number, row in zip(numbers, np.column_stack([joints, points]), strict=True)
+    ]
+    text = "\n".join([",".join(["pose", *named]), *rows]) + "\n"
+    (folder / "poses.csv").write_text(text, "utf-8")
+    (folder / "arm.urdf").write_text(urdf() + "\n", "utf-8")

@@ -22,7 +22,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
-from loopcal.statistics import validation
+from loopcal.statistics import case
 from loopcal.statistics.folds import folds, grouped
 from loopcal.statistics.models import ComparedModel, compare_models, recommended
 from tests.refusals import refused
@@ -140,7 +140,7 @@ def test_models_are_compared_on_the_poses_that_all_of_them_predict(
             raise InputError("these poses do not close")
         return calibrate(mechanism, given, **how)
 
-    monkeypatch.setattr(validation, "calibrate", failing)
+    monkeypatch.setattr(case, "calibrate", failing)
     found = compare_models(arm(), data, MODELS, noise=NOISE, folds=5, method="implicit-loop")
     assert [len(m.validation.failed) for m in found.models if m.validation] == [
         0,
@@ -168,7 +168,7 @@ def test_a_model_that_cannot_be_fitted_is_listed_and_the_others_are_compared(
             raise InputError("too few poses for this model")
         return calibrate(mechanism, given, **how)
 
-    monkeypatch.setattr(validation, "calibrate", failing)
+    monkeypatch.setattr(case, "calibrate", failing)
     found = compare_models(
         arm(), measured({}, 1), MODELS, noise=NOISE, folds=5, method="implicit-loop"
     )

@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 import loopcal as lc
 from loopcal.errors import Code, InputError
 from loopcal.estimation.calibrate import calibrate
-from loopcal.statistics import validation
+from loopcal.statistics import case
 from loopcal.statistics.blocks import blocks
 from loopcal.statistics.folds import folds, grouped, held_out, repeated
 from loopcal.statistics.validate import compare_methods, validate
@@ -337,7 +337,7 @@ def test_a_fold_that_fails_is_reported_and_the_others_count(
         return calibrate(mechanism, data, **how)
 
     whole = validate(ARM.truth, DATA, noise=NOISE, folds=5, method="implicit-loop")
-    monkeypatch.setattr(validation, "calibrate", failing)
+    monkeypatch.setattr(case, "calibrate", failing)
     found = validate(ARM.truth, DATA, noise=NOISE, folds=5, method="implicit-loop")
     (failed,) = found.failed
     assert (failed.number, failed.poses, failed.reason) == (3, 8, "these poses do not close")

@@ -67,8 +67,12 @@ body.body--dark .q-footer.run { background: #24282e; color: #e6e6e6; }
 .step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }
 .q-btn { min-height: 44px; text-transform: none; }
 .q-btn:focus-visible { outline: 3px solid #0072b2; outline-offset: 2px; }
-body.body--light .q-btn.step { color: #1f2328 !important; }
-body.body--dark .q-btn.step { color: #e6e6e6 !important; }
+@layer theme { /* of important rules the first layer wins */
+  body.body--light .q-btn.step { color: #1f2328 !important; }
+  body.body--dark .q-btn.step { color: #e6e6e6 !important; }
+  body.body--dark .text-primary, body.body--dark a { color: #7db9ff !important; }
+  body.body--dark .text-negative { color: #ff9a90 !important; }
+}
 """
 
 

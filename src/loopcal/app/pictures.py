@@ -20,13 +20,14 @@ from loopcal.report.source import Source
 from loopcal.statistics.shifted import ids_are_numbers
 
 Array = NDArray[np.float64]
-MOST = 5_000
+MOST = 2_000
 """Points of one figure; of more the largest and a sample of the rest."""
 CHOSEN, REST = "#d55e00", "#0072b2"
 TRANSPARENT = "rgba(0,0,0,0)"
 SIZE = "distance"
 """The error of a pose as one number: the length of its differences."""
 _GRID = "rgba(128,128,128,0.3)"
+_SOLID = "#9aa1aa"
 _PLAIN = {"displaylogo": False, "displayModeBar": False, "scrollZoom": False, "responsive": True}
 _SPATIAL = {**_PLAIN, "scrollZoom": True}
 
@@ -76,7 +77,7 @@ def machine_figure(
     if flat:
         more: dict[str, Any] = {"xaxis": axis("x [m]"), "yaxis": axis("y [m]", scaleanchor="x")}
     else:
-        camera = {"eye": {"x": 1.4, "y": 1.4, "z": 0.8}}
+        camera = {"eye": {"x": 2.0, "y": 2.0, "z": 1.1}}
         more = {"scene": _space([f"{k} [m]" for k in keys], camera)}
     return {
         "data": data,
@@ -152,9 +153,7 @@ class Errors:
 
     def over_poses(self, what: str = SIZE) -> dict[str, Any]:
         """The error over the poses in their order."""
-        trace = self._points(
-            "scattergl", x=self.numbers[self.drawn], y=self.shown[what][self.drawn]
-        )
+        trace = self._points("scatter", x=self.numbers[self.drawn], y=self.shown[what][self.drawn])
         lines = [
             {"type": "line", "x0": at - 0.5, "x1": at - 0.5, "yref": "paper", "y0": 0, "y1": 1}
             | {"line": {"color": CHOSEN, "width": 1, "dash": "dash"}}
@@ -168,7 +167,7 @@ class Errors:
         assert known is not None
         own = {**known.quantities, **known.known}.get(name, "1")
         x = self.source.table.readings[name][self.drawn] / factor(own)
-        trace = self._points("scattergl", x=x, y=self.shown[what][self.drawn])
+        trace = self._points("scatter", x=x, y=self.shown[what][self.drawn])
         return self._flat([trace], f"{name} [{unit_shown(own)}]", what, 220)
 
     def in_space(self) -> dict[str, Any] | None:
@@ -178,7 +177,7 @@ class Errors:
             return None
         table, solid = self.source.table, len(outputs) == 3
         keys = dict(zip("xyz", [table.readings[n][self.drawn] for n in outputs], strict=False))
-        trace = self._points("scatter3d" if solid else "scattergl", **keys)
+        trace = self._points("scatter3d" if solid else "scatter", **keys)
         trace["marker"] |= {
             "color": numbers(self.size[self.drawn]),
             "colorscale": "Viridis",
@@ -256,8 +255,8 @@ def _at(keys: str, points: Array) -> dict[str, list[Any]]:
 def _space(titles: Sequence[str], camera: Any = None) -> dict[str, Any]:
     """Axes of a figure in space, on either ground."""
     lines = {
-        "gridcolor": _GRID,
-        "zerolinecolor": _GRID,
+        "gridcolor": _SOLID,
+        "zerolinecolor": _SOLID,
         "color": "#7b828c",
         "backgroundcolor": TRANSPARENT,
     }

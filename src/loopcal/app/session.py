@@ -200,17 +200,24 @@ class Session:
         effects = mechanism.get("effect", []) if isinstance(mechanism, dict) else []
         return sorted({float(at) for effect in effects for at in effect.get("at", ())})
 
-    def shifted(self, names: Sequence[str], first: str, last: str, reason: str) -> None:
-        """Take parameters as others from the pose `first` to the pose `last`."""
+    def shifted(self, names: Sequence[str], run: Sequence[str], reason: str) -> None:
+        """Take parameters as others from the first to the last pose of a run.
+
+        Poses that were left out since the result do not count.
+        """
         data = self._numbered(names)
-        begin, end = data.poses.index(first), data.poses.index(last) + 1
-        at = [float(data[COLUMN][begin])] if begin else []
-        at += [float(data[COLUMN][end])] if end < len(data.poses) else []
-        if not at:
+        known = set(run)
+        here = [i for i, pose in enumerate(data.poses) if pose in known]
+        if not here or len(here) == len(data.poses):
             raise InputError(
-                "all poses are selected", code="invalid-value", remedy="select a part of the run"
+                "all poses are selected" if here else "no pose of the selection is in use",
+                code="invalid-value",
+                remedy="select a part of the run",
             )
+        ends = [*here[:1], here[-1] + 1]
+        at = [float(data[COLUMN][i]) for i in ends if 0 < i < len(data.poses)]
         text = with_shift(self._counted(), names, at, COLUMN)
+        first, last = data.poses[here[0]], data.poses[here[-1]]
         self._write(text, f"{', '.join(names)} moved from pose {first} to {last}", reason)
 
     def modelled(self, changes: ChangePoints, reason: str) -> None:

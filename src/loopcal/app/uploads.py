@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from nicegui import ui
@@ -11,12 +12,18 @@ from loopcal.app.guard import LARGEST
 from loopcal.app.view import View
 
 
-def uploader(view: View, label: str) -> None:
-    """A place to drop files, and a button for it."""
+def uploader(view: View, label: str, then: Callable[[str], Any] | None = None) -> None:
+    """A place to drop files, and a button for it; then: called with the name of each file."""
 
     async def taken(event: Any) -> None:
         content = await event.file.read()
-        view.act(lambda: view.session.folder.take(event.file.name, content))
+
+        def take() -> None:
+            path = view.session.folder.take(event.file.name, content)
+            if then is not None:
+                then(path.name)
+
+        view.act(take)
 
     ui.upload(
         label=label,

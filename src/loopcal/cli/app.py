@@ -32,7 +32,10 @@ def serve_app(
         bool, typer.Option("--no-browser", help="Open no browser; print the address only.")
     ] = False,
 ) -> None:
-    """Serve a page on a project folder: the whole work by looking and pointing."""
+    """Serve a page on a project folder: the whole work by looking and pointing.
+
+    Tutorial with pictures: docs/tutorials/in-the-browser.md.
+    """
     from loopcal.app.server import serve
 
     serve(

@@ -225,69 +225,6 @@ def compare(
 
 
 @app.command()
-def verify(
-    result: Annotated[
-        str, typer.Argument(metavar="RESULT", help="Folder of a calibration, or its result.json.")
-    ],
-    file: Annotated[
-        str,
-        typer.Argument(
-            metavar="FILE",
-            help="Readings of another day in the columns of the project, or another result.",
-        ),
-    ],
-    remounted: Annotated[
-        bool,
-        typer.Option(
-            "--remounted", help="Estimate everything that is mounted on the machine anew."
-        ),
-    ] = False,
-    anew: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Estimate this instrument's target, target or parameter anew; repeatable "
-            "[default: none].",
-        ),
-    ] = None,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(
-            metavar="MM",
-            help="Require that 95 % of poses lie within this distance [default: none].",
-        ),
-    ] = None,
-    machine_history: HistoryOption = None,
-    as_json: JsonOption = False,
-    mechanism: FunctionOption = None,
-) -> None:
-    """Verify a calibration with readings of another day, the instrument placed anew."""
-    from loopcal.workflow.verifying import run_verification
-
-    done = run_verification(
-        result,
-        file,
-        remounted=remounted,
-        anew=anew or (),
-        tolerance=None if tolerance is None else 1e-3 * tolerance,
-        function=mechanism,
-    )
-    if as_json:
-        print_json(done.document())
-    else:
-        print_out(str(done))
-    if machine_history is not None:
-        from loopcal.workflow.history import add_verification
-
-        add_verification(machine_history, done, result, file)
-    if done.failed:
-        told = " ".join(answer.words for answer in done.failed)
-        raise NoTrustworthyResult(
-            told, code="not-verified", remedy=" ".join(a.next for a in done.failed if a.next)
-        )
-
-
-@app.command()
 def report(
     results: Annotated[
         list[str],

@@ -1,4 +1,4 @@
-"""The commands of a machine's life: update, history, fleet."""
+"""The commands of a machine's life: verify, update, history, fleet."""
 
 from __future__ import annotations
 
@@ -10,19 +10,77 @@ from loopcal.cli.application import FunctionOption, HistoryOption, JsonOption, a
 from loopcal.cli.output import log, print_json, print_out
 from loopcal.errors import NoTrustworthyResult
 
+ResultArgument = Annotated[
+    str, typer.Argument(metavar="RESULT", help="Folder of a calibration, or its result.json.")
+]
+ReadingsArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="FILE",
+        help="Readings of another day in the columns of the project, or another result.",
+    ),
+]
+RemountedOption = Annotated[
+    bool,
+    typer.Option("--remounted", help="Estimate everything that is mounted on the machine anew."),
+]
+AnewOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME",
+        help="Estimate this instrument's target, target or parameter anew; repeatable "
+        "[default: none].",
+    ),
+]
+
+
+@app.command()
+def verify(
+    result: ResultArgument,
+    file: ReadingsArgument,
+    remounted: RemountedOption = False,
+    anew: AnewOption = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MM",
+            help="Require that 95 % of poses lie within this distance [default: none].",
+        ),
+    ] = None,
+    machine_history: HistoryOption = None,
+    as_json: JsonOption = False,
+    mechanism: FunctionOption = None,
+) -> None:
+    """Verify a calibration with readings of another day, the instrument placed anew."""
+    from loopcal.workflow.verifying import run_verification
+
+    done = run_verification(
+        result,
+        file,
+        remounted=remounted,
+        anew=anew or (),
+        tolerance=None if tolerance is None else 1e-3 * tolerance,
+        function=mechanism,
+    )
+    if as_json:
+        print_json(done.document())
+    else:
+        print_out(str(done))
+    if machine_history is not None:
+        from loopcal.workflow.history import add_verification
+
+        add_verification(machine_history, done, result, file)
+    if done.failed:
+        told = " ".join(answer.words for answer in done.failed)
+        raise NoTrustworthyResult(
+            told, code="not-verified", remedy=" ".join(a.next for a in done.failed if a.next)
+        )
+
 
 @app.command()
 def update(
-    result: Annotated[
-        str, typer.Argument(metavar="RESULT", help="Folder of a calibration, or its result.json.")
-    ],
-    file: Annotated[
-        str,
-        typer.Argument(
-            metavar="FILE",
-            help="Readings of another day in the columns of the project, or another result.",
-        ),
-    ],
+    result: ResultArgument,
+    file: ReadingsArgument,
     out: Annotated[
         str | None,
         typer.Option(metavar="FOLDER", help="Folder for the new result [default: RESULT-updated]."),
@@ -32,27 +90,15 @@ def update(
         typer.Option(
             metavar="KIND=SD",
             help="Allow this drift since: length=0.01mm, angle=20urad, mounting, gain, effect or "
-            "a parameter; repeatable [default: none].",
+            "a parameter; repeatable [default: the rates of --history, else none].",
         ),
     ] = None,
     same_place: Annotated[
         bool,
         typer.Option("--same-place", help="Keep the placement: the instrument was not moved."),
     ] = False,
-    remounted: Annotated[
-        bool,
-        typer.Option(
-            "--remounted", help="Estimate everything that is mounted on the machine anew."
-        ),
-    ] = False,
-    anew: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Estimate this instrument's target, target or parameter anew; repeatable "
-            "[default: none].",
-        ),
-    ] = None,
+    remounted: RemountedOption = False,
+    anew: AnewOption = None,
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Skip report.html and delete an existing one.")
     ] = False,
@@ -69,10 +115,13 @@ def update(
         out=out,
         mounting=Mounted(not same_place, remounted, anew or ()),
         drift=drift or (),
+        history=machine_history,
         report=not no_report,
         function=mechanism,
     )
     where = f"written to {done.written.folder}: {', '.join(done.written.files)}"
+    if done.drift and not drift:
+        log(f"drift since the last calibration, from {machine_history}: {len(done.drift)} rates")
     if as_json:
         print_json(done.written.document)
         log(where)

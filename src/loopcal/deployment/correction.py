@@ -18,6 +18,7 @@ from loopcal.presentation.shown import with_unit
 
 Array = NDArray[np.float64]
 _SHOWN = 10
+_REPEATED = "Inserted targets repeat the speed and zone of their move: an exact stop stops at each."
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class Correction:
             if refusal is not None
         ]
         if self.moves:
-            lines.append(self._straight())
+            lines += self._straight()
         if refused:
             counts = Counter(refusal.reason for _, _, refusal in refused)
             several = ", ".join(f"{n} {reason}" for reason, n in counts.most_common())
@@ -120,14 +121,22 @@ class Correction:
             lines.append("U95 without the joints' readings, whose sds are unknown")
         return lines
 
-    def _straight(self) -> str:
-        """The straight moves."""
+    def _straight(self) -> list[str]:
+        """The straight moves, and where no targets were inserted although the bound asks for it."""
         worst = max(self.moves, key=lambda move: move.error)
         new = sum(len(move.inserted) for move in self.moves)
         count = f"{len(self.moves)} straight move{'s' if len(self.moves) > 1 else ''}"
         error = _m(worst.error) if math.isfinite(worst.error) else "not followed by the controller"
         words = f"{count}: error in between up to {error} (line {worst.line})"
-        return f"{words}; {new} targets inserted" if new else words
+        lines = [f"{words}; {new} targets inserted" if new else words]
+        kept = [move for move in self.moves if move.why]
+        if kept:
+            lines.append(f"NOT INSERTED  {_stay(len(kept), 'move')} above the bound")
+            lines += [f"  line {move.line}: {move.why}" for move in kept[:_SHOWN]]
+            lines += _more(len(kept))
+        if new and self.kind != "table":
+            lines.append(_REPEATED)
+        return lines
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI, null for what is not known."""
@@ -174,6 +183,7 @@ class Correction:
                     "to": found.targets.names[move.end],
                     "error": _plain(move.error),
                     "inserted": [self._named(q) for q in move.inserted],
+                    "not_inserted": move.why or None,
                 }
                 for move in self.moves
             ],

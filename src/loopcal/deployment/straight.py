@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 _SHARES = np.linspace(0.0, 1.0, 9)[1:]
 MOST = 63
 """Targets that are inserted into one move, at most."""
+_MANY = f"more than {MOST} targets would be needed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +33,8 @@ class StraightMove:
     """A straight move from one target to another (their indices), in a line of the program.
 
     error: the largest distance [m] of the tool's point from the wanted one in between, inf where
-    the controller does not follow the line; inserted: (k, n) joints of targets in between.
+    the controller does not follow the line; inserted: (k, n) joints of targets in between; why:
+    none were inserted although the error is above the bound, empty elsewhere.
     """
 
     begin: int
@@ -40,6 +42,7 @@ class StraightMove:
     line: int
     error: float
     inserted: Array
+    why: str = ""
 
 
 def straight_move(
@@ -52,10 +55,12 @@ def straight_move(
     """
     none = np.empty((0, joints.shape[1]))
     error = _error(arms, joints, wanted)
-    if bound is None or error <= bound or not math.isfinite(error):
+    if bound is None or error <= bound:
         return StraightMove(*ends, line, error, none)
+    if not math.isfinite(error):
+        return StraightMove(*ends, line, error, none, "the controller does not follow the line")
     if math.sqrt(error / max(bound, 1e-300)) > 2 * MOST:
-        return StraightMove(*ends, line, error, none)  # far more would be needed
+        return StraightMove(*ends, line, error, none, _MANY)  # far more would be needed
     pieces = 2
     while pieces - 1 <= MOST:
         q, T = _divided(arms, joints, wanted, pieces)
@@ -65,7 +70,7 @@ def straight_move(
         if max(parts) <= bound:
             return StraightMove(*ends, line, max(parts), q[1:-1])
         pieces *= 2
-    return StraightMove(*ends, line, error, none)
+    return StraightMove(*ends, line, error, none, _MANY)
 
 
 def _divided(arms: Arms, joints: Array, wanted: Array, pieces: int) -> tuple[Array, Array]:

@@ -88,6 +88,9 @@ class CovarianceEntry:
     robust loss."""
     scatter_freedom: Size | None = None
     """From so many independent poses."""
+    unwidened: Rows | None = None
+    """The covariance by which the fit weighed its prior: at the sds that it used, were no residuals
+    dependent. Rows of its lower triangle; null: it is `plain`, or `matrix` without that."""
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from loopcal.mechanisms.parameters import Parameter
 from loopcal.small_samples import LearntCovariance
 
 Array = NDArray[np.float64]
+_ALIKE = 1e-9
 _COARSE = 0.5
 """Steps whose rounding alone is this share of an sd are not small against it."""
 
@@ -52,19 +53,26 @@ def parameter_entry(
 
 
 def covariance_entry(
-    names: tuple[str, ...], covariance: LearntCovariance, loose: frozenset[str]
+    names: tuple[str, ...],
+    covariance: LearntCovariance,
+    unwidened: Array,
+    loose: frozenset[str],
 ) -> CovarianceEntry:
-    """The covariance of these parameters; loose: those that nothing determines."""
+    """The covariance of these parameters; unwidened: that by which the fit weighed its prior;
+    loose: those that nothing determines."""
     open_ = np.array([name in loose for name in names], dtype=bool)
     lost = open_[:, None] | open_ | ~np.isfinite(covariance.matrix)
     rows = zip(covariance.matrix.tolist(), lost.tolist(), strict=True)
     matrix = tuple(
         tuple(None if gone else value for value, gone in zip(*row, strict=True)) for row in rows
     )
+    own, known = None, covariance.plain if len(covariance.slopes) else covariance.matrix
+    if not np.allclose(unwidened, known, rtol=_ALIKE, atol=0.0, equal_nan=True):
+        own = lower(unwidened)
     if not len(covariance.slopes):
-        return CovarianceEntry(names, "SI", matrix)
+        return CovarianceEntry(names, "SI", matrix, unwidened=own)
     slopes = tuple(map(lower, _short(covariance.slopes)))
-    return CovarianceEntry(names, "SI", matrix, lower(covariance.plain), slopes)
+    return CovarianceEntry(names, "SI", matrix, lower(covariance.plain), slopes, unwidened=own)
 
 
 def _short(values: Array) -> Array:
@@ -72,6 +80,16 @@ def _short(values: Array) -> Array:
     size = np.abs(values)
     power = 10.0 ** (5.0 - np.floor(np.log10(np.where(size > 0.0, size, 1.0))))
     return np.asarray(np.round(values * power) / power)
+
+
+def shares(corrections: Mapping[str, Array], sds: Mapping[str, Array]) -> dict[str, float]:
+    """What the corrections (N,) of each quantity contribute to chi-squared; they add up to 1."""
+    squares = {}
+    for quantity, values in corrections.items():
+        weighed = np.isfinite(sds[quantity]) & (sds[quantity] > 0.0)
+        squares[quantity] = float(np.square(values[weighed] / sds[quantity][weighed]).sum())
+    total = sum(squares.values()) or 1.0
+    return {quantity: square / total for quantity, square in squares.items()}
 
 
 def noise_entries(

@@ -7,6 +7,11 @@ frame, u and X place the target on the body, A is a point fixed beside the machi
 
     point   S (o + R u) + t = m                pose   the same, and S R X = M
     length  |o + R u - A| + c = l
+
+What the machine misses is common to its poses and does not average out. Where they hardly turn the
+body, u takes up such errors and runs metres away. Hence the mean square of what is left, `COMMON`
+times as large, weighs against what is known of mountings, u ~ N(0, `NEAR`^2): poses that turn the
+body determine u, others leave it at the body's origin. The misfits are those of the free fit.
 """
 
 from __future__ import annotations
@@ -25,6 +30,11 @@ from loopcal.mechanisms.frame import Frame
 Array = NDArray[np.float64]
 KEPT = 0.9
 """The share of the poses that decides."""
+NEAR, TURNED = 0.2, 1.0
+"""Prior sds of a mounting that nobody states: it is within so much [m] of the body's origin, and
+turned by so much [rad] from where the readings say."""
+COMMON = 5.0
+"""How many times as large as what remains the errors are that placement and mounting take up."""
 _ROUNDS, _STEPS = 4, 12
 _WEAK = 1e-6
 """A direction of the placement that the poses determine so much less than others stays as it is."""
@@ -100,11 +110,16 @@ def see_points(bodies: Bodies, measured: Array, rounds: int = _ROUNDS) -> Mounte
     for _ in range(rounds):
         targets, away = _points(bodies, measured, targets, good)
         good = _better(away)
-    return Mounted(away, _spread(measured[0]), targets)
+    near, _ = _points(bodies, measured, np.zeros_like(targets), good, COMMON)
+    return Mounted(away, _spread(measured[0]), near)
 
 
 def _points(
-    bodies: Bodies, measured: Array, targets: Array, good: NDArray[np.bool_]
+    bodies: Bodies,
+    measured: Array,
+    targets: Array,
+    good: NDArray[np.bool_],
+    common: float = 0.0,
 ) -> tuple[Array, Array]:
     """Targets (K, 3) and distances (N,) after fitting placement and targets by some poses."""
     K = len(measured)
@@ -120,7 +135,7 @@ def _points(
         J[..., 3:6] = np.eye(3)
         for k in range(K):
             J[k, ..., 6 + 3 * k : 9 + 3 * k] = S @ bodies.rotations[good]
-        step = np.linalg.lstsq(J.reshape(-1, 6 + 3 * K), left.reshape(-1), rcond=_WEAK)[0]
+        step = _held(J.reshape(-1, 6 + 3 * K), left.reshape(-1), targets.reshape(-1), K * n, common)
         moved = step[6:].reshape(K, 3)
         targets = targets + moved
         if np.abs(moved).max() < 1e-7:
@@ -135,13 +150,15 @@ def see_poses(bodies: Bodies, measured: Array, turns: Array, rounds: int = _ROUN
     """A frame on the body, seen as positions (N, 3) [m] and rotations M (N, 3, 3)."""
     spread = _spread(measured)
     good = np.isfinite(measured).all(axis=1) & np.isfinite(turns).all(axis=(1, 2)) & bodies.known
-    u = np.zeros(3)
+    near = np.zeros(3)
     for _ in range(rounds):
         S, X = _hand_eye(bodies.rotations[good], turns[good])
         n = int(good.sum())
         J = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), S @ bodies.rotations[good]], axis=2)
         rest = measured[good] - bodies.origins[good] @ S.T
-        found = np.linalg.lstsq(J.reshape(-1, 6), rest.reshape(-1), rcond=_WEAK)[0]
+        columns, left = J.reshape(-1, 6), rest.reshape(-1)
+        near = _held(columns, left, np.zeros(3), n, COMMON)[3:]
+        found = np.linalg.lstsq(columns, left, rcond=_WEAK)[0]
         t, u = found[:3], found[3:]
         off = bodies.at(u) @ S.T + t - measured
         away = np.sqrt(np.square(off).sum(axis=1))
@@ -149,7 +166,21 @@ def see_poses(bodies: Bodies, measured: Array, turns: Array, rounds: int = _ROUN
         cosine = np.clip((np.trace(M, axis1=1, axis2=2) - 1.0) / 2.0, -1.0, 1.0)
         turned = np.arccos(cosine)
         good = _better(np.hypot(away / spread, turned))
-    return Mounted(away, spread, u[None], turn=X, turned=turned)
+    return Mounted(away, spread, near[None], turn=X, turned=turned)
+
+
+def _held(J: Array, left: Array, at: Array, count: int, common: float) -> Array:
+    """The Gauss-Newton step of columns J, the last of which move what is mounted, now `at`.
+
+    It is held near the body with `common`, as the head of this module says; count: of readings.
+    """
+    free = np.linalg.lstsq(J, left, rcond=_WEAK)[0]
+    remains = float(np.sqrt(np.square(left - J @ free).sum() / count))
+    weight = np.sqrt(count) * common * remains / NEAR
+    held = np.hstack([np.zeros((at.size, J.shape[1] - at.size)), weight * np.eye(at.size)])
+    rows, rest = np.vstack([J, held]), np.concatenate([left, -weight * at])
+    step: Array = np.linalg.lstsq(rows, rest, rcond=_WEAK)[0]
+    return step
 
 
 def _hand_eye(R: Array, M: Array) -> tuple[Array, Array]:
@@ -205,10 +236,7 @@ def see_lengths(bodies: Bodies, measured: Array) -> Mounted:
                 on_body = np.einsum("ni,nij->nj", unit, bodies.rotations)
                 J = np.column_stack([-unit, np.ones(len(o)), on_body])[good]
                 b = (measured - length - c)[good]
-                # weakly known to 50 mm: what is mounted is near its flange
-                held = np.hstack([np.zeros((3, 4)), np.eye(3)]) * (0.01 * spread / 0.05)
-                target = -u * (0.01 * spread / 0.05)
-                step = np.linalg.lstsq(np.vstack([J, held]), np.concatenate([b, target]))[0]
+                step = _held(J, b, u, len(b), COMMON)
                 size = np.abs(step).max()
                 step = step * min(1.0, 0.5 / max(size, 1e-12))
                 A, c, u = A + step[:3], c + float(step[3]), u + step[4:]

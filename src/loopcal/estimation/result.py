@@ -37,10 +37,12 @@ from loopcal.estimation.document_parts import (
     data_entry,
     noise_entries,
     parameter_entry,
+    shares,
     status_entry,
 )
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.identifiability import identifiability
+from loopcal.estimation.inherited import Inherited
 from loopcal.estimation.noise.learning import entries, joint_covariances, words
 from loopcal.estimation.noise.terms import term_entries
 from loopcal.estimation.noise.variances import all_learnt
@@ -76,7 +78,7 @@ class Result(Views):
     fit: the settings; dataset: the readings; problem: with the sds used, solution: where the fit
     ended; stated: the problem with the sds as stated, estimate: what was learnt of them, None
     where nothing was; all_poses: of a stream; notes: warnings beside those of the fit itself;
-    faults: of the file as a whole, found before the fit.
+    faults: of the file as a whole, found before the fit; inherited: of an update.
     What follows from these is computed when it is first asked for.
     """
 
@@ -97,6 +99,7 @@ class Result(Views):
     errors: Mapping[str, float] | None = None
     """True minus estimated value of the parameters whose truth is known."""
     faults: tuple[ColumnFault, ...] = ()
+    inherited: Inherited | None = None
     judge: Callable[[Result], Verdict] | None = None
     """What judges the result when its verdict is first asked for."""
     memory: dict[object, Any] = field(default_factory=dict)
@@ -172,9 +175,10 @@ class Result(Views):
         """Of the estimated parameters, and how sure it is itself: sds that were learnt are not
         known, and those of least squares come from its residuals. It allows for serial dependence
         where there is any."""
+        own = self._independent
         if self._depending is not None and self._depending.covariance is not None:
-            return LearntCovariance.known(self._depending.covariance)
-        return self._independent
+            own = LearntCovariance.known(self._depending.covariance)
+        return own if self.inherited is None else self.inherited.added_to(own)
 
     @property
     def drifting(self) -> Drifting | None:
@@ -182,8 +186,7 @@ class Result(Views):
         return None if self._depending is None else self._depending.drifting
 
     def covariance_through(self, S: Array, drifting: Drifting | None) -> LearntCovariance:
-        """Covariance of S times the estimated parameters, S (N, m, n), under a known drift, or were
-        no residuals dependent. It tests nothing."""
+        """Of S (N, m, n) times the estimated parameters, under a known drift, or without any."""
         if drifting is not None:
             known = covariance_under(
                 drifting,
@@ -192,10 +195,11 @@ class Result(Views):
                 self.pose_equations(),
                 exact=self.fit.solver.exact,
             )
-            return LearntCovariance.known(known).through(S)
-        if self._learnt is not None and not self.variance_factor_applied:
-            return self._learnt.through(S)
-        return self._independent.through(S)
+            own = LearntCovariance.known(known).through(S)
+        else:
+            learnt = None if self.variance_factor_applied else self._learnt
+            own = (learnt or self._independent).through(S)
+        return own if self.inherited is None else self.inherited.added_to(own, S)
 
     @property
     def learnt_noise(self) -> tuple[tuple[tuple[int, ...], Array], ...]:
@@ -319,17 +323,18 @@ class Result(Views):
     @cached_property
     def terms(self) -> tuple[TermEntry, ...]:
         """What was learnt of each term of the mechanism; empty where nothing was."""
+        if self.inherited is not None:
+            return self.inherited.terms
         return () if self.estimate is None else term_entries(self.mechanism, self.estimate.terms)
 
-    def _told_terms(self) -> tuple[TermEntry, ...]:
+    def told_terms(self) -> tuple[TermEntry, ...]:
         """With what each term does joint by joint."""
-        if not self.terms or not self.problem.count:
+        if not self.terms or not self.problem.count or self.inherited is not None:
             return self.terms
-        from loopcal.estimation.noise.term_parts import term_parts
+        from loopcal.estimation.noise.term_parts import with_parts
 
-        at = self.solution
-        parts = term_parts(self.problem, at.parameters, at.corrections, self.covariance)
-        return tuple(replace(term, parts=parts.get(term.name, ())) for term in self.terms)
+        at = self.solution.parameters, self.solution.corrections
+        return with_parts(self.terms, self.problem, *at, self.covariance)
 
     @cached_property
     def corrections(self) -> Mapping[str, Array]:
@@ -487,13 +492,7 @@ class Result(Views):
     @property
     def chi_squared_shares(self) -> Mapping[str, float]:
         """What the corrections of each quantity contribute to chi-squared; they add up to 1."""
-        squares = {}
-        for quantity, corrections in self.corrections.items():
-            sds = self.reading_sds[quantity]
-            weighed = np.isfinite(sds) & (sds > 0.0)
-            squares[quantity] = float(np.square(corrections[weighed] / sds[weighed]).sum())
-        total = sum(squares.values()) or 1.0
-        return {quantity: square / total for quantity, square in squares.items()}
+        return shares(self.corrections, self.reading_sds)
 
     @property
     def _redundancy(self) -> Redundancy | None:
@@ -549,6 +548,7 @@ class Result(Views):
     @property
     def _document(self) -> ResultDocument:
         errors, loose = self.errors or {}, self.identifiability.loose
+        spread = self.learnt_covariance, self.spectrum.covariance()
         shares, names = self.chi_squared_shares, self.mechanism.tape.quantities
         noise = noise_entries(self.noise, shares, names, self._redundancy)
         coarse = coarse_readings(self.dataset, noise, self.problem, self.pose_equations())
@@ -568,10 +568,10 @@ class Result(Views):
                 )
                 for p in self.mechanism.parameters
             ),
-            covariance=covariance_entry(self.estimated, self.learnt_covariance, loose),
+            covariance=covariance_entry(self.estimated, *spread, loose),
             noise=noise,
             noise_covariances=() if self.fit.solver.exact else joint_covariances(self.problem),
-            terms=self._told_terms(),
+            terms=self.told_terms(),
             sds_settled=None if self.estimate is None else self.estimate.settled,
             model_discrepancy=self.model_discrepancy,
             variance_factor_applied=self.variance_factor_applied,

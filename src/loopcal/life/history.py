@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from typing import Any
 
 from loopcal.files.history.folder import Entries, Entry
@@ -68,6 +69,18 @@ class History:
     def of_kind(self, kind: str) -> tuple[Entry, ...]:
         """The entries of a kind."""
         return tuple(entry for entry in self.entries.whole if entry.kind == kind)
+
+    def drift(self, until: datetime | None = None) -> dict[str, float]:
+        """The sds [SI] by which parameters have changed since the last calibration, by their rates.
+
+        Until now, or another time; empty for fewer than five calibrations. `update` takes it.
+        """
+        done = self.of_kind("calibration")
+        if not done:
+            return {}
+        since = (until or datetime.now(UTC)) - done[-1].time
+        years = max(since.total_seconds() / _YEAR, 0.0)
+        return {one.name: one.rate * years**0.5 for one in self.trends if one.rate}
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI."""

@@ -62,7 +62,7 @@ class MeasuredMachine:
         if not updated:
             P[its] = 1.0 / np.square(known.prior_sd[its])
         P = np.where([p.fixed for p in all_], 0.0, P)
-        G = known.covariance.plain if known.gain is None else known.gain
+        G = known.unwidened
         R = root_of(G)
         own, V = np.linalg.eigh(np.eye(R.shape[1]) - R.T @ (P[:, None] * R))
         seen = own > _SHARE

@@ -14,7 +14,7 @@ by their sums.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -22,8 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, nearest
-from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.calibrate import LEARNT, calibrate
 from loopcal.estimation.fit import Fit
+from loopcal.estimation.inherited import Inherited
 from loopcal.estimation.methods.method import Method
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.unknowns import Unknowns
@@ -35,19 +36,38 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.life.earlier import Around, Coordinates, Earlier
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.statistics.innovation import root_of
 from loopcal.statistics.replacing import Freedom, Replaced, replaced
-from loopcal.statistics.verification import as_learnt, day_problem, noise_of
+from loopcal.statistics.verification import as_learnt, day_problem, noise_of, verify
+from loopcal.statistics.verified import Verification
 
 Array = NDArray[np.float64]
 KINDS = ("length", "angle", "mounting", "gain", "effect")
 """Kinds of parameters that may drift."""
 LABEL = "implicit loop, updated"
 """Of the method, in the result of an update."""
+_MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
 _RANK = 1e-12
+_ROUNDS, _SETTLED = 6, 2e-2
+"""Fits, each near the end of the last, until they end within so many sds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Updated:
+    """An update. check: whether the new readings are of the machine that was calibrated, after the
+    stated drift."""
+
+    result: Result
+    check: Verification
+
+    @property
+    def mixed(self) -> str | None:
+        """Why the update mixes two machines; None where it does not."""
+        answer = self.check.verdict["consistent"]
+        return f"{answer.words} {_MIXED}" if answer.passed is False else None
 
 
 def update(
@@ -65,10 +85,26 @@ def update(
     whether instruments stand elsewhere, so that nothing is known of their placement; remounted: as
     in `verify`; drift: sd [SI] by which parameters may have changed since, by kind ("length",
     "angle", "mounting", "gain", "effect") or by name. The prior is the covariance of the
-    calibration (Kalman 1960).
+    calibration (Kalman 1960), near the end of the update as its poses say (Bell 1994). A warning of
+    the result says where the readings are of another machine (`verify`).
 
     Raises InputError for a calibration or readings without sds, and for a kind that is not there.
     """
+    return updated(
+        calibration, data, noise=noise, moved=moved, remounted=remounted, drift=drift
+    ).result
+
+
+def updated(
+    calibration: Result | Calibrated,
+    data: Dataset | Any,
+    *,
+    noise: NoiseLike | None = None,
+    moved: bool = True,
+    remounted: bool | Sequence[str] = False,
+    drift: Mapping[str, float] | None = None,
+) -> Updated:
+    """`update`, with the check of the machine."""
     known = Calibrated.of(calibration, "") if isinstance(calibration, Result) else calibration
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     stated = Noise.of(noise)
@@ -79,6 +115,8 @@ def update(
             remedy="give noise, or update a calibration by another method",
         )
     known = replace(known, residual=None)
+    drifts = _drifts(known, drift or {})
+    check = verify(known.drifted(drifts), data, noise=stated, remounted=remounted)
     if stated is None:
         stated, data = noise_of(known), as_learnt(known, data)
     with one_blas_thread():
@@ -87,8 +125,33 @@ def update(
         if not moved:
             freedom = _without_placement(known, freedom)
         here = replaced(problem, freedom)
-        free = [i for i, p in enumerate(known.mechanism.parameters) if not p.fixed]
-        prior = _Prior.of(known, here, np.array(free), _drifts(known, drift or {}))
+        earlier = Earlier.of(known, with_poses=not freedom.whole)
+    found: Result | None = None
+    for _ in range(_ROUNDS):
+        before = found
+        with one_blas_thread():
+            prior = _Prior.of(known, here, drifts, earlier, before)
+        found = _fitted(known, here, prior, data, stated, before)
+        if before is not None and _apart(found, before) < _SETTLED:
+            break
+    assert found is not None
+    with one_blas_thread():
+        terms = calibration.told_terms() if isinstance(calibration, Result) else known.terms
+        found = replace(found, inherited=Inherited(prior.widened(found), terms))
+    done = Updated(found, check)
+    return done if done.mixed is None else replace(done, result=found.noted(done.mixed))
+
+
+def _fitted(
+    known: Calibrated,
+    here: Replaced,
+    prior: _Prior,
+    data: Dataset,
+    noise: Noise,
+    before: Result | None,
+) -> Result:
+    """The fit of these readings with the prior, begun where the machine stands or where it ended
+    before."""
     method = Method(
         name="implicit-loop",
         label=LABEL,
@@ -100,11 +163,19 @@ def update(
     begun = replace(known.mechanism, terms=()).with_nominal(
         dict(zip(names, here.parameters.tolist(), strict=True))
     )
-    sds = {names[i]: float(sd) for i, sd in zip(free, prior.sds, strict=True)}
+    sds = {names[i]: float(sd) for i, sd in zip(prior.free, prior.sds, strict=True)}
     begun = begun.with_parameters(begun.parameters.with_prior(sds))
-    return calibrate(
-        begun, data, noise=stated, fit=Fit(method=method, start="nominal"), trusted=True
-    )
+    start = "nominal" if before is None else before.value
+    near = dict(zip(begun.tape.quantities, here.corrections, strict=True))
+    how = Fit(method=method, start=start, tolerance=LEARNT)
+    return calibrate(begun, data, noise=noise, fit=how, near=near, trusted=True)
+
+
+def _apart(a: Result, b: Result) -> float:
+    """The largest difference of two fits [sds]."""
+    sd = np.sqrt(np.diag(a.spectrum.covariance()))
+    away = np.abs(a.solution.parameters - b.solution.parameters)[a.problem.free]
+    return float((away / np.where(sd > 0.0, sd, np.inf)).max(initial=0.0))
 
 
 def _without_placement(known: Calibrated, freedom: Freedom) -> Freedom:
@@ -136,22 +207,44 @@ def _drifts(known: Calibrated, drift: Mapping[str, float]) -> Array:
     return found
 
 
+@dataclass(frozen=True, eq=False)
 class _Prior:
-    """What a calibration knows of the estimated parameters: |rows (p - centre)|^2.
+    """What a calibration knows of the estimated parameters: |rows (phi(p) - m)|^2.
 
-    rows: (q, n) of unit variance; centre: (n,); sds: (n,) of single parameters, inf where they are
-    found anew.
+    rows: (q, n) of unit variance; centre: (n_all,) where m stands; free: (n,) positions; sds: (n,)
+    of single parameters, inf where they are found anew; wider: (q, q) by how much the covariance of
+    the rows is larger than the information of the calibration says; around, follows: phi.
     """
 
-    def __init__(self, rows: Array, centre: Array, sds: Array) -> None:
-        self.rows, self.centre, self.sds = rows, centre, sds
+    rows: Array
+    centre: Array
+    free: NDArray[np.intp]
+    sds: Array
+    wider: Array
+    around: Around
+    follows: Array
 
     @classmethod
-    def of(cls, known: Calibrated, here: Replaced, free: NDArray[np.intp], drifts: Array) -> _Prior:
-        """The covariance with the drift, where the machine stands now."""
+    def of(
+        cls,
+        known: Calibrated,
+        here: Replaced,
+        drifts: Array,
+        earlier: Earlier,
+        before: Result | None,
+    ) -> _Prior:
+        """The covariance with the drift, where the machine stands now.
+
+        before: a fit whose end is near that of the next one.
+        """
+        free = np.flatnonzero([not p.fixed for p in known.mechanism.parameters])
+        around = earlier.around(earlier.begin)
+        if before is not None:
+            around = earlier.beside(before.solution.parameters, here.anew)
         held = ~here.anew[:, None]
-        root = here.brought(np.hstack([root_of(known.covariance.matrix), np.diag(drifts)]) * held)
-        C = (root @ root.T)[np.ix_(free, free)]
+        root = here.brought(around.root * held)[free]
+        drift = here.brought(np.diag(drifts) * held)[free]
+        C = root @ root.T + drift @ drift.T
         loose = here.brought(known.undetermined * held)[free]
         whole = here.directions[:, : here.directions.shape[1] - int(here.anew.sum())][free]
         open_ = np.hstack([loose, whole, np.eye(len(C))[:, here.anew[free]]])
@@ -162,8 +255,35 @@ class _Prior:
         values, vectors = np.linalg.eigh(K @ C @ K.T)
         kept = values > _RANK * max(float(values.max(initial=0.0)), 1e-300)
         rows = (vectors[:, kept] / np.sqrt(values[kept])).T @ K
+        carried = rows @ here.brought(around.carried * held)[free]
         known_at_all = (np.abs(rows).max(axis=0, initial=0.0) > 0.0) & (sd > 0.0)
-        return cls(rows, here.parameters[free], np.where(known_at_all, sd, np.inf))
+        centre = np.where(here.anew, here.parameters, around.mean)
+        return cls(
+            rows,
+            here.parameters if around.seen is None and before is None else centre,
+            free,
+            np.where(known_at_all, sd, np.inf),
+            carried @ earlier.wider(known) @ carried.T,
+            around,
+            around.follows(here.anew),
+        )
+
+    def at(self, parameters: Array) -> Coordinates:
+        """The rows (q,) and their derivatives (q, n)."""
+        around, free = self.around, self.free
+        if around.seen is None:
+            return Coordinates(self.rows @ (parameters - self.centre)[free], self.rows)
+        there = around.mean + self.follows @ (parameters - around.mean)
+        found = around.seen.at(there)
+        away = found.values - (around.mean - around.centre)
+        slopes = (found.slopes @ self.follows)[np.ix_(free, free)]
+        return Coordinates(self.rows @ away[free], self.rows @ slopes)
+
+    def widened(self, found: Result) -> Array:
+        """(n, n) what the covariance of a fit gains: G wider G^T, G its change with the rows."""
+        gain = found.spectrum.covariance() @ self.at(found.solution.parameters).slopes.T
+        wider: Array = gain @ self.wider @ gain.T
+        return wider
 
 
 class _WithPrior(InMemory):
@@ -186,8 +306,8 @@ class _WithPrior(InMemory):
     ) -> Evaluation[Array]:
         how: dict[str, Any] = {"triangular": triangular, "closing": closing}
         found = self.sweeper.sweep(parameters, corrections, contraction=contraction, **how)
-        rows, away = self.prior.rows, self.prior.centre - parameters[self.unknowns.free]
-        found.data.add(np.vstack([rows.T, rows @ away])[:, :, None])
+        there = self.prior.at(parameters)
+        found.data.add(np.vstack([there.slopes.T, -there.values])[:, :, None])
         return found
 
 

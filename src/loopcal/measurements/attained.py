@@ -19,7 +19,7 @@ class AttainedPoses:
     conditions: column header -> value per row (payload, speed). commanded, measured: positions
     (N, 3) [m]; commanded_turns, measured_turns: rotation matrices (N, 3, 3), None without
     orientations; time: (N,) [s], None without. notes: what a reader must know of how the table
-    was understood.
+    was understood. planar: only x and y were commanded and measured; z is 0.
     """
 
     file: str
@@ -34,6 +34,7 @@ class AttainedPoses:
     time: Array | None = None
     conditions: dict[str, tuple[str, ...]] | None = None
     notes: tuple[str, ...] = ()
+    planar: bool = False
 
     def __len__(self) -> int:
         return len(self.pose)

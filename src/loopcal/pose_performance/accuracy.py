@@ -8,7 +8,7 @@ means have the covariance
 S_g the sample covariance of group g, F = diag(shift^2 I, turn^2 I) of the frame and J its effect.
 The base frame is fitted to the means by least squares (Umeyama 1991, without a scale); to first
 order the offsets then have the covariance M C M^T, M = I - J (J^T W J)^-1 J^T W, W the numbers of
-cycles. Errors of the frame vanish by it.
+cycles. Errors of the frame vanish by it. In a plane the frame has two shifts and the turn about z.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from loopcal.pose_performance.intervals import Estimate, length_interval
 Array = NDArray[np.float64]
 COLLINEAR = 1e-6
 """Poses within this share of their extent of one line determine no frame."""
+_IN_PLANE = [0, 1, 5]
+"""Shifts along x and y and the turn about z, of those of a frame."""
 SCALE = 0.1
 """A fitted scale so far from one is a wrong unit, not a robot."""
 
@@ -45,7 +47,7 @@ class Means:
 
     scatter (G, 3, 3): covariance of each mean by its readings [m^2]; shared (G, 3, 3): of what all
     readings of its point share; pose (G,): number of that point; frame (G, 3, 3): what the frame
-    adds.
+    adds; planar: whether z was not measured, and is 0.
     """
 
     positions: Array
@@ -55,6 +57,7 @@ class Means:
     shared: Array
     pose: NDArray[np.intp]
     frame: Array
+    planar: bool = False
 
     @classmethod
     def of(
@@ -70,8 +73,9 @@ class Means:
         numbers: dict[str, int] = {}
         pose = np.array([numbers.setdefault(g.pose, len(numbers)) for g in groups])
         first = [positions[int(np.argmax(pose == n))] for n in range(len(numbers))]
-        J = frame_effect(asked)
+        J = frame_effect(asked, errors.planar)
         F = np.repeat(np.square([errors.frame.length or 0.0, errors.frame.angle or 0.0]), 3)
+        F = F[_IN_PLANE] if errors.planar else F
         return cls(
             positions,
             asked,
@@ -80,6 +84,7 @@ class Means:
             np.array([errors.of_point(point) for point in first])[pose],
             pose,
             (J * F) @ J.transpose(0, 2, 1),
+            errors.planar,
         )
 
     def accuracy(self, i: int) -> Estimate:
@@ -122,19 +127,30 @@ def fitted_base(means: Means) -> FittedBase | str:
     weight = means.cycles / means.cycles.sum()
     centre, asked = weight @ means.positions, weight @ means.commanded
     P, Q = means.positions - centre, means.commanded - asked
-    spread = np.linalg.svd(Q, compute_uv=False)
-    if len(np.unique(means.commanded, axis=0)) < 3 or spread[1] <= COLLINEAR * spread[0]:
+    spread, different = np.linalg.svd(Q, compute_uv=False), len(np.unique(means.commanded, axis=0))
+    if means.planar and different < 2:
+        return "the base frame is not fitted: it takes two poses"
+    if not means.planar and (different < 3 or spread[1] <= COLLINEAR * spread[0]):
         return "the base frame is not fitted: it takes three poses that are not on one line"
     _refuse_scale(P, Q)
-    U, _, V = np.linalg.svd((weight[:, None] * Q).T @ P)
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
+    R = _rotation((weight[:, None] * Q).T @ P, 2 if means.planar else 3)
     scatter, shared = (R @ C @ R.T for C in (means.scatter, means.shared))
-    J = frame_effect(means.commanded)
+    J = frame_effect(means.commanded, means.planar)
     whole = _after_fit(J, means, scatter, shared)
     alone = _after_fit(J, means, scatter, np.zeros_like(shared))
-    return FittedBase(
-        R, asked - R @ centre, P @ R.T - Q, whole.offsets, alone.offsets, whole.frame[3:, 3:]
-    )
+    turn = np.zeros((3, 3))
+    turn[-1:, -1:] = whole.frame[-1:, -1:]
+    turn = turn if means.planar else whole.frame[3:, 3:]
+    return FittedBase(R, asked - R @ centre, P @ R.T - Q, whole.offsets, alone.offsets, turn)
+
+
+def _rotation(H: Array, d: int) -> Array:
+    """The rotation (3, 3) that makes tr(R^T H) largest, in the first d coordinates."""
+    U, _, V = np.linalg.svd(H[:d, :d])
+    U[:, -1] *= np.linalg.det(U @ V)
+    R = np.eye(3)
+    R[:d, :d] = U @ V
+    return R
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,13 +186,14 @@ def covariance_of_mean(readings: Array) -> Array:
     return np.atleast_2d(np.cov(readings.T)) / n
 
 
-def frame_effect(points: Array) -> Array:
-    """J (G, 3, 6): what a shift and a small turn of the frame do to points (G, 3)."""
+def frame_effect(points: Array, planar: bool = False) -> Array:
+    """J (G, 3, 6), in a plane (G, 3, 3): what a shift and a small turn of the frame do to points
+    (G, 3)."""
     J = np.zeros((len(points), 3, 6))
     J[:, :, :3] = np.eye(3)
     for axis in range(3):
         J[:, :, 3 + axis] = np.cross(np.eye(3)[axis], points)
-    return J
+    return J[:, :, _IN_PLANE] if planar else J
 
 
 def _refuse_scale(P: Array, Q: Array) -> None:

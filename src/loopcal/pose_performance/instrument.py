@@ -51,12 +51,14 @@ class MeasuringErrors:
 
     reading: sd of one reading in each coordinate and about each axis, independent from reading to
     reading; tracker: what all readings of one point share, as a data sheet states it; frame: sd of
-    the commanded frame in the instrument's, shift in each coordinate and turn about each axis.
+    the commanded frame in the instrument's, shift in each coordinate and turn about each axis;
+    planar: only x and y are measured.
     """
 
     reading: Figures = Figures()
     tracker: Tracker | None = None
     frame: Figures = Figures()
+    planar: bool = False
 
     def of_reading(self, point: Array) -> Array | None:
         """Covariance (3, 3) [m^2] that one reading adds to the scatter; None if unknown.
@@ -64,14 +66,19 @@ class MeasuringErrors:
         From a data sheet alone this is the most it can be.
         """
         if self.reading.length is not None:
-            return self.reading.length**2 * np.eye(3)
+            return self._measured(self.reading.length**2 * np.eye(3))
         return self.of_point(point) if self.tracker is not None else None
 
     def of_point(self, point: Array) -> Array:
         """Covariance (3, 3) [m^2] of what all readings of one point share."""
         if self.tracker is None:
             return np.zeros((3, 3))
-        return np.asarray(self.tracker.covariance(point[None])[0])
+        return self._measured(np.asarray(self.tracker.covariance(point[None])[0]))
+
+    def _measured(self, covariance: Array) -> Array:
+        """The covariance of what is measured of a point."""
+        there = np.array([1.0, 1.0, 0.0 if self.planar else 1.0])
+        return covariance * np.outer(there, there)
 
     @property
     def only_at_most(self) -> bool:

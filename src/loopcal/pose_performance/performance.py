@@ -10,6 +10,7 @@ Assessment of the positioning performance of an industrial robot, Industrial Rob
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -66,7 +67,7 @@ def pose_performance(
     distances: pairs of poses; by default every pair of up to five poses, beyond that successive
     ones. Raises InputError for a pose that is not there, and for units that cannot be right.
     """
-    errors = errors or MeasuringErrors()
+    errors = replace(errors or MeasuringErrors(), planar=attained.planar)
     known = list(dict.fromkeys(attained.pose))
     for name in (name for pair in distances for name in pair):
         if name not in known:

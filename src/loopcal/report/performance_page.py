@@ -95,7 +95,7 @@ def _scatter(found: ConditionPerformance, attained: AttainedPoses) -> list[Figur
         ]
         radius = None if pose.repeatability is None else MM * pose.repeatability.value
         clouds.append(Cloud(pose.name, offsets[rows], radius))
-    return [scatter(clouds, (0, 1)), scatter(clouds, (0, 2))]
+    return [scatter(clouds, plane) for plane in ((0, 1), (0, 2))[: 1 if attained.planar else 2]]
 
 
 def _drift(found: ConditionPerformance) -> Figure | None:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from loopcal.document.fit import NoiseEntry
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.result_document import ResultDocument
+from loopcal.document.terms import TermEntry
+from loopcal.document.triangle import symmetric
 from loopcal.estimation.result import Result
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
@@ -36,8 +38,8 @@ class Calibrated:
     mechanism: with the calibrated values; covariance: (n_all, n_all) [SI], zero for fixed
     parameters; undetermined: (n_all, d) steps [SI] that neither data nor prior limit; nominal,
     prior_sd: (n_all,) what was known before; poses: its readings; data: what tells the readings
-    apart from others; rejected: chi-squared, where it rejects the stated sds; carried: whether
-    parameters with learnt sds (terms) carry the error of the model; noise: the sds of its sensors;
+    apart from others; rejected: chi-squared, where it rejects the stated sds; terms: what was
+    learnt of the model error; noise: the sds of its sensors;
     residual: of a method that takes the readings as exact; gain: the covariance at the sds that the
     fit used, were no residuals dependent, by which the prior weighed; None is `covariance`;
     scatter: the covariance (n_all, n_all) that the poses themselves show, where it is known.
@@ -52,7 +54,7 @@ class Calibrated:
     poses: Dataset | None
     data: str | None
     rejected: ChiSquared | None
-    carried: bool
+    terms: tuple[TermEntry, ...]
     noise: tuple[NoiseEntry, ...] = ()
     residual: ResidualVariance | None = None
     gain: Array | None = None
@@ -69,17 +71,17 @@ class Calibrated:
         return cls(
             name,
             result.calibrated,
-            _spread(result.learnt_covariance, free, size),
+            result.learnt_covariance.within(size, free),
             _rows(loose, free, size),
             np.array([p.nominal for p in parameters]),
             np.array([math.inf if exact else p.prior_sd for p in parameters]),
             result.dataset,
             result.dataset.source.sha256 or str(id(result.dataset)),
             _rejected(result.chi_squared, result.variance_factor_applied),
-            bool(result.terms),
+            result.terms,
             result.noise,
             _residual(result.solution.chi_squared, result.freedom) if exact else None,
-            _spread(LearntCovariance.known(result.spectrum.covariance()), free, size).matrix,
+            LearntCovariance.known(result.spectrum.covariance()).within(size, free).matrix,
             seen and seen.through(np.eye(size)[:, free]),
         )
 
@@ -103,22 +105,29 @@ class Calibrated:
         covariance = stored_covariance(document.covariance, determined)
         prior = [entries[n].prior_sd for n in names]
         exact = document.sensors_exact
-        seen = Scatter.of(document.covariance)
+        seen, stated = Scatter.of(document.covariance), document.covariance.unwidened
+        own = None if stated is None else symmetric(stated)
         return cls(
             name,
             mechanism.with_nominal({n: entries[n].value for n in names}),
-            _spread(covariance, free, len(names)),
+            covariance.within(len(names), free),
             _rows(loose, free, len(names)),
             np.array([entries[n].nominal for n in names]),
             np.array([math.inf if exact or sd is None else sd for sd in prior]),
             poses,
             document.data.sha256,
             _rejected(document.chi_squared, document.variance_factor_applied),
-            bool(document.terms),
+            document.terms,
             document.noise,
             _residual(_squares(document), _freedom(document)) if exact else None,
+            None if own is None else LearntCovariance.known(own).within(len(names), free).matrix,
             scatter=seen and seen.through(np.eye(len(names))[:, free]),
         )
+
+    @property
+    def carried(self) -> bool:
+        """Whether parameters with learnt sds (terms) carry the error of the model."""
+        return bool(self.terms)
 
     @property
     def factor(self) -> float:
@@ -126,13 +135,25 @@ class Calibrated:
         return 1.0 if self.rejected is None else self.rejected.variance_factor or 1.0
 
     @property
+    def unwidened(self) -> Array:
+        """(n_all, n_all) the covariance by which the fit weighed its prior: at the sds that it
+        used, were no residuals dependent."""
+        return self.covariance.plain if self.gain is None else self.gain
+
+    def drifted(self, sds: Array) -> Calibrated:
+        """After parameters may have changed by so much (n_all,) [SI]."""
+        Q = np.diag(np.square(sds))
+        own = self.covariance
+        added = LearntCovariance(Q, Q, 0.0 * own.slopes)
+        return replace(self, covariance=own.plus(added), gain=self.unwidened + Q)
+
+    @property
     def as_its_scatter(self) -> Calibrated:
         """With the covariance that its poses themselves show, where it is known."""
         if self.scatter is None:
             return self
-        gain = self.covariance.plain if self.gain is None else self.gain
         seen = LearntCovariance.known(self.scatter.matrix)
-        return replace(self, covariance=seen, gain=gain)
+        return replace(self, covariance=seen, gain=self.unwidened)
 
     @property
     def as_its_residuals(self) -> Calibrated:
@@ -172,10 +193,6 @@ def _squares(document: ResultDocument) -> float:
 def _freedom(document: ResultDocument) -> int:
     index = document.identifiability.calibration_index
     return 0 if index is None else index.value - document.identifiability.rank
-
-
-def _spread(covariance: LearntCovariance, free: NDArray[np.intp], size: int) -> LearntCovariance:
-    return covariance.through(np.eye(size)[:, free])
 
 
 def _rows(part: Array, free: NDArray[np.intp], size: int) -> Array:

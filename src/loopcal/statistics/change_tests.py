@@ -239,7 +239,9 @@ class _Search:
         spread, left = None, len(linear.e) - linear.rank - rank
         if self.beyond and left >= _ENOUGH:
             wider = max((value - every) / left, 1.0)
-            spread = _Spread(wider, 1.0 / (1.0 / left + 1.0 / linear.noise))
+            axes = (U / scale)[:, heads] @ (vectors[:, kept] / np.sqrt(sizes[kept]))
+            learnt = linear.denominator(axes) or np.inf
+            spread = _Spread(wider, 1.0 / (1.0 / left + 1.0 / learnt))
             freedom = 1.0 / (1.0 / freedom + 1.0 / left)
         return _System(
             G, g + G @ t, t, present, value, visible, group, freedom, linear, every, rank, spread

@@ -50,6 +50,7 @@ from loopcal.statistics.validation import (
     left_out,
     planned,
     pooled,
+    unread,
     validated,
 )
 
@@ -57,7 +58,8 @@ Array = NDArray[np.float64]
 FOLDS, BLOCKS, FEWEST = 10, 5, 25
 """Parts at random, regions, and the different poses from which on regions are left out."""
 HOPELESS = 3.0
-"""A costly candidate is discarded halfway whose rms is so many times that of the best."""
+"""A costly candidate is discarded halfway whose rms is so many times that of the best, on poses at
+random and on regions."""
 _LEAST = 0.5
 """A candidate must predict this share of the poses."""
 
@@ -141,8 +143,9 @@ def choose(
             words = f"{entrant.name}; nothing was compared: the file is at fault"
             none = Chosen(entrant.name, (), words, ())
             return Choice(case.fit.method.name, whole, none, None, None)
-    waiting = [replace(e, case=replace(e.case, trusted=True)) for e in waiting]
-    judged += _all_fitted(waiting, iterated)
+    judged += _all_fitted([_begun(e, None) for e in waiting if e.structured], iterated)
+    near = next((one.whole for one in judged if one.whole and not one.failed), None)
+    judged += _all_fitted([_begun(e, near) for e in waiting if not e.structured], iterated)
     _refuse(judged)
     case = replace(case, trusted=True)
     best = _closest(judged)
@@ -189,6 +192,20 @@ def _closest(judged: Sequence[Judged]) -> Judged | None:
         return after.rms if after else math.inf
 
     return min(able, key=misfit, default=None)
+
+
+def _begun(one: Entrant, whole: Result | None) -> Entrant:
+    """A further candidate, for which no fault of the file is sought.
+
+    A plain one begins where another, whole, has converged, and needs no other starts.
+    """
+    case = replace(one.case, trusted=True)
+    if whole is not None and not (one.structured or one.drawn):
+        own = case.mechanism.parameters.names
+        start = {name: value for name, value in whole.value.items() if name in own}
+        near = unread(whole) if len(case.data) == whole.problem.count else {}
+        case = replace(case, fit=replace(case.fit, start=start), near=near)
+    return replace(one, case=case)
 
 
 def _of(scheme: Scheme | None, told: Changes) -> Scheme | None:
@@ -255,7 +272,8 @@ def _validated(
         before += len(half) * len(alive)
         made = dict(zip(alive, found, strict=True))
         judged = [replace(one, made=(*one.made, *made.get(one.name, ()))) for one in judged]
-        judged = _without_hopeless(judged) if half is halves[0] else judged
+        if half is halves[0]:
+            judged = _without_hopeless(judged, (len(plan.random.indices) + 1) // 2)
     count = len(halves[0])
     order = np.argsort([*range(0, 2 * count, 2), *range(1, 2 * len(halves[1]), 2)])
     return [_ordered(one, order) for one in judged]
@@ -273,24 +291,27 @@ def _ordered(one: Judged, order: Index) -> Judged:
     return replace(one, made=made)
 
 
-def _without_hopeless(judged: Sequence[Judged]) -> list[Judged]:
-    rms = {one.name: _rms(one) for one in judged if not one.failed}
-    best = min((size for size in rms.values() if math.isfinite(size)), default=math.inf)
+def _without_hopeless(judged: Sequence[Judged], random: int) -> list[Judged]:
+    """Those that may still be chosen; random: how many of the parts are poses at random."""
+    alive = [one for one in judged if not one.failed and one.made]
+    ways = {one.name: (_rms(one, one.made[:random]), _rms(one, one.made[random:])) for one in alive}
+    best = [min(sizes, default=0.0) for sizes in zip(*ways.values(), strict=True)]
     kept = []
     for one in judged:
-        times = rms.get(one.name, 0.0) / best if best > 0.0 else 0.0
-        if times > HOPELESS and not one.entrant.cheap:
-            one = replace(one, made=(), failed=f"{times:.1f} times the best rms halfway")
+        own = ways.get(one.name, ())
+        times = [a / b for a, b in zip(own, best, strict=False) if 0.0 < b < math.inf]
+        if min(times, default=0.0) > HOPELESS and not one.entrant.cheap:
+            one = replace(one, made=(), failed=f"{min(times):.1f} times the best rms halfway")
         kept.append(one)
     return kept
 
 
-def _rms(one: Judged) -> float:
-    """Root mean square distance over the parts so far; zero without outputs: all may go on."""
+def _rms(one: Judged, made: Sequence[Outcome]) -> float:
+    """Root mean square distance over some parts; zero without outputs: all may go on."""
     assert one.whole is not None
     if not one.whole.mechanism.outputs:
         return 0.0
-    parts = [_risks(one.whole, p) for p in one.made if isinstance(p, Predicted)]
+    parts = [_risks(one.whole, p) for p in made if isinstance(p, Predicted)]
     values = np.concatenate(parts) if parts else np.empty(0)
     values = values[np.isfinite(values)]
     return math.sqrt(float(values.mean())) if values.size else math.inf

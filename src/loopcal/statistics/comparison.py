@@ -244,8 +244,7 @@ def _covariance(a: Calibrated, b: Calibrated) -> LearntCovariance:
 
     A, B = a.covariance, b.covariance
     # by what the prior weighed in the fit, however large the covariance has become since
-    G = A.plain if a.gain is None else a.gain
-    H = B.plain if b.gain is None else b.gain
+    G, H = a.unwidened, b.unwidened
     common = shared(G, H)
     return LearntCovariance(
         A.matrix + B.matrix - common,

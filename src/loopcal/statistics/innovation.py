@@ -168,12 +168,24 @@ class Linearised:
         changes = changes / np.where(size > 0.0, size, 1.0)
         return _freedoms(np.square(changes).sum(axis=0), self.noise)
 
+    def denominator(self, U: Array) -> float | None:
+        """Of F of changes along columns U (R, m) together, where U^T S^-1 U = 1; None for
+        chi-squared."""
+        A = self._spread
+        along = np.linalg.solve(np.eye(A.shape[1]) + A.T @ A, A.T @ U)  # A^T S^-1 U
+        Z = along.T @ self.slopes @ along
+        _, axes = np.linalg.eigh((Z @ Z).sum(axis=0))
+        return self._by_axes(along @ axes, U.shape[1])
+
     def _denominator(self, count: int) -> float | None:
         """Of F with so many degrees of freedom; None for chi-squared."""
+        _, s, Vt = np.linalg.svd(self._spread, full_matrices=False)
+        return self._by_axes(Vt.T * (s / np.sqrt(1.0 + np.square(s))), count)
+
+    def _by_axes(self, V: Array, count: int) -> float | None:
+        """Of F, V (r, m) the axes A^T S^-1/2; further ones have the noise alone."""
         if count <= 0 or (not len(self.slopes) and np.isinf(self.noise)):
             return None
-        _, s, Vt = np.linalg.svd(self._spread, full_matrices=False)
-        V = Vt.T * (s / np.sqrt(1.0 + np.square(s)))
         changes = np.einsum("ri,ars,si->ai", V, self.slopes, V)
         nu = _freedoms(np.square(changes).sum(axis=0), self.noise)[:count]
         means = 1.0 / (1.0 - 2.0 / np.maximum(nu, _FEWEST))

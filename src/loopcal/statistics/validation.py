@@ -289,6 +289,12 @@ Outcome = Predicted | Failed
 """What became of a part."""
 
 
+def unread(whole: Result) -> dict[str, Array]:
+    """Corrections (N,) of what no sensor reads, where a fit ended."""
+    sds = dict(zip(whole.mechanism.tape.quantities, whole.problem.uncertainty.sd, strict=True))
+    return {q: v for q, v in whole.corrections.items() if np.isinf(sds[q]).all()}
+
+
 @dataclass(frozen=True)
 class _Begun:
     """What the fits of all parts share: the calibration, and where that of all poses ended.
@@ -312,10 +318,8 @@ class _Begun:
         fit = replace(case.fit, start=dict(whole.value), prior=None)
         enough = NEARLY if whole.mechanism.learnt_terms else ENOUGH
         fit = replace(fit, tolerance=fit.tolerance or enough)
-        sds = dict(zip(whole.mechanism.tape.quantities, whole.problem.uncertainty.sd, strict=True))
-        unread = {q: v for q, v in whole.corrections.items() if np.isinf(sds[q]).all()}
         same = len(case.data) == whole.problem.count  # no copied rows went
-        near = Case(whole.mechanism, case.data, noise, fit, near=unread if same else {})
+        near = Case(whole.mechanism, case.data, noise, fit, near=unread(whole) if same else {})
         plain = fit.robust_loss is None and not fit.solver.at_readings
         return cls(case, near, whole if same and plain else None)
 

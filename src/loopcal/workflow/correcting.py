@@ -23,6 +23,7 @@ from loopcal.deployment.tool import CALIBRATED, Tool, tool_of
 from loopcal.errors import InputError
 from loopcal.estimation.result import Result
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
+from loopcal.files.programs.copying import inserted
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.poses_text import pose_of_turns
 from loopcal.files.programs.program import Program, ProgramTarget
@@ -99,17 +100,13 @@ def correct(
     )
     new = {i: texts for i, texts in new.items() if changed[i] is None}
     found = replace(found, refused=changed)
-    moves = _straight(arms, program, found, bounds.line)
-    ahead = {
-        move.end: [
-            program.write(
-                program.targets[move.end], q, inverse(placed) @ arms.controller(q[None])[0]
-            )
-            for q in move.inserted
-        ]
-        for move in moves
-        if len(move.inserted)
-    }
+    moves, ahead = _straight(arms, program, found, bounds.line), dict[int, list[list[str]]]()
+    for index, move in moves.items():
+        if len(move.inserted):
+            own = program.targets[move.end]
+            poses = inverse(placed) @ arms.controller(move.inserted)
+            pairs = zip(move.inserted, poses, strict=True)
+            ahead[index] = [program.write(own, q, pose) for q, pose in pairs]
     return Correction(
         arms,
         found,
@@ -118,8 +115,8 @@ def correct(
         tuple(target.line for target in program.targets),
         tuple(Left(note.line, note.words) for note in program.noted),
         _remarks(seated, arms),
-        program.edited(new, ahead),
-        moves=moves,
+        program.edited(new, inserted(program, ahead)),
+        moves=tuple(moves.values()),
     )
 
 
@@ -272,18 +269,23 @@ def _joints_of(arms: Arms, program: Program, target: ProgramTarget, pose: Array)
 
 def _straight(
     arms: Arms, program: Program, found: Corrected, bound: float | None
-) -> tuple[StraightMove, ...]:
-    """The straight moves between corrected targets; targets are inserted into tables alone."""
-    moves, done = [], found.done
-    for last, move in pairwise(program.moves):
+) -> dict[int, StraightMove]:
+    """The straight moves between corrected targets, by their index in the program."""
+    moves, done = dict[int, StraightMove](), found.done
+    for at, (last, move) in enumerate(pairwise(program.moves), 1):
         if last is None or move is None or not move.straight:
             continue
         ends = (last.target, move.target)
-        if all(done[i] for i in ends):
-            own = bound if program.kind == "table" else None
-            q, wanted = found.joints[list(ends)], found.targets.poses[list(ends)]
-            moves.append(straight_move(arms, ends, move.line, q, wanted, own))
-    return tuple(moves)
+        if not all(done[i] for i in ends):
+            continue
+        q, wanted = found.joints[list(ends)], found.targets.poses[list(ends)]
+        own = straight_move(arms, ends, move.line, q, wanted, None if move.fixed else bound)
+        why = move.fixed if bound is not None and own.error > bound else own.why
+        if not all(program.fits(program.targets[move.target], one) for one in own.inserted):
+            own = straight_move(arms, ends, move.line, q, wanted, None)
+            why = "in between the arm leaves the configuration that the target states"
+        moves[at] = replace(own, why=why)
+    return moves
 
 
 def _remarks(tool: Tool, arms: Arms) -> tuple[str, ...]:

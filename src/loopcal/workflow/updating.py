@@ -4,33 +4,40 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from loopcal.document.result_document import ResultDocument, WrittenResult
+from loopcal.document.result_document import WrittenResult
 from loopcal.errors import InputError, UsageError
 from loopcal.estimation.result import Result
+from loopcal.files.history.folder import is_history
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.result.result_poses import poses_of_result, read_result_poses
-from loopcal.life.updating import update
+from loopcal.life.updating import updated
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import Freedom, mounted
 from loopcal.statistics.verdict import refuses
 from loopcal.units import difference_to_si
 from loopcal.workflow.calibration import write_result
+from loopcal.workflow.history import history as read_history
 
 _DRIFT = re.compile(r"\s*([^=\s]+)\s*=\s*([-+.\deE]+)\s*([A-Za-zµ/]+)\s*")
 
 
 @dataclass(frozen=True, eq=False)
-class Updated:
-    """An update that was written; objection: why it must not be used, None where it can."""
+class UpdateDone:
+    """An update that was written.
+
+    drift: the sds [SI] that were allowed, by kind or name; objection: why it must not be used, None
+    where it can.
+    """
 
     result: Result
     written: WrittenResult
+    drift: Mapping[str, float]
     objection: str | None
 
 
@@ -50,14 +57,17 @@ def run_update(
     out: str | Path | None = None,
     mounting: Mounted = Mounted(),
     drift: Sequence[str] = (),
+    history: str | Path | None = None,
     report: bool = False,
     function: str | None = None,
-) -> Updated:
+) -> UpdateDone:
     """Update the result of a folder by readings in the columns of its project, and write it.
 
-    out: the folder to write to, by default RESULT-updated; drift: "KIND=VALUE UNIT" each; the rest
-    as in `update`. Raises InputError for what cannot be used.
+    out: the folder to write to, by default RESULT-updated; drift: "KIND=VALUE UNIT" each, else the
+    rates of this history of the machine, where it knows them; the rest as in `update`.
+    Raises InputError for what cannot be used.
     """
+    allowed = drifts(drift) if drift or history is None else _usual(history)
     loops = None if function is None else load_function(function)
     read = read_result_folder(result, function=loops)
     folder = read.path.parent
@@ -70,7 +80,7 @@ def run_update(
         inputs = _with_file(inputs, readings)
         data = read_new_readings(readings, read.document.inputs, read.mechanism, whole=True)
     try:
-        found = update(known, data, moved=mounting.moved, remounted=anew, drift=drifts(drift))
+        done = updated(known, data, moved=mounting.moved, remounted=anew, drift=allowed)
     except InputError as error:
         raise error.at(str(readings)) from None
     target = Path(f"{folder}-updated") if out is None else Path(out)
@@ -80,13 +90,12 @@ def run_update(
             code="conflicting-keys",
             remedy="write it to another folder (--out)",
         )
-    found = found.adding(lambda document: _continued(document, read.document))
     title = read.document.title
-    written = write_result(found, target, title=title, inputs=inputs, report=report)
+    written = write_result(done.result, target, title=title, inputs=inputs, report=report)
     verdict = written.document.verdict
     assert verdict is not None
-    bad = refuses("sound", verdict.sound)
-    return Updated(found, written, verdict.sound.words if bad else None)
+    bad = verdict.sound.words if refuses("sound", verdict.sound) else None
+    return UpdateDone(done.result, written, allowed, done.mixed or bad)
 
 
 def drifts(given: Sequence[str]) -> dict[str, float]:
@@ -112,9 +121,9 @@ def drifts(given: Sequence[str]) -> dict[str, float]:
     return found
 
 
-def _continued(document: ResultDocument, before: ResultDocument) -> ResultDocument:
-    """With what was learnt of the model error, which the covariance still contains."""
-    return replace(document, terms=before.terms)
+def _usual(folder: str | Path) -> dict[str, float]:
+    """What a history knows of the drift since its last calibration."""
+    return read_history(folder).drift() if is_history(folder) else {}
 
 
 def _with_file(inputs: Mapping[str, Any], readings: str | Path) -> Mapping[str, Any]:

@@ -10,7 +10,7 @@ import pytest
 import loopcal as lc
 from analyses.small_samples import CASES, Drawn, counted
 from loopcal.estimation.noise.kenward_roger import learnt_parameters
-from loopcal.estimation.noise.linear_model import whitened_model
+from loopcal.estimation.noise.linear_model import projected
 from loopcal.estimation.noise.variance_components import estimate_ratios
 
 ARM = lc.planar_two_link()
@@ -37,7 +37,7 @@ def test_slopes_are_differences_of_the_covariance() -> None:
         step = 1e-4 * estimate.found.ratios.min() / np.abs(error).max()
         ends = []
         for side in (-step, step):
-            at = whitened_model(estimate.model, estimate.found.ratios + side * error)
+            at = projected(estimate.model, estimate.found.ratios + side * error)
             assert at is not None
             ends.append(at.root @ at.root.T)
         np.testing.assert_allclose(

@@ -10,9 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from loopcal.errors import InputError
+from loopcal.files.programs.copying import inserted
 from loopcal.files.programs.joint_axes import JointAxes
-from loopcal.files.programs.program import Program
-from loopcal.files.programs.reader import read_program
+from loopcal.files.programs.program import Move, Program
+from loopcal.files.programs.reader import FORMATS, read_program
 from tests.refusals import refused
 
 AXES = JointAxes({f"q{i}": "rad" for i in range(1, 7)}, pulses=(1000.0, -500.0, 800, 700, 600, 400))
@@ -218,6 +219,12 @@ def test_unchanged_targets_read_back_and_bytes_outside_them_stay(name: str, tmp_
     assert outside(found, found.text) == outside(again, again.text)
 
 
+def read(data: bytes, name: str) -> list[Move]:
+    """The moves that are understood."""
+    reads = FORMATS[Path(name).suffix](data.decode("latin-1"), name, AXES)
+    return [move for move in reads.moves if move is not None]
+
+
 def outside(found: Program, text: str) -> list[str]:
     """The text between the numbers of targets."""
     parts, at = [], 0
@@ -238,7 +245,7 @@ def test_an_unknown_ending_and_an_absent_file_are_refused(tmp_path: Path) -> Non
         read_program(tmp_path / "a.mod", seven)
 
 
-HOSTILE = [(name, seed) for name in PROGRAMS for seed in range(25)]
+HOSTILE = [(name, seed) for name in PROGRAMS for seed in range(35)]
 
 
 @pytest.mark.parametrize(("name", "seed"), HOSTILE)
@@ -282,6 +289,11 @@ def test_hostile_programs_keep_their_bytes_or_are_refused_with_a_line(
     assert [found.text[n.start : n.end] for n in numbers] == [n.text for n in numbers]
     spans = sorted((n.start, n.end) for n in numbers)
     assert all(a[1] <= b[0] for a, b in pairwise(spans))
+    for i, move in enumerate(found.moves):
+        if move is not None and not move.fixed:
+            row = [number.text for number in found.targets[move.target].numbers]
+            more = found.edited({}, inserted(found, {i: [row, row]}))
+            assert len(read(more, name)) >= len([m for m in found.moves if m]) + 2
     new = {i: ["0"] * len(t.numbers) for i, t in enumerate(found.targets)}
     edited = found.edited(new).decode("latin-1")
     assert edited == "0".join(outside(found, found.text))

@@ -30,6 +30,23 @@ def test_columns_are_recognised(tmp_path: Path) -> None:
     assert read.commanded[2] == pytest.approx([0.0, 0.1, 0.0])
 
 
+def test_a_table_without_z_is_one_of_a_plane(tmp_path: Path) -> None:
+    head = "pose,cycle,x_cmd [mm],y_cmd [mm],x [mm],y [mm]"
+    rows = ["A,1,100,0,100.1,0", "A,2,100,0,100.2,0", "B,1,0,100,0,100"]
+    read = read_attained(written(tmp_path, head, *rows))
+    assert read.planar
+    assert read.measured[1] == pytest.approx([0.1002, 0.0, 0.0])
+    assert "no z" in read.notes[0]
+    lacking = written(tmp_path, f"{head},z [mm]", *(f"{row},5" for row in rows), name="half.csv")
+    with refused("missing-column", "z_cmd"):
+        read_attained(lacking)
+    asked = written(tmp_path, "pose,x [mm],y [mm],z [mm]", "A,100,0,3", "B,0,100,3", name="at.csv")
+    with refused("missing-column"):
+        read_attained(
+            written(tmp_path, "pose,x [mm],y [mm]", "A,100,0", name="two.csv"), commanded=asked
+        )
+
+
 @pytest.mark.parametrize(
     "head",
     [

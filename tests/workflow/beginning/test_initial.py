@@ -631,3 +631,27 @@ def test_a_joint_that_counts_from_another_zero_is_named(tmp_path: Path, arm: Any
     turned = joints + np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0, 0.0])
     with refused("implausible-readings", "J2", "-90 deg"):
         lc.init({**of(turned, NAMES), **of(points, "xyz")}, dh=dh(tmp_path))
+
+
+def test_a_guessed_mounting_is_wide_and_a_weak_set_keeps_all_candidates(
+    tmp_path: Path, arm: Any
+) -> None:
+    """Poses of a corner determine where the reflector is to centimetres only: the default call
+    compares models that give way too, and loses nothing by not knowing the drawing."""
+    joints, _ = arm
+    near = joints[:1] + 0.15 * (joints - joints.mean(axis=0))[:40]
+    points = dh_arm.seen(near, sd=NOISE)[:, :3, 3]
+    made = lc.init({**of(near, NAMES), **of(points, ["x", "y", "z"])}, dh=dh(tmp_path))
+    assert any("worse than a drawing" in words for words in made.remarks)
+    for axis in "xyz":
+        target = made.mechanism.parameters[f"tool_{axis}"]
+        assert target.prior_sd == 0.2
+        assert abs(target.nominal) < 0.5
+    assert "structure" not in made.text
+    result = lc.calibrate(made.mechanism, made.dataset, noise=made.noise)
+    assert result.chosen is not None
+    assert {"implicit-loop", "implicit-loop with model error"} <= {
+        c.name for c in result.chosen.over
+    }
+    assert result.verdict is not None
+    assert result.verdict.sound.passed is not False

@@ -31,7 +31,7 @@ class _Linked:
         self.plots: list[Any] = []
         self.space: Any = None
         self.where = {int(i): n for n, i in enumerate(errors.drawn)}
-        self.selection = ui.refreshable(lambda: _selected(view, errors))
+        self.selection = ui.refreshable(lambda: _selected(self))
 
     def plot(self, drawn: dict[str, Any], label: str) -> None:
         """Draw a figure that takes part."""
@@ -146,8 +146,26 @@ def _state(view: View, changes: ChangePoints) -> None:
     button.props("outline")
 
 
-def _selected(view: View, errors: Errors) -> None:
+def _ends(linked: _Linked) -> None:
+    """Move the ends of a run by one pose: a finger is not as exact as a number."""
+    first, last = linked.view.selected[0], linked.view.selected[-1]
+    if len(linked.view.selected) != last - first + 1:
+        return
+    with ui.row().classes("q-gutter-xs"):
+        for label, begin, end in (
+            ("first −", first - 1, last),
+            ("first +", first + 1, last),
+            ("last −", first, last - 1),
+            ("last +", first, last + 1),
+        ):
+            if 0 <= begin <= end < len(linked.errors.size):
+                poses = range(begin, end + 1)
+                ui.button(label, on_click=partial(linked.select, poses)).props("flat")
+
+
+def _selected(linked: _Linked) -> None:
     """The selected poses, and what can be done with them."""
+    view, errors = linked.view, linked.errors
     heading("Selected poses")
     if not view.selected:
         ui.label(words.NONE_SELECTED)
@@ -156,6 +174,7 @@ def _selected(view: View, errors: Errors) -> None:
     told = words.SELECTED.format(count=len(poses), all=len(errors.size))
     ui.label(told).classes("text-subtitle1")
     ui.label(f"pose {poses[0]} to {poses[-1]}, rms {errors.rms(view.selected):.3g} {errors.unit}")
+    _ends(linked)
 
     def do(act: Callable[[str], Any], kept: str) -> None:
         chosen = list(view.selected)
@@ -165,7 +184,7 @@ def _selected(view: View, errors: Errors) -> None:
 
     reason(view, "shifted", words.REASONS["shifted"])
     for label, names in view.session.moved().items():
-        act = partial(view.session.shifted, names, poses[0], poses[-1])
+        act = partial(view.session.shifted, names, poses)
         ui.button(f"{label} moved here", on_click=partial(do, act, "shifted")).props("unelevated")
     reason(view, "excluded", words.REASONS["excluded"])
     exclude = partial(view.session.excluded, poses)

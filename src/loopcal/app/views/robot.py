@@ -51,7 +51,8 @@ def _choose(view: View) -> None:
     if shown == "machine":
         options = list(TYPES)
     else:
-        uploader(view, f"Drop the {KINDS[shown]} here")
+        chosen = partial(view.session.choose_robot, shown)
+        uploader(view, f"Drop the {KINDS[shown]} here", chosen)
         options = [
             f.name
             for f in view.session.folder.listed()

@@ -117,10 +117,21 @@ class NoiseEstimate:
         )
 
     @property
+    def ratios(self) -> Array:
+        """(c,) of the sensor components, where one is not common to all noise: at these the loops
+        were whitened last."""
+        known = self.variances.sensors
+        return self.variances.ratios if known is None else known.ratios
+
+    @cached_property
     def found(self) -> Estimate:
-        """The variance ratios of the sensor components, where one is not common to all noise."""
-        assert self.variances.sensors is not None
-        return self.variances.sensors
+        """The same with their likelihood and what is known of them."""
+        assert not self.variances.by_sums
+        if self.variances.sensors is not None:
+            return self.variances.sensors
+        at = fit_at(self.model, self.ratios)
+        assert at is not None  # they were found there
+        return Estimate(self.ratios, at, True)
 
     @cached_property
     def criterion(self) -> float:
@@ -160,7 +171,7 @@ class NoiseEstimate:
     @cached_property
     def alike(self) -> tuple[tuple[str, str], ...]:
         """Pairs of components that these data cannot separate: only their sum shows."""
-        if self.variances.sensors is None:
+        if self.variances.by_sums:
             return ()
         names = [component.name for component in self.stated]
         return tuple((names[j], names[i]) for j, i in self.found.alike)
@@ -176,7 +187,7 @@ class NoiseEstimate:
                 EstimatedSd(c.name, c.quantities, self.factors[c.name], None, None, None, None)
                 for c in self.stated
             )
-        if self.variances.sensors is None:
+        if self.variances.by_sums:
             return self._by_sums()
         unsure = {name for pair in self.alike for name in pair}
         return tuple(

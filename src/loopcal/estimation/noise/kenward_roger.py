@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.estimation.noise.linear_model import whitened_model
+from loopcal.estimation.noise.linear_model import columns, projected
 from loopcal.estimation.noise.variances import owners
 from loopcal.estimation.products import rows_times
 from loopcal.lazy import cached_property
@@ -143,8 +143,7 @@ def learnt_parameters(estimate: NoiseEstimate) -> LearntParameters:
     ]
     prior = 1.0 / estimate.problem.prior_sd
     learnt = estimate.variances
-    by_pose = learnt.terms is None or learnt.sensors is not None
-    sensors = _by_pose(estimate) if by_pose else _by_sums(estimate, prior)
+    sensors = _by_sums(estimate, prior) if learnt.by_sums else _by_pose(estimate)
     U = [prior[term.index, None] * sensors.root[term.index] for term in terms]
     first = np.concatenate([sensors.first, *((u.T @ u)[None] for u in U)])
     errors = _errors(sensors, first, terms)
@@ -173,23 +172,21 @@ def _by_sums(estimate: NoiseEstimate, prior: Array) -> _Sensors:
 
 def _by_pose(estimate: NoiseEstimate) -> _Sensors:
     """Of any components, from the rows of all poses."""
-    found = estimate.found
-    at = whitened_model(estimate.model, found.ratios)
+    ratios = estimate.ratios
+    at = projected(estimate.model, ratios)
     assert at is not None  # the estimate was made there
-    c, rank = len(found.ratios), at.root.shape[1]
-    first, second = np.zeros((c, rank, rank)), np.zeros((c, c, rank, rank))
-    for J, W, owner in at.blocks:
-        Y = rows_times(W.transpose(0, 2, 1) @ J, at.root)
-        parts = []
+    c, rank = len(ratios), at.root.shape[1]
+    second = np.zeros((c, c, rank, rank))
+    for Y, W, owner in at.blocks:
+        places = [columns(owner, j) for j in range(c)]
+        parts = [(W[:, :, its] @ Y[:, its]).reshape(-1, rank) for its in places]
         for j in range(c):
-            own = Y[:, owner == j]
-            parts.append((W[:, :, owner == j] @ own).reshape(-1, rank))
-            flat = own.reshape(-1, rank)
-            first[j] += flat.T @ flat
-        for j in range(c):
-            for k in range(c):
+            for k in range(j, c):
                 second[j, k] += parts[j].T @ parts[k]
-    return _Sensors(at.root, first, second, found.ratios, found.at.information)
+    for j in range(c):
+        for k in range(j):
+            second[j, k] = second[k, j].T
+    return _Sensors(at.root, at.first, second, ratios, at.information)
 
 
 def _errors(sensors: _Sensors, first: Array, terms: Sequence[_Term]) -> Array:

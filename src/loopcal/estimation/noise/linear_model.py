@@ -157,37 +157,59 @@ def mixed_fit(model: LinearModel, joined: Joined) -> MixedFit:
     score_j = (|G_j^T V^-1 r|^2 - tr G_j^T P G_j) / 2, information_jk = |G_j^T P G_k|^2 / 2.
     """
     solved = _solved(model, joined)
-    score, information = _slopes(model, joined, solved.root, solved.root @ solved.along)
-    return MixedFit(joined.volume + solved.log_volume + solved.residual, score, information)
+    at = _projected(model, joined, solved.root)
+    held = np.trace(at.first, axis1=1, axis2=2)
+    score = _score(model, joined, solved.root @ solved.along, held)
+    return MixedFit(joined.volume + solved.log_volume + solved.residual, score, at.information)
 
 
 @dataclass(frozen=True)
-class WhitenedModel:
-    """The model whitened at some ratios: H^-1 = root root^T (n, rank), and all blocks."""
+class Slope:
+    """The linear model at some variance ratios, at a third of the cost of a `MixedFit`."""
+
+    criterion: float
+    score: Array
+
+
+def slope(model: LinearModel, joined: Joined) -> Slope:
+    """The restricted likelihood and its first derivatives, from sums over all poses alone."""
+    solved, n = _solved(model, joined), len(model.precision)
+    held = np.zeros(model.components)
+    for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
+        for j in range(model.components):
+            own = (W[:, :, columns(block.owner, j)].transpose(0, 2, 1) @ rows).reshape(-1, n + 1)
+            products = (own.T @ own)[:n, :n]
+            held[j] += float(np.vdot(products @ solved.root, solved.root))
+    score = _score(model, joined, solved.root @ solved.along, held)
+    return Slope(joined.volume + solved.log_volume + solved.residual, score)
+
+
+@dataclass(frozen=True)
+class Projected:
+    """What the parameters take up of each component.
+
+    H^-1 = root root^T, (n, rank); Y = W^T D root, (b, K, rank), W (b, r, K) and owner: (K,) the
+    component of each column, all by block; first: (c, rank, rank) = sum Y_j^T Y_j over all poses;
+    information: (c, c) on the ratios.
+    """
 
     root: Array
-    J: tuple[Array, ...]
+    Y: tuple[Array, ...]
     W: tuple[Array, ...]
     owners: tuple[NDArray[np.intp], ...]
+    first: Array
+    information: Array
 
     @property
     def blocks(self) -> Iterator[tuple[Array, Array, NDArray[np.intp]]]:
-        """L^-1 J (b, r, n), L^-1 G (b, r, K) and the component of each column, by block."""
-        return zip(self.J, self.W, self.owners, strict=True)
+        """Y, W and the component of each column, by block."""
+        return zip(self.Y, self.W, self.owners, strict=True)
 
 
-def whitened_model(model: LinearModel, ratios: Array) -> WhitenedModel | None:
-    """The model whitened at these variance ratios; None where some V is singular."""
+def projected(model: LinearModel, ratios: Array) -> Projected | None:
+    """What the parameters take up at these variance ratios; None where some V is singular."""
     joined = whitened(model, ratios)
-    if joined is None:
-        return None
-    n = len(model.precision)
-    return WhitenedModel(
-        _solved(model, joined).root,
-        tuple(rows[:, :, :n] for rows in joined.rows),
-        tuple(joined.W),
-        tuple(block.owner for block in model.blocks),
-    )
+    return None if joined is None else _projected(model, joined, _solved(model, joined).root)
 
 
 @dataclass(frozen=True)
@@ -267,23 +289,38 @@ def whitened(model: LinearModel, ratios: Array) -> Joined | None:
     return Joined(rows, W, log_V)
 
 
-def _slopes(model: LinearModel, joined: Joined, root: Array, dp: Array) -> tuple[Array, Array]:
-    """Score and information from W (b, r, K), C = W^T W and Y = W^T D root, all by pose."""
-    n, rank, count = len(dp), root.shape[1], model.components
-    score, pairs = np.zeros(count), np.zeros((count, count))
-    inner = np.zeros((count, rank, rank))
+def _projected(model: LinearModel, joined: Joined, root: Array) -> Projected:
+    """With C = W^T W and Q = Y Y^T by pose."""
+    n, rank, count = len(root), root.shape[1], model.components
+    pairs, first, every = np.zeros((count, count)), np.zeros((count, rank, rank)), []
     for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
         turned = W.transpose(0, 2, 1)
         Y = rows_times(turned @ rows[:, :, :n], root)
         C, Q = turned @ W, Y @ Y.transpose(0, 2, 1)
-        r = rows[:, :, n] - rows[:, :, :n] @ dp
-        misfit = np.square(turned @ r[:, :, None])[:, :, 0].sum(axis=0)
-        freedom = np.einsum("bkk->k", C) - np.einsum("bkk->k", Q)
         members = np.equal.outer(np.arange(count), block.owner).astype(float)  # (c, K)
-        score += 0.5 * members @ (misfit - freedom)
         pairs += members @ np.einsum("bkl,bkl->kl", C, C - 2.0 * Q) @ members.T
         for j in range(count):
-            own = Y[:, block.owner == j].reshape(-1, rank)
-            inner[j] += own.T @ own
-    flat = inner.reshape(count, rank * rank)
-    return score, 0.5 * (pairs + flat @ flat.T)
+            own = Y[:, columns(block.owner, j)].reshape(-1, rank)
+            first[j] += own.T @ own
+        every.append(Y)
+    flat = first.reshape(count, rank * rank)
+    owners = tuple(block.owner for block in model.blocks)
+    information = 0.5 * (pairs + flat @ flat.T)
+    return Projected(root, tuple(every), tuple(joined.W), owners, first, information)
+
+
+def columns(owner: NDArray[np.intp], which: int) -> slice:
+    """Where the columns of a component stand, which are beside each other."""
+    first, last = np.searchsorted(owner, [which, which + 1]).tolist()
+    return slice(first, last)
+
+
+def _score(model: LinearModel, joined: Joined, dp: Array, held: Array) -> Array:
+    """held: (c,) = tr G_j^T V^-1 J H^-1 J^T V^-1 G_j over all poses."""
+    n, score = len(dp), 0.5 * held
+    for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
+        r = rows[:, :, n] - rows[:, :, :n] @ dp
+        misfit = np.square(np.einsum("brk,br->bk", W, r)).sum(axis=0)
+        members = np.equal.outer(np.arange(model.components), block.owner).astype(float)
+        score += 0.5 * members @ (misfit - np.square(W).sum(axis=(0, 1)))
+    return np.asarray(score)

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.terms import TermPart
+from loopcal.document.terms import TermEntry, TermPart
 from loopcal.estimation.problem.problem import Problem
 from loopcal.expressions.engine import LoopValues, engine_for
 from loopcal.expressions.tape import Tape
@@ -51,6 +51,18 @@ class _Fitted:
         """Of a quantity with these derivatives by parameters."""
         h = np.array([slopes.get(name, 0.0) for name in self.names])
         return math.sqrt(max(float(h @ self.covariance @ h), 0.0))
+
+
+def with_parts(
+    terms: Sequence[TermEntry],
+    problem: Problem,
+    parameters: Array,
+    corrections: Array,
+    covariance: Array,
+) -> tuple[TermEntry, ...]:
+    """The terms with what each does; arguments as in `term_parts`."""
+    parts = term_parts(problem, parameters, corrections, covariance)
+    return tuple(replace(term, parts=parts.get(term.name, ())) for term in terms)
 
 
 def term_parts(

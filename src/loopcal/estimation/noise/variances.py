@@ -18,6 +18,7 @@ from loopcal.errors import NoTrustworthyResult
 from loopcal.estimation.noise.linear_model import (
     LinearModel,
     mixed_fit,
+    slope,
     whitened,
 )
 from loopcal.estimation.noise.term_scales import (
@@ -70,7 +71,8 @@ class Variances:
     """What one linearisation says.
 
     ratios: (c,) of the sensor components to the stated variances; terms: None without any;
-    sensors: how the ratios were found, None where one is common to all noise; criterion: -2 log
+    sensors: how the ratios were found, None where one is common to all noise, or they rest;
+    resting: whether all are at their bounds, where their score alone holds them; criterion: -2 log
     of the restricted likelihood, up to a constant.
     """
 
@@ -79,6 +81,12 @@ class Variances:
     converged: bool
     terms: TermVariances | None = None
     sensors: Estimate | None = None
+    resting: bool = False
+
+    @property
+    def by_sums(self) -> bool:
+        """Whether the sums over all poses said everything."""
+        return self.terms is not None and self.sensors is None and not self.resting
 
 
 def owners(problem: Problem) -> NDArray[np.intp]:
@@ -185,6 +193,11 @@ def in_turn(
     learnt = TermVariances(system, at, start.free)
     prior_sd = np.where(own >= 0, at.scales[own], problem.prior_sd)
     linear = replace(linear, precision=1.0 / np.square(prior_sd))
+    if (ratios <= lowest).all():
+        here = slope(linear, joined)
+        if (here.score <= 0.0).all():  # no information lets them rise
+            criterion = here.criterion + learnt.own_criterion
+            return Variances(ratios, criterion, True, learnt, resting=True)
     present = mixed_fit(linear, joined)
     step = scoring_step(present, ratios, lowest, np.ones(len(ratios), dtype=bool))
     stepped = np.clip(ratios + step, lowest, _FARTHEST * ratios + (ratios == 0.0))

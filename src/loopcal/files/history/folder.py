@@ -84,6 +84,11 @@ def append_entry(
         ) from None
 
 
+def is_history(folder: str | Path) -> bool:
+    """Whether the folder is there."""
+    return Path(folder).is_dir()
+
+
 def read_entries(folder: str | Path) -> Entries:
     """The entries of a folder; damaged ones are named and skipped.
 

@@ -12,6 +12,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.files.programs.copying import NOT_ALONE, NOT_NEXT, literal
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.program import (
     NUMBER,
@@ -19,9 +20,14 @@ from loopcal.files.programs.program import (
     Move,
     Noted,
     Number,
+    Place,
     Program,
     ProgramTarget,
+    Rows,
+    Span,
+    line_end,
     refuse_redundant,
+    replaced,
 )
 from loopcal.files.programs.turned import Turned
 
@@ -32,6 +38,13 @@ _FIELD = re.compile(rf"\b([XYZWPR]|J[1-9])\s*=\s*({NUMBER.pattern})\s*(mm|deg)\b
 _CONFIG = re.compile(r"CONFIG\s*:\s*'[^',]*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
 _FRAME = re.compile(r"\bUF\s*:\s*(\d+|F)")
 _MOVE = re.compile(r"^[ \t]*\d+:[ \t]*([JLCAS])[ \t]+([^\r\n;]*)", re.MULTILINE)
+_ENDED = re.compile(r"[ \t]*;[ \t]*(?=[\r\n]|\Z)")
+_LINE_NUMBER = re.compile(r"^[ \t]*(\d+)(?=:)", re.MULTILINE)
+_LINE_COUNT = re.compile(r"^LINE_COUNT\s*=\s*(\d+)", re.MULTILINE)
+_HARMLESS = re.compile(
+    r"[ \t]*;[ \t]*[\r\n]++(?:[ \t]*+\d*:[ \t]*+(?:(?:!|//|WAIT\b|[DR]O\[)[^;\r\n]*+)?"
+    r";?[ \t]*+[\r\n]++)*+"
+)
 _POSE = ("X", "Y", "Z", "R", "P", "W")
 _DECIMALS = 3
 _EDGE = 1e-6
@@ -72,6 +85,7 @@ def read_fanuc(text: str, name: str, axes: JointAxes) -> Program:
         own.write,
         _fits,
         moves=moves,
+        insert=_inserted,
         frame=f"the user frame {min(frames)}" if frames else None,
     )
 
@@ -91,7 +105,8 @@ def _target(found: re.Match[str], line: int, own: Turned) -> ProgramTarget | Non
         fields[m[1]] = Number(start + m.start(2), start + m.end(2), m[2])
     config = _CONFIG.search(body)
     states = {} if config is None else {f"turn {k}": int(config[i]) for i, k in enumerate("146", 1)}
-    return own.target(f"P[{found[1]}]", line, fields, states)
+    whole = Span(*found.span())
+    return own.target(f"P[{found[1]}]", line, fields, states, whole)
 
 
 def _fits(target: ProgramTarget, joints: Array) -> bool:
@@ -110,16 +125,59 @@ def _moves(
     text: str, lines: Lines, numbered: dict[str, int], noted: list[Noted]
 ) -> tuple[Move | None, ...]:
     moves: list[Move | None] = []
+    last: Span | None = None
+    one = len(re.findall(r"^/(?:MN|POS)\b", text, re.MULTILINE)) == 2
     for found in _MOVE.finditer(text):
         line = lines.of(found.start(1))
-        plain = re.match(r"P\[\s*(\d+)", found[2])
+        plain = re.match(r"P\[\s*(\d+)\s*(?::[^\]\r\n]*)?\]", found[2])
         shifted = re.search(r"\b(?:Tool_)?Offset\b|\bINC\b|\bVOFFSET\b", found[2], re.IGNORECASE)
-        known = plain is not None and plain[1] in numbered
-        if found[1] not in "JL" or shifted or not known:
+        own = Span(*found.span())
+        before, last = last, own
+        if found[1] not in "JL" or shifted or plain is None or plain[1] not in numbered:
             moves.append(None)
             why = "an offset" if shifted else "a circle, or no position of this file"
             noted.append(Noted(line, f"{found[1]} {found[2][:30].strip()}: {why}"))
             continue
-        assert plain is not None
-        moves.append(Move(numbered[plain[1]], line, found[1] == "L"))
+        at = found.start(2)
+        called, target = Span(at, at + plain.end()), numbered[plain[1]]
+        between = None if before is None else text[before.end : own.start]
+        alone = _ENDED.match(text, own.end)
+        fixed = NOT_ALONE if not alone else "" if one else "the file holds several programs"
+        if not fixed and (between is None or not _HARMLESS.fullmatch(between)):
+            fixed = NOT_NEXT
+        whole = Span(own.start, alone.end()) if alone else own
+        moves.append(Move(target, line, found[1] == "L", whole, called, fixed))
     return tuple(moves)
+
+
+def _inserted(program: Program, ahead: Rows) -> list[Place]:
+    """Lines ahead of moves with positions of their own, behind all others; lines are renumbered."""
+    text, end = program.text, line_end(program.text)
+    free = max(int(n) for n in re.findall(r"\bP\[\s*(\d+)", text)) + 1
+    places, positions, shift = list[Place](), list[str](), 0
+    wanted = {move.lines.start: i for i in ahead if (move := program.moves[i]) is not None}
+    for found in _LINE_NUMBER.finditer(text, 0, _part(text, "/POS")):
+        number, width = int(found[1]), found.end(1) - found.start()
+        index = wanted.get(found.start())
+        for count, row in enumerate(ahead[index] if index is not None else (), 1):
+            move = program.moves[index] if index is not None else None
+            assert move is not None
+            block = literal(program, move, row, count)
+            positions.append(f"P[{free}]{block[block.index('{') :]};")
+            own = Place(Span(found.start(), found.end(1)), f"{number + shift:>{width}}")
+            copy = replaced(text, move.lines, [own, Place(move.called, f"P[{free}]")])
+            places.append(Place(Span(found.start(), found.start()), copy + end))
+            free, shift = free + 1, shift + 1
+        places.append(Place(Span(found.start(), found.end(1)), f"{number + shift:>{width}}"))
+    for found in _LINE_COUNT.finditer(text):
+        places.append(Place(Span(*found.span(1)), str(int(found[1]) + shift)))
+    last = max(m.end() for m in _POSITION.finditer(text))
+    closed = re.compile(r"[ \t]*;").match(text, last)
+    last = closed.end() if closed else last
+    return [*places, Place(Span(last, last), "".join(end + one for one in positions))]
+
+
+def _part(text: str, name: str) -> int:
+    """Where a part of the listing begins."""
+    found = re.search(rf"^{name}\b", text, re.MULTILINE)
+    return found.start() if found else len(text)

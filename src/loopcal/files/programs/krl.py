@@ -13,6 +13,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.files.programs.copying import movable
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.program import (
     NUMBER,
@@ -22,6 +23,7 @@ from loopcal.files.programs.program import (
     Number,
     Program,
     ProgramTarget,
+    Span,
     blanked,
     refuse_redundant,
     within,
@@ -35,6 +37,12 @@ _PART = re.compile(rf"\s*(\w+)\s+({NUMBER.pattern}|[BHbh]?'[^']*')\s*")
 _MOVE = re.compile(r"^[ \t]*(S?PTP|S?LIN|S?CIRC|S?LIN_REL|S?PTP_REL|SPL)\b([^\r\n]*)", re.I | re.M)
 _CHANGED = re.compile(r"^[ \t]*(\w+)\.(?:[XYZABCST]|[AE][1-6])\s*=", re.IGNORECASE | re.MULTILINE)
 _FRAME = re.compile(r"\$BASE\s*=\s*(?!\$NULLFRAME)([\w$\[\]]+)|\bBASE_NO\s+([1-9]\d*)", re.I)
+_HARMLESS = re.compile(
+    r"(?:[ \t]*+(?:(?:WAIT\b|\$OUT\b|\$VEL|\$ACC|\$BWDSTART|[PLF]DAT_ACT\b"
+    r"|BAS\s*\(\s*#(?:CP|PTP)_PARAMS)"
+    r"[^\r\n]*+)?[\r\n]++)*+[ \t]*+",
+    re.IGNORECASE,
+)
 _POSE = ("X", "Y", "Z", "A", "B", "C")
 _DECIMALS = 6
 _EDGE = 1e-6
@@ -66,7 +74,7 @@ def read_krl(text: str, name: str, axes: JointAxes) -> Program:
             continue
         bits = {key: parts.get(key) for key in "ST"}
         states = {k: int(n.value) for k, n in bits.items() if n is not None and n.text.isdigit()}
-        target = turned.target(label, line, parts, states)
+        target = turned.target(label, line, parts, states, Span(*braces.span()))
         if target is None:
             noted.append(Noted(line, f"{label}: not all axes or coordinates are numbers"))
             continue
@@ -153,17 +161,27 @@ def _moves(
 ) -> tuple[Move | None, ...]:
     moves: list[Move | None] = []
     starts = sorted(at)
+    last: Span | None = None
     for found in _MOVE.finditer(code):
         kind, line = found[1].upper().removeprefix("S"), lines.of(found.start(1))
-        inside = [at[s] for s in within(starts, found.start(), found.end())]
+        inside = within(starts, found.start(), found.end())
         word = re.match(r"\s*(\w+)\s*(?::|$|\s|,)", found[2])
         known = [named[word[1].upper()]] if word and word[1].upper() in named else []
         shifted = word is not None and ":" in found[2]
+        own = Span(found.start(1), found.end())
+        before, last = last, own
         if kind not in ("PTP", "LIN") or shifted or not (inside or known):
             moves.append(None)
             if not inside and (kind != "PTP" or word or found[2].strip()):
                 why = "shifted by a frame" if shifted else "no target of this file, or a circle"
                 noted.append(Noted(line, f"{found[1]}{found[2][:30].rstrip()}: {why}"))
             continue
-        moves.append(Move((inside or known)[0], line, kind == "LIN"))
+        if inside:
+            called = Span(inside[0], code.index("}", inside[0]) + 1)
+        else:
+            assert word is not None
+            called = Span(found.start(2) + word.start(1), found.start(2) + word.end(1))
+        target = at[inside[0]] if inside else known[0]
+        lines_of, fixed = movable(code, before, own, _HARMLESS)
+        moves.append(Move(target, line, kind == "LIN", lines_of, called, fixed))
     return tuple(moves)

@@ -10,6 +10,7 @@ import re
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,27 @@ class Number:
         return len(mantissa.partition(".")[2])
 
 
+Rows = Mapping[int, Sequence[Sequence[str]]]
+"""Index of a move -> texts of the numbers of each target to insert ahead of it."""
+
+
+class Span(NamedTuple):
+    """A part of the text, from start to before end."""
+
+    start: int
+    end: int
+
+
+NOWHERE = Span(0, 0)
+
+
+class Place(NamedTuple):
+    """A part of the text, and what replaces it."""
+
+    span: Span
+    text: str
+
+
 @dataclass(frozen=True, eq=False)
 class ProgramTarget:
     """One target of a program.
@@ -51,7 +73,8 @@ class ProgramTarget:
     in the order of the format; joints (n,) [rad, m]: of a joint target, or the seed of a pose;
     pose (4, 4): of a pose, in the frame that the program names; step: last digits as they will be
     written [SI], (n,) of joints or (6,) of a pose; states: what the program says of the
-    configuration, by its own names; label: where its name stands, for copies of its row.
+    configuration, by its own names; literal: all of it, as a copy needs it; label: where its name
+    stands in it.
     """
 
     name: str
@@ -62,6 +85,7 @@ class ProgramTarget:
     pose: Array | None
     step: Array
     states: Mapping[str, int] = field(default_factory=dict)
+    literal: Span = NOWHERE
     label: Number | None = None
 
 
@@ -75,11 +99,18 @@ class Noted:
 
 @dataclass(frozen=True)
 class Move:
-    """A move in the order of the program: to which target (its index), and how."""
+    """A move in the order of the program: to which target (its index), and how.
+
+    lines: those that hold it; called: where its target is named or written in them; fixed: why no
+    target can be inserted ahead of it, empty where one can.
+    """
 
     target: int
     line: int
     straight: bool
+    lines: Span = NOWHERE
+    called: Span = NOWHERE
+    fixed: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +121,8 @@ class Program:
     whether joints have the configuration that the target states; chosen(target, several): those of
     several fitting joints that it means; noted: what is left alone; moves:
     in their order, None where a move in between is not understood; frame: what the poses are
-    relative to, where it is not the base.
+    relative to, where it is not the base; insert: places of targets ahead of moves, where copies of
+    their lines do not do.
     """
 
     kind: str
@@ -103,48 +135,35 @@ class Program:
     chosen: Callable[[ProgramTarget, list[Array]], list[Array]] = lambda target, several: several
     moves: tuple[Move | None, ...] = ()
     frame: str | None = None
+    insert: Callable[[Program, Rows], Sequence[Place]] | None = None
 
-    def edited(
-        self,
-        new: Mapping[int, Sequence[str]],
-        ahead: Mapping[int, Sequence[Sequence[str]]] | None = None,
-    ) -> bytes:
+    def edited(self, new: Mapping[int, Sequence[str]], more: Sequence[Place] = ()) -> bytes:
         """The bytes with the numbers of some targets (index -> texts) replaced.
 
-        ahead: copies of the row of a target to put before it, of a table.
+        more: further places, such as inserted lines.
         """
         places = [
-            (number.start, number.end, text)
+            Place(Span(number.start, number.end), text)
             for index, texts in new.items()
             for number, text in zip(self.targets[index].numbers, texts, strict=True)
         ]
-        for index, rows in (ahead or {}).items():
-            start, copies = self._copies(self.targets[index], rows)
-            places.append((start, start, copies))
-        return _replaced(self.text, 0, len(self.text), places).encode("latin-1")
-
-    def _copies(self, target: ProgramTarget, rows: Sequence[Sequence[str]]) -> tuple[int, str]:
-        """Where the row of a target begins, and copies of it with other numbers."""
-        start = max(self.text.rfind(mark, 0, target.numbers[0].start) for mark in "\r\n") + 1
-        ends = [self.text.find(mark, start) for mark in "\r\n"]
-        end = min((e for e in ends if e >= 0), default=len(self.text))
-        mark = re.search(r"\r\n|\n|\r", self.text)
-        copies = []
-        for count, texts in enumerate(rows, 1):
-            own = [(n.start, n.end, t) for n, t in zip(target.numbers, texts, strict=True)]
-            if target.label is not None:
-                own.append((target.label.start, target.label.end, f"{target.label.text}-{count}"))
-            copies.append(_replaced(self.text, start, end, own) + (mark[0] if mark else "\n"))
-        return start, "".join(copies)
+        whole = Span(0, len(self.text))
+        return replaced(self.text, whole, [*places, *more]).encode("latin-1")
 
 
-def _replaced(text: str, begin: int, end: int, places: Sequence[tuple[int, int, str]]) -> str:
-    """A part of the text with other texts at some places (start, end, new)."""
-    parts, at = [], begin
-    for start, stop, new in sorted(places):
+def replaced(text: str, part: Span, places: Sequence[Place]) -> str:
+    """A part of the text with other texts at some places in it."""
+    parts, at = [], part.start
+    for (start, stop), new in sorted(places):
         parts += [text[at:start], new]
         at = stop
-    return "".join([*parts, text[at:end]])
+    return "".join([*parts, text[at : part.end]])
+
+
+def line_end(text: str) -> str:
+    """What ends a line in it."""
+    mark = re.search(r"\r\n|\n|\r", text)
+    return mark[0] if mark else "\n"
 
 
 def text_of(data: bytes, name: str) -> str:

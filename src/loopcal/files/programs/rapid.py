@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.files.programs.copying import NOT_ALONE, movable
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.poses_text import pose_of_quaternion, quaternion_of_pose
 from loopcal.files.programs.program import (
@@ -24,6 +25,7 @@ from loopcal.files.programs.program import (
     Number,
     Program,
     ProgramTarget,
+    Span,
     blanked,
     numbers_of,
     refuse_redundant,
@@ -53,6 +55,12 @@ _MOVE = re.compile(r"\b(Move\w+|Search\w+|Trigg[LJC]\w*)\b", re.IGNORECASE)
 _CHANGED = re.compile(
     r"^[ \t]*(\w+)(?:\{[^}\r\n]*\})?\.\w[\w.]*[ \t]*:=|\b(?:Offs|RelTool)[ \t]*\(",
     re.IGNORECASE | re.MULTILINE,
+)
+_CALLED = re.compile(r"[A-Za-z]\w*(?=\s*,)")
+_COMPACT = re.compile(r"\bIF\b(?![^\r\n]*\bTHEN\b)[^;]*\Z", re.IGNORECASE)
+_HARMLESS = re.compile(
+    r"\s*(?:(?:WaitTime|WaitDI|WaitDO|Set[DGA]O|Set|Reset|PulseDO|TPWrite)\b[^;]*;\s*)*",
+    re.IGNORECASE,
 )
 _FRAME = re.compile(r"\\\s*WObj\s*:=\s*(\w+)", re.IGNORECASE)
 _DECIMALS, _FINE = 6, 9
@@ -100,7 +108,7 @@ def read_rapid(text: str, name: str, axes: JointAxes) -> Program:
         Noted(lines.of(m.end() - 1), f"{m[0].strip()[:40]}: an offset or a changed target")
         for m in _CHANGED.finditer(code)
     ]
-    moves = _moves(code, lines, at, named, noted)
+    moves = _moves(code, lines, at, named, noted, targets)
     frames = [f for f in _FRAME.findall(code) if f.lower() != "wobj0"]
     return Program(
         "RAPID",
@@ -127,7 +135,9 @@ def _target(
     if literal.re is _JOINTS:
         numbers = first[:n]
         q = np.array([number.value for number in numbers]) * axes.scale
-        return ProgramTarget(own, line, False, numbers, q, None, _steps(numbers) * axes.scale)
+        step = _steps(numbers) * axes.scale
+        whole = Span(*literal.span())
+        return ProgramTarget(own, line, False, numbers, q, None, step, literal=whole)
     numbers = (*first, *numbers_of(literal[2], literal.start(2)))
     values = [number.value for number in numbers]
     config = [int(float(v)) for v in literal[3].split(",")]
@@ -141,6 +151,7 @@ def _target(
         pose_of_quaternion(values, f"{name}, line {line}"),
         np.array([*(1e-3 * step[:3]), *[2.0 * 10.0**-_FINE] * 3]),
         dict(zip(("cf1", "cf4", "cf6", "cfx"), config, strict=True)),
+        Span(*literal.span()),
     )
 
 
@@ -181,21 +192,26 @@ def _moves(
     at: dict[int, int],
     named: dict[str, list[int]],
     noted: list[Noted],
+    targets: Sequence[ProgramTarget],
 ) -> tuple[Move | None, ...]:
     """The moves in their order; those that are not understood are noted."""
     moves: list[Move | None] = []
     starts = sorted(at)
+    last: Span | None = None
     for statement in _STATEMENT.finditer(code):
         move = _MOVE.search(statement[0])
         if move is None or ":=" in statement[0][: move.start()]:
             continue
-        line = lines.of(statement.start() + move.start())
+        begin = statement.start() + move.start()
+        line, own = lines.of(begin), Span(begin, statement.end())
+        conditional = _COMPACT.search(statement[0][: move.start()]) is not None
+        before, last = last, None if conditional else own
         kind = move[1].lower()
-        inside = [at[s] for s in within(starts, statement.start(), statement.end())]
-        words = _words(statement[0][move.end() :])
-        known = [named[w] for w in words[:1] if w in named and len(named[w]) == 1]
+        inside = within(starts, begin, statement.end())
+        word = _CALLED.search(code, begin + len(kind), statement.end())
+        known = named.get(word[0].lower(), []) if word else []
         offset = re.search(r"\b(Offs|RelTool)\s*\(", statement[0], re.I)
-        if kind not in ("movel", "movej", "moveabsj") or offset or not (inside or known):
+        if kind not in ("movel", "movej", "moveabsj") or offset or not (inside or len(known) == 1):
             moves.append(None)
             if not offset:
                 why = "a circle" if kind == "movec" else "its target is no literal"
@@ -203,5 +219,10 @@ def _moves(
                     why = "an instruction that is not understood"
                 noted.append(Noted(line, f"{move[1]}: {why}"))
             continue
-        moves.append(Move(inside[0] if inside else known[0][0], line, kind == "movel"))
+        target = at[inside[0]] if inside else known[0]
+        called = Span(*word.span()) if word and not inside else targets[target].literal
+        whole, fixed = movable(code, before, own, _HARMLESS)
+        whole_statement = statement[0].endswith(";") and not conditional
+        fixed = fixed if whole_statement else NOT_ALONE
+        moves.append(Move(target, line, kind == "movel", whole, called, fixed))
     return tuple(moves)

@@ -22,7 +22,7 @@ from loopcal.files.programs.poses_text import (
     quaternion_of_pose,
     turns_of_pose,
 )
-from loopcal.files.programs.program import Move, Number, Program, ProgramTarget, written
+from loopcal.files.programs.program import Move, Number, Program, ProgramTarget, Span, written
 from loopcal.files.tables.cells import number
 from loopcal.files.tables.dialect import WHITESPACE, Dialect, Row, recognise
 from loopcal.units import unit
@@ -83,7 +83,10 @@ def read_table(text: str, name: str, axes: JointAxes) -> Program:
     ids = dialect.names.index(str(axes.pose)) if str(axes.pose) in dialect.names else None
     reading = _Reading(dialect, axes, joints, places, quaternion, move, ids, name)
     found = [reading.target(row, at[row.number]) for row in rows if row.number > dialect.header_row]
-    moves = [Move(i, target.line, straight) for i, (target, straight) in enumerate(found)]
+    moves = [
+        Move(i, target.line, straight, target.literal, target.literal)
+        for i, (target, straight) in enumerate(found)
+    ]
     targets = tuple(target for target, _ in found)
     return Program("table", name, text, targets, (), reading.write, moves=tuple(moves))
 
@@ -229,6 +232,7 @@ class _Reading:
             q if len(own) == len(self.axes.joints) else None,
             self._pose(places, f"{self.name}, line {row.number}") if places else None,
             self._steps(numbers, used),
+            literal=Span(start, start + len(row.line)),
             label=label,
         )
         return target, straight

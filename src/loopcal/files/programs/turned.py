@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.poses_text import pose_of_turns, turns_of_pose
-from loopcal.files.programs.program import Number, ProgramTarget, written
+from loopcal.files.programs.program import Number, ProgramTarget, Span, written
 
 Array = NDArray[np.float64]
 
@@ -34,10 +34,11 @@ class Turned:
         line: int,
         stated: Mapping[str, Number | None],
         states: Mapping[str, int],
+        literal: Span,
     ) -> ProgramTarget | None:
         """The target of stated numbers; None where one that it needs is missing.
 
-        states: of the configuration, which a joint target does not need.
+        states: of the configuration, which a joint target does not need; literal: all of it.
         """
         joint = f"{self.joint}1" in stated
         count = len(self.axes.joints)
@@ -49,10 +50,11 @@ class Turned:
         step = np.array([10.0 ** -max(number.decimals, self.decimals) for number in numbers])
         if joint:
             q = values * self.axes.scale
-            return ProgramTarget(name, line, False, numbers, q, None, step * self.axes.scale)
+            step = step * self.axes.scale
+            return ProgramTarget(name, line, False, numbers, q, None, step, literal=literal)
         step = np.concatenate([1e-3 * step[:3], np.radians(step[:2:-1])])
         pose = pose_of_turns(values.tolist())
-        return ProgramTarget(name, line, True, numbers, None, pose, step, states)
+        return ProgramTarget(name, line, True, numbers, None, pose, step, states, literal)
 
     def write(self, target: ProgramTarget, joints: Array, pose: Array) -> list[str]:
         """The new texts of its numbers."""

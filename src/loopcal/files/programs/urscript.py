@@ -11,6 +11,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.files.programs.copying import NOT_ALONE, movable
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.program import (
     NUMBER,
@@ -19,6 +20,7 @@ from loopcal.files.programs.program import (
     Noted,
     Program,
     ProgramTarget,
+    Span,
     blanked,
     numbers_of,
     refuse_redundant,
@@ -33,6 +35,9 @@ _MOVE = re.compile(rf"\b(move[jlpc]|servo[jc])[ \t]*\(\s*(?:{_JOINTS}|([A-Za-z_]
 _ASSIGNED = re.compile(
     rf"^[ \t]*(?:global[ \t]+|local[ \t]+)?([A-Za-z_]\w*)[ \t]*=[ \t]*(?:{_JOINTS}[ \t]*$)?",
     re.MULTILINE,
+)
+_HARMLESS = re.compile(
+    r"(?:[ \t]*+(?:(?:sleep|sync|textmsg|set_\w*digital_out)\b[^\r\n]*+)?[\r\n]++)*+[ \t]*+"
 )
 _UNDERSTOOD = ("movej", "movel", "movep")
 _DECIMALS = 9
@@ -58,14 +63,22 @@ def read_urscript(text: str, name: str, axes: JointAxes) -> Program:
             named[own] = len(targets)
             targets.append(target)
     moves: list[Move | None] = []
+    last: Span | None = None
     for m in found:
         line, kind, own = lines.of(m.start()), m[1], m[3]
         inline = _target(m, 2, f"line {line}", lines, axes) if kind in _UNDERSTOOD else None
+        end = re.compile(r"[^\r\n]*").match(code, m.end())
+        statement = Span(m.start(), m.end() if end is None else end.end())
+        whole, fixed = movable(code, last, statement, _HARMLESS)
+        last = statement
+        if code.count("(", *statement) != code.count(")", *statement):
+            fixed = NOT_ALONE
         if inline is not None:
-            moves.append(Move(len(targets), line, kind != "movej"))
+            moves.append(Move(len(targets), line, kind != "movej", whole, inline.literal, fixed))
             targets.append(inline)
         elif kind in _UNDERSTOOD and own in named:
-            moves.append(Move(named[own], line, kind != "movej"))
+            at = Span(*m.span(3))
+            moves.append(Move(named[own], line, kind != "movej", whole, at, fixed))
         else:
             moves.append(None)
             why = "its target is no list of the arm's joints, assigned once"
@@ -94,7 +107,11 @@ def _target(
         return None
     q = np.array([number.value for number in numbers])
     step = np.array([10.0 ** -max(number.decimals, _DECIMALS) for number in numbers])
-    return ProgramTarget(name, lines.of(found.start(group)), False, numbers, q, None, step)
+    # with its brackets
+    start = found.string.rindex("[", 0, found.start(group))
+    literal = Span(start, found.string.index("]", found.end(group)) + 1)
+    line = lines.of(found.start(group))
+    return ProgramTarget(name, line, False, numbers, q, None, step, literal=literal)
 
 
 def _write(target: ProgramTarget, joints: Array) -> list[str]:

@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 _LINE = re.compile(r"[^\r\n]+")
 _POSITION = re.compile(r"[ \t]*((?:B|E)?[CP]\d+)[ \t]*=[ \t]*([^\r\n]*?)[ \t]*")
 _MOVE = re.compile(r"[ \t]*(MOV[JLCS]|IMOV)\b([^\r\n]*)")
+_FIXED = "a job numbers its positions; insert them on the pendant, and correct again"
 
 
 def read_yaskawa(text: str, name: str, axes: JointAxes) -> Program:
@@ -61,7 +62,7 @@ def read_yaskawa(text: str, name: str, axes: JointAxes) -> Program:
         if move is not None:
             word = re.match(r"\s+(C\d+)\b", move[2])
             if word and word[1] in named and move[1] in ("MOVJ", "MOVL"):
-                moves.append(Move(named[word[1]], line, move[1] == "MOVL"))
+                moves.append(Move(named[word[1]], line, move[1] == "MOVL", fixed=_FIXED))
                 continue
             moves.append(None)
             noted.append(Noted(line, f"{found[0].strip()[:40]}: a circle, shift or variable"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed, short
 from loopcal.files.recognition.headers import Heading, heading, stem
-from loopcal.files.tables.readers import read_table
+from loopcal.files.recognition.titles import below_titles, readings_of
 from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.poses import pose_id
@@ -22,9 +22,33 @@ from loopcal.measurements.tables import as_numbers, column, column_names
 Array = NDArray[np.float64]
 _IDS = frozenset(
     (
+        *(
+            "poloha",
+            "bod",
+            "mereni",
+            "cislo",
+            "numero",
+            "punto",
+            "posicion",
+            "punkt_nr",
+            "posizione",
+        ),
         *("pose", "poses", "pose_id", "poseid", "pose_no", "pose_nr", "pose_number", "id", "ids"),
         *("no", "nr", "number", "num", "index", "idx", "point", "point_id", "sample", "n", "i"),
         *("measurement", "name", "config", "configuration", "row", "label", "punkt", "messung"),
+    )
+)
+STATIONS = frozenset(
+    (
+        *("sta", "stn", "station", "stations", "station_id", "station_no", "station_nr", "setup"),
+        *("tracker_station", "instrument_station", "standpunkt", "aufstellung", "stationierung"),
+        *("stanoviste", "stanovisko", "stationnement", "estacion", "stazione"),
+    )
+)
+_TARGETS = frozenset(
+    (
+        *("target", "reflector", "smr", "prism", "ball", "marker", "target_id", "reflector_id"),
+        *("reflektor", "prisma", "zielmarke", "odrazec", "cil", "cible", "reflecteur"),
     )
 )
 TIMES = frozenset(("time", "timestamp", "t", "zeit", "date", "datetime", "seconds"))
@@ -133,7 +157,7 @@ def source_of(given: Any, number: int, sheet: str | None = None) -> Source:
             its = Heading(f"{quantity} sd", f"{stem(quantity)}_sd", given.units.get(quantity))
             fields.append(Field(number, len(fields), its, sds))
         return _checked(Source(None, None, tuple(fields), given.poses, "pose"))
-    fields, ids, pose, labels = [], None, None, None
+    fields, ids, pose, texts = [], None, None, dict[str, tuple[str, ...]]()
     for i, name in enumerate(column_names(given)):
         values = column(given, name)
         its = heading(name)
@@ -145,8 +169,12 @@ def source_of(given: Any, number: int, sheet: str | None = None) -> Source:
         try:
             fields.append(Field(number, i, its, as_numbers(values, name)))
         except InputError:  # text, dates: no readings
-            labels = labels or tuple(map(str, np.asarray(values).tolist()))
-    return _with_ids(Source(None, None, tuple(fields), ids, pose), labels)
+            told = tuple(map(str, np.asarray(values).tolist()))
+            if its.stem in STATIONS:
+                fields.append(Field(number, i, its, _counted(told)))
+            else:
+                texts[its.stem] = told
+    return _with_ids(Source(None, None, tuple(fields), ids, pose), texts)
 
 
 def _parted(path: Path) -> bool:
@@ -154,44 +182,59 @@ def _parted(path: Path) -> bool:
 
 
 def _of_file(path: Path, number: int, sheet: str | None) -> Source:
-    table, remark = _table_of(path, sheet)
+    table, remark, titled = _table_of(path, sheet)
     numeric = table.numeric()
     names = [table.names[i] if i < len(table.names) else "" for i in range(_width(table))]
     headings = [heading(name) if name else None for name in names]
     units = _row_of_units(table, numeric)
-    every = np.arange(1 if units else 0, len(table.rows))
     for i, its in units.items():
         headings[i] = replace(headings[i] or Heading("", ""), unit=its or None)
     pose = _pose_column(table, headings, numeric)
     texts = [i for i in table.columns if i not in numeric and i != pose]
-    fields = tuple(
-        Field(number, i, headings[i] if i < len(headings) else None, table.numbers(i, every))
-        for i in numeric
-        if i != pose
-    )
-    cells = {i: table.ids(i) for i in (pose, *texts[:1]) if i is not None}
+    cells = {i: table.ids(i) for i in (pose, *texts) if i is not None}
+    beginning = [table.ids(i) for i in sorted(table.columns)[:1]]
+    count = len(table.rows)
+    every = readings_of([*cells.values(), *beginning], count)
+    if len(every) < count:
+        rows = count - len(every)
+        last = "The last row" if rows == 1 else f"The last {rows} rows"
+        told_so = f"{last} of {table.name}: a summary of the others, left out."
+        remark = f"{remark} {told_so}".strip()
+    every = every[1 if units else 0 :]
     told = {i: tuple(its[k] for k in every) for i, its in cells.items()}
+    values = {i: table.numbers(i, every) for i in numeric if i != pose}
+    values |= {i: _counted(told[i]) for i in texts if _stem(headings, i) in STATIONS}
+    fields = tuple(
+        Field(number, i, headings[i] if i < len(headings) else None, values[i])
+        for i in sorted(values)
+    )
     ids = None if pose is None else told[pose]
-    labels = told[texts[0]] if texts else None
     sheet = table.sheet if path.suffix.lower() in _WORKBOOKS else sheet
     named = None if pose is None else column_key(names, pose)
-    # a row of units is no row of readings: what is below it is written into a file of its own
+    # what is not one table below its header is written into a file of its own
     header = tuple(names)
-    place = None if units else path
+    place = path if len(every) == count and not titled else None
     source = Source(place, sheet, fields, ids, named, header, path.name, remark)
-    return _with_ids(source, labels)
+    return _with_ids(source, {_stem(headings, i): told[i] for i in texts if i not in values})
 
 
-def _table_of(path: Path, sheet: str | None) -> tuple[Table, str]:
-    """The table of a file, and what to say of the choice; of a workbook the sheet with by far the
-    most numbers."""
+def _counted(names: Sequence[str]) -> Array:
+    """(N,) numbers from 1 for names, in the order in which they occur; NaN for an empty cell."""
+    order = list(dict.fromkeys(name for name in names if name))
+    return np.array([1.0 + order.index(name) if name else np.nan for name in names])
+
+
+def _table_of(path: Path, sheet: str | None) -> tuple[Table, str, bool]:
+    """The table of a file, what to say of the choice, and whether titles stand above its header;
+    of a workbook the sheet with by far the most numbers."""
     if sheet is not None or path.suffix.lower() not in _WORKBOOKS:
-        return read_table(path, sheet), ""
-    found: list[Table] = []
+        table, title = below_titles(path, sheet)
+        return table, title, bool(title)
+    found: list[tuple[Table, str]] = []
     first: InputError | None = None
     for number in count(1):
         try:
-            table = read_table(path, number)
+            table, title = below_titles(path, number)
         except InputError as error:
             # there is no sheet of this number, or the fault is that of the file, not of a sheet
             if error.code == "unknown-name" or (first and str(error) == str(first)):
@@ -199,38 +242,46 @@ def _table_of(path: Path, sheet: str | None) -> tuple[Table, str]:
             first = first or error
             continue
         if len(table.numeric()) > 1 and len(table.rows) > 1:
-            found.append(table)
+            found.append((table, title))
     if not found:
         raise first or _no_numbers(path.name)
-    found.sort(key=_numbers, reverse=True)
-    if len(found) == 1:
-        return found[0], ""
-    which = ", ".join(f"{short(str(one.sheet))!r} ({len(one.rows)} rows)" for one in found[:10])
-    if _numbers(found[0]) < _CLEARLY * _numbers(found[1]):
+    found.sort(key=lambda its: _numbers(its[0]), reverse=True)
+    (best, title), *others = found
+    if not others:
+        return best, title, bool(title)
+    which = ", ".join(f"{short(str(one.sheet))!r} ({len(one.rows)} rows)" for one, _ in found[:10])
+    if _numbers(best) < _CLEARLY * _numbers(others[0][0]):
         raise InputError(
             f"several sheets may hold the readings: {which}",
             code="missing-key",
             place=path.name,
-            remedy=f"name one: --sheet {found[0].sheet!r}",
+            remedy=f"name one: --sheet {best.sheet!r}",
         )
-    return found[0], f"{path.name} has several sheets: {which}; the first is read."
+    remark = f"{path.name} has several sheets: {which}; the first is read."
+    return best, f"{remark} {title}".strip(), bool(title)
 
 
 def _numbers(table: Table) -> int:
     return len(table.rows) * len(table.numeric())
 
 
-def _with_ids(source: Source, labels: tuple[str, ...] | None) -> Source:
-    """With ids that occur once: a row per target becomes a row per pose, by the labels of targets;
-    other repeated ids are no ids."""
+def _with_ids(source: Source, texts: Mapping[str, tuple[str, ...]]) -> Source:
+    """With ids that occur once: a row per target, or per station, becomes a row per pose; other
+    repeated ids are no ids. texts: columns of text by name."""
     checked = _checked(source)
     ids = checked.ids
     if ids is None or len(set(ids)) == len(ids):
         return checked
-    wide = None if labels is None else _widened(checked.fields, ids, labels)
-    if wide is None:
-        return replace(checked, ids=None, pose=None)
-    return Source(None, None, wide, tuple(dict.fromkeys(ids)), "pose", label=checked.name)
+    numbers = {
+        f.stem: tuple(map(str, f.values)) for f in checked.fields if f.stem in _TARGETS | STATIONS
+    }
+    labels = {**texts, **numbers}
+    for stem_ in sorted(labels, key=lambda word: (word not in _TARGETS, word in STATIONS)):
+        rest = tuple(f for f in checked.fields if f.stem != stem_ or stem_ not in numbers)
+        wide = _widened(rest, ids, labels[stem_])
+        if wide is not None:
+            return Source(None, None, wide, tuple(dict.fromkeys(ids)), "pose", label=checked.name)
+    return replace(checked, ids=None, pose=None)
 
 
 def _widened(

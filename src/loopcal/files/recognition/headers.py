@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from dataclasses import dataclass
 
 _SPOKEN = {
-    **dict.fromkeys(("deg", "degs", "degree", "degrees", "°", "grd"), "deg"),
+    **dict.fromkeys(
+        ("deg", "degs", "degree", "degrees", "°", "grd", "degres", "degré", "degrés", "stupne"),
+        "deg",
+    ),
     **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
     **dict.fromkeys(("mrad", "urad", "gon", "arcsec", "arcmin", "um", "mm", "cm", "m"), ""),
     **dict.fromkeys(("µrad", "μrad"), "urad"),
@@ -14,10 +18,12 @@ _SPOKEN = {
     **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
     **dict.fromkeys(("meter", "meters", "metre", "metres"), "m"),
     **dict.fromkeys(("inch", "inches"), "in"),
-    **dict.fromkeys(("grad", "gons"), "gon"),
+    **dict.fromkeys(("gons",), "gon"),
     **dict.fromkeys(("s", "ms", "sec", "seconds"), "s"),
     **dict.fromkeys(("°c", "degc", "celsius"), "degC"),
 }
+_OPEN = ("grad", "grads", "grade", "grades")
+"""Degrees in one language, gon in another: the readings say which."""
 _IN_BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[({]\s*(?P<unit>[^\])}]*?)\s*[\])}]\s*$")
 _AFTER_SLASH = re.compile(r"^(?P<name>.+?)\s*/\s*(?P<unit>[^/]+)$")
 _LETTERS = {"θ": "theta", "ϑ": "theta", "φ": "phi", "α": "alpha", "β": "beta", "Δ": "delta"}
@@ -47,6 +53,8 @@ def heading(text: str) -> Heading:
         found = form.match(name)
         if found and (spoken := _unit(found["unit"])) is not None:
             return Heading(text, stem(found["name"]), spoken)
+        if found and found["unit"].strip().casefold() in _OPEN:
+            return Heading(text, stem(found["name"]))
     words = stem(name).split("_")
     if len(words) > 1 and words[-1] in _SPOKEN and words[-1] not in ("s", "ms"):
         unit = _unit(words[-1])
@@ -57,10 +65,12 @@ def heading(text: str) -> Heading:
 
 
 def stem(name: str) -> str:
-    """A name in lower case, its words joined by _."""
+    """A name in lower case without accents, its words joined by _."""
     for letter, word in _LETTERS.items():
         name = name.replace(letter, word)
-    return re.sub(r"[\W_]+", "_", name.replace("°", "deg"), flags=re.UNICODE).strip("_").lower()
+    plain = unicodedata.normalize("NFKD", name.replace("°", "deg"))
+    plain = "".join(letter for letter in plain if not unicodedata.combining(letter))
+    return re.sub(r"[\W_]+", "_", plain, flags=re.UNICODE).strip("_").lower()
 
 
 def _unit(text: str) -> str | None:

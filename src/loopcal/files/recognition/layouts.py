@@ -7,15 +7,17 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.files.recognition.fields import TIMES, Field, moving, unnamed
+from loopcal.files.recognition.fields import STATIONS, TIMES, Field, moving, unnamed
 from loopcal.files.recognition.headers import stem
 
 _JOINT_WORDS = frozenset(
     (
         *("j", "joint", "jt", "jnt", "q", "theta", "th", "axis", "ax", "a", "phi", "angle", "ang"),
         *("enc", "encoder", "motor", "achse", "gelenk", "rax", "axe", "joint_angle"),
+        *("kloub", "osa", "articulation", "eje", "articulacion", "giunto", "asse", "eixo", "junta"),
         "joint_position",
     )
 )
@@ -53,6 +55,18 @@ _OTHER_WORDS = frozenset(
             "cmd",
             "command",
         ),
+        *(
+            "d",
+            "delta",
+            "diff",
+            "dev",
+            "deviation",
+            "err",
+            "error",
+            "res",
+            "residual",
+            "abweichung",
+        ),
         *("commanded", "ctrl", "controller", "des", "desired", "planned"),
     )
 )
@@ -61,6 +75,8 @@ _SD_BEFORE = re.compile(r"^(?:u|sd|std|sigma|unc|uncertainty|stddev|sig)_?(?P<of
 _SD_AFTER = re.compile(r"^(?P<of>.+?)_?(?:sd|std|sigma|unc|uncertainty|stddev)$")
 _NUMBERED = re.compile(r"^(?P<word>.*?)_?(?P<number>\d{1,2})(?P<rest>(?:_[a-z_]+)?)$")
 _CELL = re.compile(r"^(?P<word>[a-z_]*?)_?(?P<row>[0-4])_?(?P<column>[0-4])$")
+FEWEST = 5
+"""Rows that place an instrument."""
 UNIT_NORM = 0.02
 """Columns of rotations are as long as they should be to this share; digits are often rounded."""
 
@@ -71,7 +87,8 @@ class Seen:
 
     kind: "point", "pose", "length" or "spherical"; position: its coordinates, its length, or
     range, azimuth and elevation; turned: the numbers of an orientation, whose form is
-    "quaternion", "turns" or "matrix" (nine, row by row); sds: those of the position, if there.
+    "quaternion", "turns" or "matrix" (nine, row by row); sds: those of the position, if there;
+    station: where it stood, of a column that says so.
     """
 
     kind: str
@@ -79,6 +96,12 @@ class Seen:
     turned: tuple[Field, ...] = ()
     form: str = ""
     sds: tuple[Field, ...] = ()
+    station: str = ""
+
+    @property
+    def known(self) -> NDArray[np.intp]:
+        """Positions of the poses that it has read."""
+        return np.flatnonzero(np.isfinite(self.position[0].values))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +157,56 @@ def _is_joint_word(word: str) -> bool:
 def layouts(fields: Sequence[Field], count: int, names: Sequence[str] = ()) -> tuple[Layout, ...]:
     """Every way to find `count` joints and an instrument in the columns, by names where possible.
 
-    names: of the machine's joints. Raises InputError listing the columns where there is none.
+    names: of the machine's joints. Of an instrument that stood in several places, as a column of
+    stations says, the columns are taken once for each place. Raises InputError listing the columns
+    where there is none.
     """
+    stations = [f for f in fields if f.stem in STATIONS]
+    if not stations:
+        return _found(fields, count, names)
+    every = _found([f for f in fields if f.stem not in STATIONS], count, names)
+    return tuple(_by_station(one, stations[0]) for one in every)
+
+
+def _by_station(layout: Layout, station: Field) -> Layout:
+    """With the columns of its instruments once for each station, blank in rows of the others.
+
+    Raises InputError for rows without a station, and for a station with too few rows.
+    """
+    places = np.unique(station.values[np.isfinite(station.values)])
+    if len(places) < 2:
+        return replace(layout, ignored=(*layout.ignored, station))
+    if not np.isfinite(station.values).all():
+        row = int(np.flatnonzero(~np.isfinite(station.values))[0])
+        raise InputError(
+            f"row {row + 1} of the readings has no station in the column {station.label!r}",
+            code="missing-reading",
+            remedy="state where the instrument stood, or remove the row",
+        )
+    counts = {place: int((station.values == place).sum()) for place in places}
+    least = min(places, key=lambda place: counts[place])
+    if counts[least] < FEWEST:
+        raise InputError(
+            f"station {least:g} in the column {station.label!r} has {counts[least]} rows, and "
+            f"{FEWEST} are needed to place an instrument",
+            code="too-few-poses",
+            remedy="measure more poses from there, remove its rows, or rename the column",
+        )
+    seen = [_at(s, station.values == place, f"{place:g}") for place in places for s in layout.seen]
+    return replace(layout, seen=tuple(seen))
+
+
+def _at(seen: Seen, there: NDArray[np.bool_], station: str) -> Seen:
+    """The instrument at one station."""
+
+    def only(fields: tuple[Field, ...]) -> tuple[Field, ...]:
+        return tuple(replace(f, values=np.where(there, f.values, np.nan)) for f in fields)
+
+    its = (only(seen.position), only(seen.turned), only(seen.sds))
+    return replace(seen, position=its[0], turned=its[1], sds=its[2], station=station)
+
+
+def _found(fields: Sequence[Field], count: int, names: Sequence[str]) -> tuple[Layout, ...]:
     found = named_joints(fields, names)
     if names and len(found) == len(names):
         return _with_joints(fields, tuple(found[n] for n in names), "by the machine's joint names")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -155,6 +155,15 @@ class _Columns:
     def has(self, kind: str, names: Sequence[str]) -> bool:
         return all((kind, name) in self.at for name in names)
 
+    def has_position(self, kind: str, planar: bool) -> bool:
+        return self.has(kind, _POSITION[:2] if planar else _POSITION)
+
+    def position(self, kind: str, planar: bool, stated: _Stated) -> Array:
+        """(N, 3) [m]; z is 0 in a plane."""
+        if not planar:
+            return self.numbers(kind, _POSITION, "length", stated)
+        return np.pad(self.numbers(kind, _POSITION[:2], "length", stated), ((0, 0), (0, 1)))
+
     def numbers(self, kind: str, names: Sequence[str], si: str, stated: _Stated) -> Array:
         """Columns (N, k) in SI; si: "length", "angle" or "number"."""
         found = []
@@ -294,18 +303,19 @@ def read_attained(
     """
     stated = _Stated.of(units, angles, ask)
     read = _Columns.of(path)
-    if not read.has("", _POSITION):
+    planar = not any((kind, "z") in read.at for kind in ("", "cmd"))
+    if not read.has_position("", planar):
         raise _no_columns(read, "measured", "")
-    measured = read.numbers("", _POSITION, "length", stated)
+    measured = read.position("", planar, stated)
     turns = read.orientation("", stated)
     pose = read.ids("pose")
     if commanded is None:
-        if not read.has("cmd", _POSITION):
+        if not read.has_position("cmd", planar):
             raise _no_columns(read, "commanded", "_cmd")
-        asked = read.numbers("cmd", _POSITION, "length", stated)
+        asked = read.position("cmd", planar, stated)
         asked_turns = read.orientation("cmd", stated)
     else:
-        asked, asked_turns = _from_table(read, pose, _Columns.of(commanded), stated)
+        asked, asked_turns = _from_table(read, pose, _Columns.of(commanded), stated, planar)
     _refuse_unknown(read, asked)
     if pose is None:
         pose = _poses_by_place(asked)
@@ -325,7 +335,11 @@ def read_attained(
             there = "commanded" if turns is None else "measured"
             notes.append(f"Only the {there} poses have an orientation; it is not used.")
         turns = asked_turns = None
-    return _assembled(read, pose, notes, keep, (asked, measured, asked_turns, turns))
+    made = _assembled(read, pose, notes, keep, (asked, measured, asked_turns, turns))
+    if not planar:
+        return made
+    words = "The table has no z: all figures are those of the plane of x and y."
+    return replace(made, planar=True, notes=(words, *made.notes))
 
 
 def _assembled(
@@ -376,7 +390,11 @@ def _assembled(
 
 
 def _from_table(
-    read: _Columns, pose: tuple[str, ...] | None, table: _Columns, stated: _Stated
+    read: _Columns,
+    pose: tuple[str, ...] | None,
+    table: _Columns,
+    stated: _Stated,
+    planar: bool,
 ) -> tuple[Array, Array | None]:
     """Commanded positions and orientations of each row, from a table of poses."""
     names = table.ids("pose")
@@ -387,8 +405,8 @@ def _from_table(
             place=(table if pose is not None else read).table.name,
             remedy="name the pose in both tables",
         )
-    kind = "cmd" if table.has("cmd", _POSITION) else ""
-    if not table.has(kind, _POSITION):
+    kind = "cmd" if table.has_position("cmd", planar) else ""
+    if not table.has_position(kind, planar) or (planar and (kind, "z") in table.at):
         raise _no_columns(table, "commanded", "")
     if len(set(names)) < len(names):
         twice = next(i for i, name in enumerate(names) if name in names[:i])
@@ -409,7 +427,7 @@ def _from_table(
             )
     index = [at[name] for name in pose]
     turns = table.orientation(kind, stated)
-    positions = table.numbers(kind, _POSITION, "length", stated)
+    positions = table.position(kind, planar, stated)
     return positions[index], None if turns is None else turns[index]
 
 

@@ -189,10 +189,11 @@ def read_poses(path: str | Path, pose: str | int, **how: Any) -> Dataset:
     return Dataset({}, {}, tuple(ids), source=source)
 
 
-def read_table(path: str | Path, part: str | int | None = None) -> Table:
+def read_table(path: str | Path | BinaryIO, part: str | int | None = None) -> Table:
     """All columns of a file as they stand, read as `read_dataset` reads it; part: the sheet of a
     workbook (name, or number from 1), or the variable of a MATLAB file."""
-    matlab = Path(path).suffix.lower() == ".mat" and part is not None
+    named = isinstance(path, str | Path) and Path(path).suffix.lower()
+    matlab = named == ".mat" and part is not None
     return _table(path, _How(variable=str(part)) if matlab else _How(sheet=part), None)
 
 

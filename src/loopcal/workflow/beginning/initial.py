@@ -191,8 +191,7 @@ def initial_project(
         _refuse_faults(project.mechanism, dataset)
     weak = _weakest(project, dataset)
     if weak:
-        statement = statement.shrunk(weak)
-        project = _read(statement, folder)
+        statement = statement.remarked("mechanism", weak)
     tables = {READINGS: _table(fields, statement)} if statement.converted else {}
     remarks = tuple(source.remark for source in sources if source.remark)
     remarks += tuple(row for rows in statement.parts.remarks.values() for row in rows) + odd
@@ -281,18 +280,22 @@ def _far_off(fits: Mapping[str, Mounted]) -> tuple[str, ...]:
 
 
 def _weakest(project: Project, dataset: Dataset) -> str:
-    """The parameter that the poses determine worse than a drawing does, in words; else empty."""
+    """What the poses determine worse than a drawing does, in words; empty where nothing is."""
     made = check(project.mechanism, dataset, noise=project.noise.noise())
     kinds = project.mechanism.kinds
-    worst, words = 1.0, ""
+    worst, found = 1.0, ""
     for parameter in project.mechanism.parameters:
         sd = made.expected_sd[parameter.name]
         limit = DRAWN.get(kinds[parameter.name])
         if sd is not None and limit is not None and sd > worst * limit:
             worst = sd / limit
             size = with_unit(sd, parameter.unit, 2) if sd < 1.0 else "unknown"
-            words = f"sd of {parameter.name}: {size}"
-    return words
+            found = f"sd of {parameter.name}: {size}"
+    return found and (
+        f"These poses determine the machine worse than a drawing does ({found}). The calibration "
+        "learns how near lengths and angles are to the drawing, and poses that it did not use "
+        "choose whether that serves. Stating where tool or target is mounted helps most."
+    )
 
 
 def _refuse_faults(mechanism: Mechanism, dataset: Dataset) -> None:

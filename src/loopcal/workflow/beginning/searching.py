@@ -96,11 +96,6 @@ def every_way(
     what is added to readings of joints [rad]."""
     found = []
     for layout in layouts:
-        count = len(layout.joints[0].values)
-        some, few = (
-            np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
-            for most in (_SAMPLE, _FEW)
-        )
         for units in joint_units(layout.joints, machine.units, as_stated=as_stated):
             joints = {
                 name: to_si(f.values, f.unit if f.unit and as_stated else units[si])
@@ -112,6 +107,7 @@ def every_way(
             bodies = machine.bodies(moved)
             options = []
             for seen in layout.seen:
+                some, few = _spread(seen.known, _SAMPLE), _spread(seen.known, _FEW)
                 tried = _fitting(meanings(seen, as_stated=as_stated), bodies, few, 1)
                 near = [m for m in tried if m.share < FAR * tried[0].share + 1e-12]
                 tried = _fitting(near, bodies, some, 4)
@@ -126,6 +122,12 @@ def every_way(
                     seen_so = (*first.seen[:i], other, *first.seen[i + 1 :])
                     found.append(replace(first, seen=seen_so))
     return found
+
+
+def _spread(known: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """So many of these positions at most, evenly."""
+    at = np.linspace(0, len(known) - 1, min(len(known), most)).astype(np.intp)
+    return known[np.unique(at)]
 
 
 def _fitting(

@@ -11,14 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.mounted import Bodies, Mounted, see_points
+from loopcal.estimation.mounted import NEAR, TURNED, Bodies, Mounted, see_points
 from loopcal.files.paths import relative
 from loopcal.files.recognition.fields import Field, column_key, names_of
 from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.project_text import ProjectParts
 from loopcal.files.recognition.robots import Robot
 from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd
+from loopcal.mechanisms.structure.structured import MOUNTED
 from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import with_unit
 from loopcal.units import from_si, unit
 from loopcal.workflow.beginning.meanings import Meaning, polar
 from loopcal.workflow.beginning.searching import CLEARLY, Machine, Understood
@@ -64,18 +66,11 @@ class Statement:
     converted: bool
     fits: Mapping[str, Mounted]
 
-    def shrunk(self, weak: str) -> Statement:
-        """With lengths and angles of the machine held near its drawing, how near to be learnt."""
-        structure = {"sag": False, "harmonics": False}
-        told = (
-            f"These poses determine the machine worse than a drawing does ({weak}), so its lengths "
-            "and angles are held near their nominal values; the calibration learns how near.",
-        )
+    def remarked(self, section: str, *words: str) -> Statement:
+        """With further comments on one of its sections."""
         remarks = dict(self.parts.remarks)
-        remarks["mechanism"] = (*remarks.get("mechanism", ()), *told)
-        mechanism = {**self.parts.mechanism, "structure": structure}
-        parts = replace(self.parts, mechanism=mechanism, remarks=remarks)
-        return replace(self, parts=parts)
+        remarks[section] = (*remarks.get(section, ()), *words)
+        return replace(self, parts=replace(self.parts, remarks=remarks))
 
 
 def stated(
@@ -115,15 +110,18 @@ def stated(
         table = {**apart.table, "instrument": looking}
         given = {n: {"value": 1e3 * v, "unit": "mm"} for n, v in apart.lengths.items()}
         parameters = {**given, **parameters}
-    converted = any(r.field is None for r in readings.values()) or any(
-        source.path is None for source in fields.sources
+    converted = (
+        any(r.field is None for r in readings.values())
+        or any(source.path is None for source in fields.sources)
+        or any(meaning.seen.station for meaning in found.seen)
     )
     data = _data(fields, readings, converted, folder)
     remarks = {
         "mechanism": robot.remarks,
         "parameters": (
-            f"{', '.join(parameters)}: found by placing the nominal machine on the readings; where "
-            "a drawing states them, write its values.",
+            f"{', '.join(parameters)}: a guess, found by placing the nominal machine on the "
+            f"readings; what is mounted is known to {with_unit(NEAR, 'm')} only (sd). Where a "
+            f"drawing states it, write its values, with sd = {1e3 * MOUNTED['m']:g}.",
         ),
         "data": (
             *(*fields.remarks, *_inferred(found), *found.remarks, *_left_out(found)),
@@ -168,7 +166,13 @@ def _places(found: Understood) -> list[_Place]:
         station = "base" if i == 0 else f"station_{i + 1}"
         for k, meaning in enumerate(members):
             at = mounted.targets[k]
-            known = [p for p in places.values() if p.station != station and _same(meaning, p, at)]
+            known = [
+                p
+                for other, p in ((m, places.get(id(m))) for m in found.seen)
+                if p is not None
+                and p.station != station
+                and (_reads_again(meaning, other) or _same(meaning, p, at))
+            ]
             target = known[0].target if known else f"tool_{1 + len(places)}"
             places[id(meaning)] = _Place(station, target, mounted, known[0].at if known else at)
     if len({p.target for p in places.values()}) == 1:
@@ -186,6 +190,14 @@ def _together(bodies: Bodies, some: Sequence[Meaning]) -> Mounted | None:
         return None
     alone = float(np.sqrt(sum(m.fit.rms**2 for m in some if m.fit)))
     return both if both.rms <= CLEARLY * alone + _SAME else None
+
+
+def _reads_again(meaning: Meaning, other: Meaning) -> bool:
+    """Whether an instrument is another one in a further place: its columns are the same."""
+    own, its = meaning.seen, other.seen
+    return bool(own.station) and [f.heading for f in own.position] == [
+        f.heading for f in its.position
+    ]
 
 
 def _same(meaning: Meaning, other: _Place, at: Array) -> bool:
@@ -271,13 +283,15 @@ class _Instrument:
         def length(value: float) -> dict[str, Any]:
             return {"value": round(1e3 * float(value), 1) + 0.0, "unit": "mm"}
 
-        made = {f"{self.target}_{a}": length(v) for a, v in zip("xyz", target, strict=True)}
+        near = {"sd": 1e3 * NEAR}
+        made = {f"{self.target}_{a}": length(v) | near for a, v in zip("xyz", target, strict=True)}
         if mounted.turn is not None:
             from scipy.spatial.transform import Rotation
 
             turned = Rotation.from_matrix(mounted.turn).as_euler("ZYX", degrees=True)
             for motion, value in zip(("rz", "ry", "rx"), turned, strict=True):
                 entry = {"value": round(float(value), 2) + 0.0, "unit": "deg"}
+                entry["sd"] = float(significant(from_si(TURNED, "deg"), 2))
                 made[f"{self.target}_{motion}"] = entry
         if mounted.anchor is not None:
             made |= {

@@ -20,6 +20,9 @@ from loopcal.workflow.beginning.searching import (
     every_way,
 )
 
+USUAL = 0.02
+"""A nominal machine misses its readings by a smaller share of their spread; units that a header
+states and that leave more are doubted."""
 COMPUTED = 0.02
 """Points that lie so near the machine's own nominal coordinates were computed from its joints."""
 
@@ -37,7 +40,7 @@ def understood(
     """
     found = sorted(every_way(machine, layouts), key=lambda u: u.share)
     case = Case(machine, layouts, fields, found)
-    if not found or not found[0].share <= PLAUSIBLE:
+    if not found or not found[0].share <= USUAL:
         wrong = contradiction(case)
         if wrong is not None:
             raise wrong.error()

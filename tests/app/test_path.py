@@ -1,0 +1,184 @@
+"""The whole path by pointing: from files that are dropped to files for the robot."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.app.pointing import Hand
+from tests.app.serving import serving
+from tests.browser import chromium
+from tests.command_line import run
+from tests.reference import dh_arm
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "slipped_reflector"
+IRB = "a;d;alpha;theta\n0;290;-90;0\n270;0;0;-90\n70;0;-90;0\n0;302;90;0\n0;0;-90;0\n0;72;0;180\n"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture
+def hand(browser: Any, tmp_path: Path) -> Iterator[Hand]:
+    """A page of a server on an empty folder."""
+    folder = tmp_path / "cell"
+    folder.mkdir()
+    with serving(folder) as served:
+        page = browser.new_page(viewport={"width": 1440, "height": 900})
+        page.set_default_timeout(240_000)  # a busy machine takes its time
+        page.goto(served.address)
+        yield Hand(page, folder)
+        page.close()
+
+
+def result_of(folder: Path) -> dict[str, Any]:
+    return dict(json.loads((folder / "project-result/result.json").read_text("utf-8")))
+
+
+def assert_the_command_line_gives_the_same(hand: Hand) -> None:
+    """The last calibration of the log, typed, gives the same numbers to the last digit."""
+    log = (hand.folder / "loopcal-log.jsonl").read_text("utf-8").splitlines()
+    lines = [entry["command"] for entry in map(json.loads, log) if "command" in entry]
+    typed = shlex.split([line for line in lines if line.startswith("loopcal calibrate")][-1])[1:]
+    by_hand = result_of(hand.folder)
+    done = run(*typed, "--no-report", cwd=hand.folder)
+    assert done.returncode in (0, 4), done.stderr
+    assert result_of(hand.folder) == by_hand
+
+
+def test_the_example_is_the_arm_whose_reflector_slips(tmp_path: Path) -> None:
+    dh_arm.write_slipped(tmp_path)
+    for name in ("arm.urdf", "poses.csv"):
+        assert (EXAMPLE / name).read_text("utf-8") == (tmp_path / name).read_text("utf-8")
+
+
+def test_from_two_files_to_a_urdf_with_a_slipped_reflector_found_by_brushing(
+    hand: Hand,
+) -> None:
+    urdf = EXAMPLE / "arm.urdf"
+    hand.drop("Drop the URDF here", urdf)
+    hand.sees("Go on with the step Data")
+    hand.step("Data")
+    hand.drop("Drop the files of readings here", EXAMPLE / "poses.csv")
+    hand.run("Recognise")
+    hand.sees("60 poses")
+    hand.step("Check")
+    hand.run("Check")
+    hand.sees("nothing fitted")
+    hand.step("Fit")
+    hand.choose("Method", "least-squares")
+    hand.run("Calibrate", "exit code 4")
+    before = result_of(hand.folder)["accuracy"]["after"]["rms"]
+
+    hand.step("Diagnose")
+    hand.brush("error over the poses", dh_arm.SLIPPED - 0.5, 60.5)
+    hand.sees("30 of 60 poses selected")
+    hand.press("Reflector moved here")
+    hand.sees("The project has changed since this result")
+    hand.run("Calibrate")
+    after = result_of(hand.folder)["accuracy"]["after"]["rms"]
+    assert after < 0.1e-3 < 0.5e-3 < before
+    assert f"at = [{dh_arm.SLIPPED}.0]" in (hand.folder / "project.toml").read_text("utf-8")
+    assert_the_command_line_gives_the_same(hand)
+
+    hand.step("Validate")
+    hand.sees("Predict one pose")
+    hand.step("Deploy")
+    hand.choose("Your own file", "arm.urdf")
+    hand.run("Preview")
+    hand.sees("Lines that change are marked")
+    assert not (hand.folder / "project-result/export").exists()
+    hand.run("Write")
+    written = (hand.folder / "project-result/export/arm.urdf").read_text("utf-8")
+    assert written != urdf.read_text("utf-8")
+    assert written.count("<joint") == urdf.read_text("utf-8").count("<joint")
+
+    hand.step("History")
+    hand.press("Undo: ")
+    hand.sees("(undone)")
+    assert "shift" not in (hand.folder / "project.toml").read_text("utf-8")
+
+
+def test_a_planar_arm_with_a_cell_that_is_no_number(hand: Hand, tmp_path: Path) -> None:
+    made = run("new", tmp_path / "arm", "--mechanism", "planar-two-link")
+    assert made.returncode == 0, made.stderr
+    text = (tmp_path / "arm/project.toml").read_text("utf-8")
+    (hand.folder / "project.toml").write_text(text, "utf-8")
+    done = run("simulate", "project.toml", "--out", "poses.csv", cwd=hand.folder)
+    assert done.returncode == 0, done.stderr
+    readings = hand.folder / "poses.csv"
+    whole = readings.read_text("utf-8")
+    rows = whole.splitlines()
+    rows[7] = rows[7].rpartition(",")[0] + ",lost"
+    readings.write_text("\n".join(rows) + "\n", "utf-8")
+    hand.step("Data")
+    hand.sees("'lost' is not a number")
+    hand.press("Exclude 1 pose")
+    hand.sees("Excluded: pose 7")
+    hand.step("Plan")
+    hand.run("Choose poses")
+    hand.sees("Download plan.csv")
+    hand.step("Fit")
+    hand.choose("Method", "implicit-loop: ")
+    hand.run("Calibrate")
+    assert_the_command_line_gives_the_same(hand)
+    hand.step("Deploy")
+    hand.run("Preview")
+    hand.run("Write")
+    assert any((hand.folder / "project-result/export").glob("*.json"))
+    hand.step("History")
+    hand.run("Add this result")
+    hand.sees("calibration")
+
+
+def test_the_workspace_set_below_half_a_millimetre_without_typing(
+    hand: Hand, shared_data: Callable[[str], Path]
+) -> None:
+    readings = shared_data("motoman_ma1400_leica/right_arm_workspace.csv")
+    hand.press("Type")
+    hand.choose("Type", "motoman-ma1400")
+    hand.sees("Go on with the step Data")
+    hand.step("Data")
+    hand.drop("Drop the files of readings here", readings)
+    hand.run("Recognise")
+    hand.step("Fit")
+    hand.choose("Method", "least-squares")
+    hand.run("Calibrate", "exit code 4")
+    hand.step("Diagnose")
+    hand.press("Select these poses")
+    hand.sees("1 of 587 poses selected")
+    hand.press("Exclude")
+    hand.sees("The project has changed since this result")
+    for end, seen in ((85.5, "8[4-7]"), (13.5, "1[2-5]")):  # a pixel is more than a pose
+        hand.brush("error over the poses", 0.0, end)
+        hand.press("Reflector moved here")
+        hand.sees(re.compile(f"moved from pose 1 to {seen}"))
+    hand.choose("Method", "auto: ")
+    hand.run("Calibrate", "")
+    validation = result_of(hand.folder)["validation"]
+    assert validation["words"].startswith("10 folds")
+    assert validation["accuracy"]["rms"] < 0.5e-3
+
+
+def test_a_draw_wire_set(hand: Hand, tmp_path: Path, shared_data: Callable[[str], Path]) -> None:
+    (tmp_path / "irb.csv").write_text(IRB, "utf-8")
+    hand.press("Denavit-Hartenberg table")
+    hand.drop("Drop the Denavit-Hartenberg table here", tmp_path / "irb.csv")
+    hand.sees("Go on with the step Data")
+    hand.step("Data")
+    hand.drop("Drop the files of readings here", shared_data("abb_irb120_cable/RobotCali.xlsx"))
+    hand.run("Recognise")
+    hand.step("Fit")
+    hand.choose("Method", "implicit-loop: ")
+    hand.run("Calibrate", "code")
+    accuracy = result_of(hand.folder)["accuracy"]
+    assert accuracy["after"]["rms"] < accuracy["before"]["rms"] < 0.5e-3
