@@ -61,8 +61,9 @@ $(STAMP): pyproject.toml CMakeLists.txt $(wildcard engine/*)
 	@$(BIN)/python -m compileall -q src # pip compiles what it copies, not what it links
 	@touch $@
 
-demo: $(STAMP) ## calibrate three simulated arms, one with a fault, and print their true errors
+demo: $(STAMP) ## calibrate four simulated arms, one with a fault, one up to a corrected program; print true errors
 	@$(BIN)/python examples/demo.py
+	@$(BIN)/python examples/whole_loop.py
 
 pictures: demo ## make the pictures of README and tutorial from the demo's last report and the app; needs `make partners`
 	@$(BIN)/python -m analyses.pictures

@@ -1,4 +1,4 @@
-"""The demo prints true errors that it computes, and finds the fault that it made."""
+"""The demo prints true errors that it computes, finds its fault, and goes the whole loop."""
 
 from __future__ import annotations
 
@@ -69,3 +69,22 @@ def test_the_readme_states_the_errors_that_the_demo_finds(outcomes) -> None:
     # another processor, or a change within the noise, rounds another way
     numbers = [[float(n) for n in NUMBER.findall(part)] for part in (found[0], told)]
     assert numbers[0] == pytest.approx(numbers[1], rel=0.15)
+
+
+def test_the_whole_loop_brings_a_sagging_arm_to_its_targets(tmp_path: Path) -> None:
+    """Plan, measure, calibrate, verify, export, correct, measure again; the README states both."""
+    loop = runpy.run_path(os.fspath(ROOT / "examples" / "whole_loop.py"))
+    done = loop["whole_loop"](tmp_path)
+    assert done.before > 1.0
+    assert done.after < 0.1 * done.before
+    assert [step.split(":")[0].split(",")[0] for step in done.steps] == [
+        *("plan", "calibrate", "verify", "export", "correct")
+    ]
+    assert "The machine is as calibrated" in done.steps[2]
+    assert "50 of 50 targets" in done.steps[4]
+    assert loop["TITLE"] in done.report.read_text("utf-8")
+    told = re.search(
+        r"by (\S+) mm before\b.*?by (\S+) mm after", (ROOT / "README.md").read_text("utf-8"), re.S
+    )
+    assert told is not None
+    assert [float(n) for n in told.groups()] == pytest.approx([done.before, done.after], rel=0.15)

@@ -44,10 +44,10 @@ def text(view: View, name: str, label: str, first: str = "") -> Any:
     return ui.input(label, value=view.kept[name], on_change=_kept(view, name)).classes("w-72")
 
 
-def ticked(view: View, name: str, label: str, first: bool = False) -> Any:
-    """A box to tick."""
-    view.kept.setdefault(name, first)
-    return ui.checkbox(label, value=view.kept[name], on_change=_kept(view, name))
+def pulses(view: View) -> list[str]:
+    """The option that states pulses per degree, where the control does."""
+    said = str(view.kept.get("pulses") or "").replace(" ", "")
+    return ["--pulses-per-degree", said] if said else []
 
 
 def reason(view: View, name: str, choices: Sequence[str]) -> Any:

@@ -62,6 +62,8 @@ body.body--dark { --good: #6fdc9a; --care: #ffb95c; --bad: #ff9a90; }
 body .q-footer.run { color: inherit; max-height: 40vh; overflow: auto; padding: 0.4rem 1rem; }
 body.body--light .q-footer.run { background: #f3f5f8; color: #1f2328; }
 body.body--dark .q-footer.run { background: #24282e; color: #e6e6e6; }
+.q-page { overflow-wrap: anywhere; } .q-checkbox { max-width: 100%; }
+.q-uploader__list { min-height: 1.5rem; padding: 4px 8px; }
 .tip { font-size: 0.85rem; max-width: 22rem; }
 .command { max-width: 100%; } .q-table td { white-space: normal; overflow-wrap: anywhere; }
 .step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }

@@ -39,7 +39,7 @@ KILLED = "the run was killed; nothing was written. Run it again."
 MEANING = {
     2: "the command line was wrong",
     3: "an input was wrong",
-    4: "do not use the result without a look at the message",
+    4: "read the message before you use the result",
     1: "a fault of loopcal",
 }
 NOT_WHOLE = "{shown:,} of {all:,} poses are drawn, the worst among them. All count in the fit."
@@ -54,6 +54,7 @@ SELECTED = "{count:,} of {all:,} poses selected"
 NONE_SELECTED = "No pose is selected. Drag over points of a figure, or click one."
 TOO_LARGE = "The file is larger than an upload may be."
 ROBOT_FIRST = "Describe the robot first, in the step Robot."
+STATE_IT = "Links and sheet, where several fit"
 NO_READINGS = "There is no file of readings in the folder yet."
 ROBOT_DONE = "The robot is described by {name}. Go on with the step Data."
 CHANGE_ROBOT = (
@@ -104,6 +105,15 @@ VENDORS = {
     "yaskawa": "Yaskawa",
     "abb": "ABB",
 }
+PROGRAMS = {
+    "": "none",
+    ".mod": "ABB RAPID",
+    ".src": "KUKA KRL",
+    ".ls": "Fanuc",
+    ".jbi": "Yaskawa",
+    ".script": "URScript",
+}
+PULSES = "Pulses per degree, for Yaskawa: n, n, ..."
 CRITERIA = {
     "": "automatic",
     "I": "mean accuracy of the end point",

@@ -236,6 +236,7 @@ def _fitted(one: Entrant, iterated: Iterated | None, whole: Result | None = None
         return Judged(one, None, failed=error.message, error=error)
     if not whole.status.converged:
         return Judged(one, whole, failed=f"the fit did not converge ({whole.status.reason})")
+    _ = whole.chi_squared  # asked of every candidate: here beside the fits of the others
     return Judged(one, whole)
 
 

@@ -102,7 +102,7 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
 
     region: quantity -> range [SI] in which the machine works, where not its joints' limits.
     """
-    solution, chosen = result.solution, result.chosen is not None
+    solution = result.solution
     with one_blas_thread():
         known = predictor(result)
         # both take as long; the document is kept with the result
@@ -130,7 +130,7 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
             toml,
             () if result.all_poses is not None else other_optima(result),
             None if known is None else region_of(result, known, region),
-            None if result.all_poses is not None or chosen else nominal_distances(result),
+            None if result.all_poses is not None or result.chosen else nominal_distances(result),
             None if result.all_poses is not None else noise_floor(result),
             reliability(result),
             scatter(result),

@@ -7,7 +7,7 @@ import tomllib
 import pytest
 
 from loopcal.errors import InputError
-from loopcal.files.project.edits import with_shift, with_value, without_poses
+from loopcal.files.project.edits import with_changes, with_shift, with_value, without_poses
 
 TEXT = """# my notes
 schema = 1
@@ -47,3 +47,19 @@ def test_a_shift_is_added_once_and_gets_further_steps() -> None:
 def test_a_text_that_is_no_toml_is_refused() -> None:
     with pytest.raises(InputError):
         with_value("[data\n", ["a"], 1)
+
+
+def test_changes_that_a_result_states_join_the_effects_that_are_there() -> None:
+    lines = (
+        '[[mechanism.effect]]\ntype = "shift"\nname = "s"\nchanging = ["x"]\ncolumn = "pose"\n'
+        'at = [9]\n\n[[mechanism.effect]]\ntype = "drift"\nname = "d"\nchanging = ["y"]\n'
+        'column = "pose"\nsince = 1\nover = 5\n'
+    )
+    begun = with_shift("[mechanism]  # mine\n", ["x"], [4.0], "pose")
+    once = with_changes(begun, lines)
+    assert once == with_changes(once, lines)
+    assert once.startswith("[mechanism]  # mine\n")
+    effects = tomllib.loads(once)["mechanism"]["effect"]
+    assert [effect["type"] for effect in effects] == ["shift", "drift"]
+    assert effects[0]["at"] == [4.0, 9.0]
+    assert effects[1]["over"] == 5

@@ -10,7 +10,7 @@ from nicegui import ui
 
 from loopcal.app import words
 from loopcal.app.cells import bad_cells, columns
-from loopcal.app.controls import offer
+from loopcal.app.controls import offer, text
 from loopcal.app.pictures import joints_of, machine_figure, moved
 from loopcal.app.uploads import uploader
 from loopcal.app.view import View, heading, table
@@ -72,9 +72,17 @@ def _recognise(view: View) -> None:
         ui.label(words.ROBOT_FIRST).classes("care")
         return
 
+    links = [("base", "Link that does not move"), ("tip", "Link that carries the target")]
+    options = [*(links if kind == "urdf" else []), ("sheet", "Sheet or variable of the file")]
+    with ui.expansion(words.STATE_IT).classes("w-full"), ui.row():
+        for option, label in options:
+            text(view, f"read.{option}", label)
+
     def line() -> list[str]:
         names = [name for name in files if view.kept[f"read.{name}"]]
-        return ["init", *names, f"--{kind}", str(value), "--out", "."]
+        stated = [(option, str(view.kept[f"read.{option}"] or "").strip()) for option, _ in options]
+        more = [part for option, said in stated if said for part in (f"--{option}", said)]
+        return ["init", *names, f"--{kind}", str(value), *more, "--out", "."]
 
     offer(view, "Recognise", line, what="Recognise the readings")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from nicegui import ui
 
 from loopcal.app import words
-from loopcal.app.controls import choice, download, offer, page, printed, text
+from loopcal.app.controls import choice, download, offer, page, printed, pulses, text
 from loopcal.app.uploads import uploader
 from loopcal.app.view import View, heading
 from loopcal.files.exports.format import VENDORS
@@ -111,6 +111,7 @@ def _correct(view: View) -> None:
         choice(view, "correct.file", "Program or table of targets", files)
         choice(view, "correct.tool", "Tool of the program", TOOLS)
         text(view, "correct.frame", "Frame: x, y, z [mm], rz, ry, rx [deg]")
+        text(view, "pulses", words.PULSES)
 
     def target() -> str:
         path = Path(str(view.kept["correct.file"]))
@@ -122,7 +123,7 @@ def _correct(view: View) -> None:
             asked += ["--tool", str(view.kept["correct.tool"])]
         if view.kept["correct.frame"].strip():
             asked += [f"--frame={view.kept['correct.frame'].replace(' ', '')}"]
-        return [*asked, "--force"]
+        return [*asked, *pulses(view), "--force"]
 
     offer(view, "Correct", line)
     printed(view, "correct")

@@ -59,7 +59,7 @@ def _machine(view: View) -> None:
     text(view, "history.event", words.EVENT)
 
     def event() -> list[str]:
-        return ["history", FOLDER, "--event", str(view.kept["history.event"]).strip() or "..."]
+        return ["history", FOLDER, "--event", str(view.kept["history.event"]).strip()]
 
     offer(view, "Add this event", event, what="Add to the history")
     try:

@@ -9,7 +9,7 @@ from typing import Any
 from nicegui import ui
 
 from loopcal.app import words
-from loopcal.app.controls import choice, download, number, offer, page
+from loopcal.app.controls import choice, download, number, offer, page, pulses, text
 from loopcal.app.pictures import end_points, machine_figure, moved
 from loopcal.app.view import View, heading, table
 from loopcal.files.project.project_file import Project
@@ -35,6 +35,8 @@ def show(view: View) -> None:
         choice(view, "plan.criterion", "Best for", words.CRITERIA)
         choice(view, "plan.existing", "Measured already", {**known, **tables})
         choice(view, "plan.candidates", "Choose among", {OLD: "random poses", **tables})
+        choice(view, "plan.program", "Program of the poses", words.PROGRAMS)
+        text(view, "pulses", words.PULSES)
 
     def line() -> Sequence[str]:
         kept = view.kept
@@ -42,6 +44,9 @@ def show(view: View) -> None:
         for name in ("criterion", "existing", "candidates"):
             if kept[f"plan.{name}"]:
                 asked += [f"--{name}", str(kept[f"plan.{name}"])]
+        if kept["plan.program"]:
+            program = f"{view.session.folder.plan.name}/plan{kept['plan.program']}"
+            asked += ["--program", program, "--force", *pulses(view)]
         return asked
 
     offer(view, "Choose poses", line)
@@ -64,6 +69,9 @@ def _planned(view: View, project: Project) -> None:
     with ui.row():
         download(f"{folder.plan.name}/plan.csv", "Download plan.csv")
         page(f"{folder.plan.name}/plan.html", "Open the page of the plan")
+        for name in folder.inside_of(folder.plan.name):
+            if name.endswith(tuple(filter(None, words.PROGRAMS))):
+                download(f"{folder.plan.name}/{name}", f"Download {name}")
     _drawn(project, [pose["readings"] for pose in poses])
     units = {**project.mechanism.quantities, **project.mechanism.known}
     names = [name for name in poses[0]["readings"] if name in units] if poses else []

@@ -24,6 +24,7 @@ async function still(node, figure) {
   const format = figure.layout.scene ? "png" : "svg";
   const picture = document.getElementById(node.id + "-still");
   picture.src = await Plotly.toImage(content, { format, width, height });
+  node.classList.add("kept"); // until then paper shows the figure itself
 }
 
 async function draw(node) {
