@@ -13,6 +13,7 @@ whether it accepts it, and in the geometric mean auto over the better of the oth
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -31,12 +32,29 @@ SETTLED = 170
 """The reflector slipped three times before this pose."""
 
 
-def corner(data: lc.Dataset, centre: int, poses: int) -> NDArray[np.intp]:
-    """The positions of the poses nearest to one in joint space."""
+@dataclass(frozen=True)
+class Measured:
+    """The workspace set once the reflector stays: its project, the poses, and the stated noise."""
+
+    project: lc.Project
+    data: lc.Dataset
+    noise: lc.Noise
+
+
+def measured() -> Measured:
+    """The set as both analyses of it read it."""
+    project = lc.read_project(PROJECT)
+    loaded = lc.load_dataset(project)
+    data = loaded.dataset.take(np.arange(SETTLED, len(loaded.dataset)))
+    return Measured(project, data, loaded.noise)
+
+
+def by_distance(data: lc.Dataset, centre: int) -> NDArray[np.intp]:
+    """The positions of all poses, the nearest to one of them in joint space first."""
     joints = np.array([data[f"theta_{i}"] for i in range(1, 7)])
     features = np.vstack([np.cos(joints), np.sin(joints)])
     off = np.square(features - features[:, [centre]]).sum(axis=0)
-    return np.argsort(off, kind="stable")[:poses]
+    return np.argsort(off, kind="stable")
 
 
 def rms_elsewhere(case: Case, whole: lc.Result, rest: lc.Dataset) -> tuple[float, float]:
@@ -53,25 +71,24 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=60)
     parser.add_argument("--write", action="store_true", help=f"into {PAGE}")
     asked = parser.parse_args()
-    project = lc.read_project(PROJECT)
-    loaded = lc.load_dataset(project)
-    data = loaded.dataset.take(np.arange(SETTLED, len(loaded.dataset)))
+    its = measured()
+    mechanism, data, noise = its.project.mechanism, its.data, its.noise
     centres = np.random.default_rng(0).choice(len(data), asked.corners, replace=False)
     ratios, shares = [], []
     lines = ["  pose  nominal  least squares  auto [mm]    held  ratio  region"]
     print(lines[0])
     for centre in centres:
-        inside = corner(data, int(centre), asked.poses)
+        inside = by_distance(data, int(centre))[: asked.poses]
         some = data.take(np.sort(inside))
         rest = data.take(np.setdiff1d(np.arange(len(data)), inside))
-        case = Case(project.mechanism, some, loaded.noise, lc.Fit(method="auto"))
-        auto = lc.calibrate(project.mechanism, some, noise=loaded.noise, fit=case.fit)
+        case = Case(mechanism, some, noise, lc.Fit(method="auto"))
+        auto = lc.calibrate(mechanism, some, noise=noise, fit=case.fit)
         least = lc.Fit(method="least-squares")
-        plain = Case(project.mechanism, some, None, least)
+        plain = Case(mechanism, some, None, least)
         drawn = nominal_case(case)
         nominal, _ = rms_elsewhere(drawn, drawn.calibrated(), rest)
         squares, _ = rms_elsewhere(plain, plain.calibrated(), rest)
-        own, held = rms_elsewhere(Case(auto.mechanism, some, loaded.noise, auto.fit), auto, rest)
+        own, held = rms_elsewhere(Case(auto.mechanism, some, noise, auto.fit), auto, rest)
         ratios.append(own / min(nominal, squares))
         shares.append(held)
         assert auto.verdict is not None

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import loopcal as lc
-from analyses.corners import PAGE, PROJECT, SETTLED
+from analyses.corners import PAGE, by_distance, measured
 from analyses.written import write_block
 from loopcal.mechanisms.structure.smooth import vectors_for
 from loopcal.statistics.candidates import nominal_case
@@ -49,9 +49,7 @@ def fitted(level: str, case: Case) -> lc.Result:
 
 def transferred(project: lc.Project, data: lc.Dataset, centre: int) -> Array:
     """(levels, regions) rms distances [m] of one region's calibrations."""
-    joints = np.array([data[f"theta_{i}"] for i in range(1, 7)])
-    features = np.vstack([np.cos(joints), np.sin(joints)])
-    order = np.argsort(np.square(features - features[:, [centre]]).sum(axis=0), kind="stable")
+    order = by_distance(data, centre)
     case = Case(project.mechanism, data.take(np.sort(order[:POSES])), None, lc.Fit())
     others = [data.take(np.sort(part)) for part in np.array_split(order[POSES:], len(REGIONS))]
     found = np.empty((len(LEVELS), len(REGIONS)))
@@ -124,9 +122,8 @@ def main() -> None:
     parser.add_argument("--svg", type=Path, help=f"the figure, {SVG}")
     parser.add_argument("--write", action="store_true", help=f"into {PAGE}")
     asked = parser.parse_args()
-    project = lc.read_project(PROJECT)
-    loaded = lc.load_dataset(project)
-    data = loaded.dataset.take(np.arange(SETTLED, len(loaded.dataset)))
+    its = measured()
+    project, data = its.project, its.data
     centres = np.random.default_rng(1).choice(len(data), asked.regions, replace=False)
     found = np.array([transferred(project, data, int(centre)) for centre in centres])
     rms = 1e3 * np.exp(np.log(found).mean(axis=0))

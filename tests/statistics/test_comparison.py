@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import kstest
 
 import loopcal as lc
+from analyses.gauntlet_worlds import Parallel
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.comparison import compare
 from loopcal.statistics.gauge import gauge, moved, values_of
@@ -142,6 +143,31 @@ def test_the_gauge_moves_no_machine(name: str) -> None:
     assert np.linalg.matrix_rank(G) == (3 if d == 2 else 6)
     still = moved(machine, values, np.eye(d), np.zeros(d))
     assert np.sin(still - values) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_platforms_that_no_sensor_reads_are_found_by_the_loops(tmp_path: Path) -> None:
+    """Two halves of the readings of a delta robot, the second after its machine has changed."""
+    trial = Parallel("delta", poses=120).made(np.random.default_rng(7))
+    halves = [
+        {q: v[part] for q, v in trial.readings.items()} for part in np.split(np.arange(120), 2)
+    ]
+    halves.append({q: v + 2e-3 * (q == "slide_1") for q, v in halves[1].items()})
+    first, same, changed = (
+        lc.calibrate(trial.mechanism, half, noise=trial.noise, method="implicit-loop")
+        for half in halves
+    )
+    agreed = compare(first, same)
+    off = compare(first, changed)
+    assert (agreed.p_value or 0.0) > 0.01
+    assert (off.p_value or 0.0) < 1e-6
+    assert off.points is not None
+    assert agreed.points is not None
+    assert off.points.rms > 10.0 * agreed.points.rms
+    # the same from a folder, whose prediction says what no sensor reads
+    for name, result in (("a", first), ("b", same)):
+        result.save(tmp_path / name, report=False)
+    written = lc.compare(str(tmp_path / "a"), str(tmp_path / "b"))
+    assert written.p_value == pytest.approx(agreed.p_value, rel=1e-3)
 
 
 def test_what_one_of_them_leaves_open_is_left_out() -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,19 @@ def predict_outputs(
     loops = tuple(range(len(predicting.tape.loops)))
     none = np.empty(0, dtype=np.intp)
     return _closed(predicting, loops, rows, parameters, readings, known, none)[rows]
+
+
+def solving(mechanism: Mechanism, hidden: Collection[str]) -> Mechanism:
+    """The mechanism whose outputs, found with what no sensor reads, come first of its outputs.
+
+    Where the loops do not suffice to find both, what is hidden stays where it is.
+    """
+    machine = mechanism.predicting()
+    aside = {*machine.disturbances, *machine.outputs, *machine.unused}
+    also = [q for q in machine.tape.quantities if q in hidden and q not in aside]
+    if len(also) + len(machine.outputs) > len(machine.tape.loops):
+        return machine
+    return replace(machine, outputs=(*machine.outputs, *also))
 
 
 def _closed(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,8 @@ class Calibrated:
     learnt of the model error; noise: the sds of its sensors;
     residual: of a method that takes the readings as exact; gain: the covariance at the sds that the
     fit used, were no residuals dependent, by which the prior weighed; None is `covariance`;
-    scatter: the covariance (n_all, n_all) that the poses themselves show, where it is known.
+    scatter: the covariance (n_all, n_all) that the poses themselves show, where it is known;
+    hidden: quantities that no sensor reads, and where they usually are [SI].
     """
 
     name: str
@@ -59,6 +61,7 @@ class Calibrated:
     residual: ResidualVariance | None = None
     gain: Array | None = None
     scatter: Scatter | None = None
+    hidden: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, result: Result, name: str) -> Calibrated:
@@ -83,6 +86,7 @@ class Calibrated:
             _residual(result.solution.chi_squared, result.freedom) if exact else None,
             LearntCovariance.known(result.spectrum.covariance()).within(size, free).matrix,
             seen and seen.through(np.eye(size)[:, free]),
+            _hidden(result),
         )
 
     @classmethod
@@ -122,6 +126,7 @@ class Calibrated:
             _residual(_squares(document), _freedom(document)) if exact else None,
             None if own is None else LearntCovariance.known(own).within(len(names), free).matrix,
             scatter=seen and seen.through(np.eye(len(names))[:, free]),
+            hidden={} if stored is None else {q: stored.typical[q] for q in stored.unmeasured},
         )
 
     @property
@@ -165,6 +170,15 @@ class Calibrated:
             return replace(self, covariance=own.scaled_by(self.factor))
         scaled = LearntCovariance.scaled(self.factor * own.matrix, chi.degrees_of_freedom)
         return replace(self, covariance=scaled)
+
+
+def _hidden(result: Result) -> dict[str, float]:
+    """The median of what the loops find of each quantity that no sensor reads in any pose."""
+    problem, names = result.problem, result.problem.mechanism.tape.quantities
+    return {
+        names[i]: float(np.median(problem.readings[i] + result.corrections[names[i]]))
+        for i in np.flatnonzero(np.isinf(problem.uncertainty.sd).all(axis=1)).tolist()
+    }
 
 
 def _rejected(chi: ChiSquared | None, applied: bool) -> ChiSquared | None:

@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError
-from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.alignment import align
 from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.result import Result
@@ -148,11 +148,11 @@ def _points(a: Calibrated, b: Calibrated, poses: Dataset | None) -> _Points | No
     if len(sets) == 2 and _alike(*sets):
         sets = sets[:1]  # two calibrations from the same readings
     chosen = sets if poses is not None else [_thinned(s) for s in sets]
-    y_a, y_b = (np.hstack([_predicted(c.mechanism, s) for s in chosen]) for c in (a, b))
+    y_a, y_b = (np.hstack([_predicted(c, s) for s in chosen]) for c in (a, b))
     found = np.isfinite(y_a).all(axis=0) & np.isfinite(y_b).all(axis=0)
     if not found.any():
         return None
-    S = np.concatenate([_sensitivity(a.mechanism, s) for s in chosen])
+    S = np.concatenate([_sensitivity(a, s) for s in chosen])
     ids = tuple(i for s in chosen for i in s.poses)
     kept = np.flatnonzero(found)
     return _Points(y_a[:, kept], y_b[:, kept], S[kept], tuple(ids[i] for i in kept))
@@ -171,17 +171,19 @@ def _thinned(data: Dataset) -> Dataset:
     return data.take(slice(None, None, -(-len(data) // MOST_POSES)))
 
 
-def _readings(mechanism: Mechanism, data: Dataset) -> tuple[Array, Array]:
-    """x (k, N) and known (c, N); a quantity that is not there, or an output, starts at zero."""
-    data = with_latest(mechanism, data)
-    nothing = np.zeros(len(data))
-    found = [data.readings.get(q, nothing) for q in mechanism.tape.quantities]
-    outputs = [q in mechanism.outputs for q in mechanism.tape.quantities]
-    x = np.array([np.nan_to_num(v) if out else v for v, out in zip(found, outputs, strict=True)])
+def _readings(one: Calibrated, machine: Mechanism, data: Dataset) -> tuple[Array, Array]:
+    """x (k, N) and known (c, N); what is to be found starts where it usually is."""
+    data = with_latest(machine, data)
+    rows = []
+    for q in machine.tape.quantities:
+        given = data.readings.get(q, np.full(len(data), np.nan))
+        found = q in machine.outputs or q not in data.readings
+        rows.append(np.where(np.isnan(given), one.hidden.get(q, 0.0), given) if found else given)
     lacking = [
         q
-        for q in (*mechanism.tape.quantities, *mechanism.tape.known)
-        if q not in data.readings and q not in mechanism.outputs and q not in mechanism.disturbances
+        for q in (*machine.tape.quantities, *machine.tape.known)
+        if q not in data.readings and q not in {*machine.outputs, *machine.disturbances}
+        if q not in machine.unused
     ]
     if lacking:
         raise InputError(
@@ -189,23 +191,24 @@ def _readings(mechanism: Mechanism, data: Dataset) -> tuple[Array, Array]:
             code="missing-reading",
             remedy="give poses with a column for each quantity that is not an output",
         )
-    known = np.array([data.readings[q] for q in mechanism.tape.known])
-    return x, known.reshape(-1, len(data))
+    nothing = np.zeros(len(data))
+    known = np.array([data.readings.get(q, nothing) for q in machine.tape.known])
+    return np.array(rows), known.reshape(-1, len(data))
 
 
-def _predicted(mechanism: Mechanism, data: Dataset) -> Array:
-    x, known = _readings(mechanism, data)
-    return predict_outputs(mechanism, values_of(mechanism), x, known)
+def _predicted(one: Calibrated, data: Dataset) -> Array:
+    machine = solving(one.mechanism, one.hidden)
+    x, known = _readings(one, machine, data)
+    return predict_outputs(machine, values_of(machine), x, known)[: len(one.mechanism.outputs)]
 
 
-def _sensitivity(mechanism: Mechanism, data: Dataset) -> Array:
-    x, known = _readings(mechanism, data)
-    values, rows = (
-        values_of(mechanism),
-        [mechanism.tape.quantities.index(q) for q in mechanism.outputs],
-    )
-    x[rows] = predict_outputs(mechanism, values, x, known)
-    return output_sensitivity(mechanism, values, mechanism.parameters.names, x, known).by_parameter
+def _sensitivity(one: Calibrated, data: Dataset) -> Array:
+    machine = solving(one.mechanism, one.hidden)
+    x, known = _readings(one, machine, data)
+    values, rows = values_of(machine), [machine.tape.quantities.index(q) for q in machine.outputs]
+    x[rows] = predict_outputs(machine, values, x, known)
+    S = output_sensitivity(machine, values, machine.parameters.names, x, known).by_parameter
+    return S[:, : len(one.mechanism.outputs)]
 
 
 def _extended(points: Array) -> Array:
@@ -269,7 +272,7 @@ def _reaches(a: Calibrated, b: Calibrated) -> float | None:
 
 def _size(one: Calibrated, poses: Dataset) -> float:
     """Rms over poses of the sd that parameters cause at the end point."""
-    S = _sensitivity(one.mechanism, poses)
+    S = _sensitivity(one, poses)
     variances = np.einsum("noo->n", one.covariance.through(S[np.isfinite(S).all((1, 2))]).plain)
     return float(np.sqrt(variances.mean())) if len(variances) else 0.0
 

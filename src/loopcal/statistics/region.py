@@ -15,13 +15,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.findings import RegionEntry, RegionRange, RegionSd
-from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.mechanisms.limits import joint_limits
@@ -81,7 +80,7 @@ def region_of(
         x[rows] = corrected[rows][:, first]
         x[rows] += rng.random(_POSES) * (corrected[rows][:, last] - x[rows])
     constants = problem.known[:, rng.integers(0, problem.known.shape[1] or 1, _POSES)]
-    also = [i for i, q in enumerate(names) if unread[i] and q not in {*still, *outputs}]
+    also = [q for i, q in enumerate(names) if unread[i] and q not in still]
     there = _sds(known, x, constants, also)
     some = slice(None, None, max(1, -(-problem.count // _MOST)))
     here = _sds(known, corrected[:, some], problem.known[:, some], also)
@@ -109,22 +108,19 @@ def _unexplained(result: Result, group: OutputGroup) -> float:
     return float(np.sqrt(square.mean())) if square.size else 0.0
 
 
-def _sds(known: Predictor, x: Array, constants: Array, also: list[int]) -> list[Array]:
+def _sds(known: Predictor, x: Array, constants: Array, also: list[str]) -> list[Array]:
     """By group of outputs, the sd (N,) that the parameters cause; NaN where loops stay open.
 
-    also: positions of what no sensor reads: the loops find it with the outputs.
+    also: what no sensor reads: the loops find it with the outputs.
     """
-    machine = known.mechanism.predicting()
-    names, values = machine.tape.quantities, np.array([p.nominal for p in machine.parameters])
-    if len(machine.outputs) + len(also) > len(machine.tape.loops):
-        also = []  # not even the loops say: it stays as it usually is
-    solved = replace(machine, outputs=(*machine.outputs, *(names[i] for i in also)))
+    solved = solving(known.mechanism, also)
+    names, values = solved.tape.quantities, np.array([p.nominal for p in solved.parameters])
     x = x.copy()
     rows = [names.index(q) for q in solved.outputs]
     x[rows] = predict_outputs(solved, values, np.nan_to_num(x), constants)
     good = np.isfinite(x).all(axis=0)
     S = output_sensitivity(solved, values, known.names, x[:, good], constants[:, good])
-    covariance = by_parameters(known, S.by_parameter[:, : len(machine.outputs)])
+    covariance = by_parameters(known, S.by_parameter[:, : len(known.mechanism.outputs)])
     found = []
     for group in output_groups(known.mechanism):
         sd = np.full(x.shape[1], np.nan)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import DomainError, NoTrustworthyResult
-from loopcal.estimation.prediction import predict_outputs
+from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.scratch import one_blas_thread
@@ -174,12 +174,17 @@ def _end_point(mechanism: Mechanism, found: Result, at: _Points) -> Mapping[str,
     units = {mechanism.quantities[name] for name in mechanism.outputs}
     if len(units) != 1:
         return dict.fromkeys(("end_point_rms", "end_point_max", "end_point_held"), math.nan)
-    parameters, covariance = found.solution.parameters, found.covariance
-    computed = predict_outputs(mechanism, parameters, at.x, at.known)
-    off = computed - at.outputs
+    parameters, covariance, o = found.solution.parameters, found.covariance, len(mechanism.outputs)
+    names, patterns = mechanism.tape.quantities, found.problem.patterns
+    hidden = {
+        names[i] for i in frozenset.intersection(*(frozenset(p.unmeasured) for p in patterns))
+    }
+    machine = solving(mechanism, hidden)
+    closed = predict_outputs(machine, parameters, at.x, at.known)
+    off = closed[:o] - at.outputs
     x = at.x.copy()
-    x[[mechanism.tape.quantities.index(name) for name in mechanism.outputs]] = computed
-    S = output_sensitivity(mechanism, parameters, found.estimated, x, at.known).by_parameter
+    x[[names.index(name) for name in machine.outputs]] = closed
+    S = output_sensitivity(machine, parameters, found.estimated, x, at.known).by_parameter[:, :o]
     sd = np.sqrt(np.maximum(np.einsum("poi,ij,poj->op", S, covariance, S), 0.0))
     distance = np.sqrt(np.square(off).sum(axis=0))
     return {
