@@ -166,6 +166,7 @@ def test_the_command_writes_where_the_next_project_begins(tmp_path: Path) -> Non
     start = tmp_path / "fleet.toml"
     done = run("fleet", *results, "--out", str(start), "--json")
     assert done.returncode == 0, done.stderr
+    assert "Machines beside each other" in (tmp_path / "fleet.html").read_text()
     document = json.loads(done.stdout)
     assert document["next_machine"]["with_fleet"] <= document["next_machine"]["alone"]
     its = {p["name"]: p for p in document["parameters"]}

@@ -47,6 +47,12 @@ def verify(
             help="Require that 95 % of poses lie within this distance [default: none].",
         ),
     ] = None,
+    out: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE", help="Write a page with figures to this file [default: none]."
+        ),
+    ] = None,
     machine_history: HistoryOption = None,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
@@ -60,12 +66,15 @@ def verify(
         remounted=remounted,
         anew=anew or (),
         tolerance=None if tolerance is None else 1e-3 * tolerance,
+        out=out,
         function=mechanism,
     )
     if as_json:
         print_json(done.document())
     else:
         print_out(str(done))
+    if out is not None:
+        log(f"written to {out}")
     if machine_history is not None:
         from loopcal.workflow.history import add_verification
 
@@ -180,15 +189,19 @@ def fleet(
             help="Write where the next machine begins to this file [default: fleet.toml].",
         ),
     ] = "fleet.toml",
+    no_report: Annotated[
+        bool, typer.Option("--no-report", help="Skip the page beside it, fleet.html.")
+    ] = False,
     as_json: JsonOption = False,
     mechanism: FunctionOption = None,
 ) -> None:
     """Compare machines of one type: mean and spread, unusual machines, poses for the next one."""
     from loopcal.workflow.fleet import run_fleet
 
-    done = run_fleet(results, out=out, function=mechanism)
+    done = run_fleet(results, out=out, report=not no_report, function=mechanism)
+    where = f"written to {' and '.join(str(path) for path in done.written)}"
     if as_json:
         print_json(done.fleet.document())
-        log(f"written to {done.written}")
+        log(where)
     else:
-        print_out(f"{done.fleet}\n\nwritten to {done.written}")
+        print_out(f"{done.fleet}\n\n{where}")

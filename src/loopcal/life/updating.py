@@ -291,24 +291,26 @@ class _WithPrior(InMemory):
 
     def __init__(self, sweeper: Sweeper, prior: _Prior) -> None:
         super().__init__(sweeper)
-        self.prior = prior
         self.unknowns: Unknowns = self.unknowns.without_prior()
-        self.evaluate = self._evaluated
+        self.evaluate = partial(_evaluated, sweeper, prior)
 
-    def _evaluated(
-        self,
-        parameters: Array,
-        corrections: Array,
-        *,
-        triangular: bool = False,
-        closing: float | None = None,
-        contraction: float = 1.0,
-    ) -> Evaluation[Array]:
-        how: dict[str, Any] = {"triangular": triangular, "closing": closing}
-        found = self.sweeper.sweep(parameters, corrections, contraction=contraction, **how)
-        there = self.prior.at(parameters)
-        found.data.add(np.vstack([there.slopes.T, -there.values])[:, :, None])
-        return found
+
+def _evaluated(
+    sweeper: Sweeper,
+    prior: _Prior,
+    parameters: Array,
+    corrections: Array,
+    *,
+    triangular: bool = False,
+    closing: float | None = None,
+    contraction: float = 1.0,
+) -> Evaluation[Array]:
+    """A sweep over the new poses, to which the prior is added."""
+    how: dict[str, Any] = {"triangular": triangular, "closing": closing}
+    found = sweeper.sweep(parameters, corrections, contraction=contraction, **how)
+    there = prior.at(parameters)
+    found.data.add(np.vstack([there.slopes.T, -there.values])[:, :, None])
+    return found
 
 
 def _solved(

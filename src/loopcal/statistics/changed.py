@@ -130,6 +130,8 @@ class WhatChanged:
                 "If it was mounted anew, state it (--remounted). Otherwise inspect the mounting, "
                 "or calibrate anew."
             )
+        if not any(one.kind == "mounting" for one in self.candidates):  # it was stated
+            return "Inspect the worst poses. Calibrate anew."
         return (
             "Inspect the worst poses. If the reflector was mounted anew, state it (--remounted). "
             "Otherwise calibrate anew."

@@ -29,7 +29,8 @@ from loopcal.statistics.gauge import carried, gauge, moved, rotation_by
 from loopcal.statistics.predictive import found_unmeasured
 
 Array = NDArray[np.float64]
-_STEPS = 100
+_STEPS, _ROUGHLY = 100, 4
+"""Steps at most, and those that tell which of several starts is best."""
 _SETTLED = 1e-9
 """Share of the sum of squares: a step that promises to lower it by less is not taken."""
 _MOST_DAMPING = 1e12
@@ -161,10 +162,11 @@ def replaced(
     """
     search = _Search(problem, freedom, variance, components)
     place, found = search.lowest(search.begun())
-    for start in search.elsewhere(place) if found.merit > _ASTRAY * len(found.e) else ():
-        other = search.lowest(start)
-        if other[1].merit < found.merit:
-            place, found = other
+    if found.merit > _ASTRAY * len(found.e):
+        others = [search.lowest(start, _ROUGHLY) for start in search.elsewhere(place)]
+        near = min(others, key=lambda one: one[1].merit, default=None)
+        if near is not None and (end := search.lowest(near[0]))[1].merit < found.merit:
+            place, found = end
     if not np.isfinite(found.merit):
         raise NoTrustworthyResult(
             "the machine cannot be placed by these readings: some loop has no value wherever the "
@@ -258,9 +260,14 @@ class _Search:
         there = np.array([p.nominal for p in mechanism.parameters])
         return replace(stays, values=there)
 
-    def at(self, place: _Place) -> _Found:
-        """The equations at a place; their merit is infinite where a loop has no value."""
+    def at(self, place: _Place, near: _Found | None = None) -> _Found:
+        """The equations at a place; their merit is infinite where a loop has no value.
+
+        near: at a place nearby, from which loops are closed.
+        """
         problem, mechanism = self.problem, self.problem.mechanism
+        if near is not None:
+            problem = replace(problem, found=near.replaced.corrections)
         values = place.values
         unit = np.eye(len(values))[:, self._free]
         if self.freedom.whole:
@@ -273,16 +280,16 @@ class _Search:
         anew = np.zeros(len(values), dtype=bool)
         anew[self._free] = True
         found = Replaced(
-            problem, values, corrections, rows, unit, anew, None, self.variance is not None
+            self.problem, values, corrections, rows, unit, anew, None, self.variance is not None
         )
         e, J = found.e, found.J
         finite = np.isfinite(e).all() and np.isfinite(J).all()
         return _Found(found, e, J, unit, float(e @ e) if finite else np.inf)
 
-    def lowest(self, here: _Place) -> tuple[_Place, _Found]:
-        """The lowest place near one."""
+    def lowest(self, here: _Place, steps: int = _STEPS) -> tuple[_Place, _Found]:
+        """The lowest place near one, or that after so many steps."""
         found, damping = self.at(here), 1e-3
-        for _ in range(_STEPS):
+        for _ in range(steps):
             if not found.directions.shape[1] or not damping < _MOST_DAMPING:
                 break
             if not np.isfinite(found.merit):
@@ -292,7 +299,7 @@ class _Search:
             promised = found.merit - float(np.square(found.e - A @ step).sum())
             if promised <= _SETTLED * found.merit:
                 break
-            tried = self.at(trial := self.stepped(here, step))
+            tried = self.at(trial := self.stepped(here, step), found)
             if tried.merit < found.merit:
                 here, found, damping = trial, tried, 0.1 * damping
             else:

@@ -22,16 +22,20 @@ from loopcal.workflow.saved_result import SavedResult
 
 @dataclass(frozen=True, eq=False)
 class FleetDone:
-    """A fleet, and the part of a project file that was written of it."""
+    """A fleet, and what was written of it: a part of a project file, and a page."""
 
     fleet: Fleet
-    written: Path
+    written: tuple[Path, ...]
 
 
 def run_fleet(
-    results: Sequence[str | Path], *, out: str | Path = "fleet.toml", function: str | None = None
+    results: Sequence[str | Path],
+    *,
+    out: str | Path = "fleet.toml",
+    report: bool = False,
+    function: str | None = None,
 ) -> FleetDone:
-    """Compare the results of folders and write where the next project begins.
+    """Compare the results of folders and write where the next project begins, with a page beside.
 
     Raises InputError for what cannot be read, compared or written.
     """
@@ -44,7 +48,13 @@ def run_fleet(
         "value: mean of the machines; sd: of one more machine, lengths in m, angles in rad.",
     )
     write_atomic(out, start_to_toml(remarks, starts))
-    return FleetDone(found, Path(out))
+    written = [Path(out)]
+    if report:
+        from loopcal.report.life_pages import fleet_html
+
+        written.append(Path(out).with_suffix(".html"))
+        write_atomic(written[-1], fleet_html(found))
+    return FleetDone(found, tuple(written))
 
 
 def fleet(results: Sequence[Result | SavedResult | str | Path]) -> Fleet:

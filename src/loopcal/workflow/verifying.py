@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from loopcal.errors import InputError
+from loopcal.files.atomic import write_atomic
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.result_folder import read_result_folder
@@ -23,12 +24,14 @@ def run_verification(
     remounted: bool = False,
     anew: Sequence[str] = (),
     tolerance: float | None = None,
+    out: str | Path | None = None,
     function: str | None = None,
 ) -> Verification:
     """Check a result against readings in the columns of its project, or those of another result.
 
     remounted: everything that instruments look at; anew: further instruments, targets or
-    parameters; tolerance: [m]. Raises InputError for what cannot be used.
+    parameters; tolerance: [m]; out: file of a page with figures.
+    Raises InputError for what cannot be used.
     """
     check_tolerance(tolerance)
     loops = None if function is None else load_function(function)
@@ -49,6 +52,11 @@ def run_verification(
     if data is None:
         data = read_new_readings(readings, read.document.inputs, read.mechanism, whole=True)
     try:
-        return verify(known, data, remounted=changed, tolerance=tolerance)
+        found = verify(known, data, remounted=changed, tolerance=tolerance)
     except InputError as error:
         raise error.at(str(readings)) from None
+    if out is not None:
+        from loopcal.report.life_pages import verification_html
+
+        write_atomic(out, verification_html(found, read.mechanism.name))
+    return found

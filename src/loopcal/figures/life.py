@@ -1,0 +1,119 @@
+"""What changed on a machine and what would not have been seen; how machines of one type differ."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from loopcal.figures.figure import (
+    AFTER,
+    BEFORE,
+    MARK,
+    Array,
+    Figure,
+    axis,
+    colours,
+    layout,
+    names,
+    numbers,
+    shown_text,
+)
+
+
+@dataclass(frozen=True)
+class Reach:
+    """A candidate in the unit of the figure: the change that is seen; found, half: the change that
+    was found and half its 95 % interval, None where none was."""
+
+    name: str
+    smallest: float
+    found: float | None
+    half: float | None
+
+
+def changes(key: str, unit: str, candidates: Sequence[Reach]) -> Figure | None:
+    """Changes of one unit beside the smallest ones that are seen; None without any."""
+    if not candidates:
+        return None
+    shown = sorted(candidates, key=lambda one: -one.smallest)
+    labels = names([one.name for one in shown])
+    data: list[Mapping[str, Any]] = [
+        {
+            "type": "bar",
+            "orientation": "h",
+            "name": "smallest change that is seen with 90 %",
+            "y": labels,
+            "x": numbers(np.array([one.smallest for one in shown])),
+            "marker": {"color": BEFORE},
+        }
+    ]
+    found = [one for one in shown if one.found is not None]
+    if found:
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": "change that was found, 95 % interval",
+                "y": names([one.name for one in found]),
+                "x": numbers(np.array([abs(one.found or 0.0) for one in found])),
+                "error_x": {
+                    "type": "data",
+                    "array": numbers(np.array([one.half or 0.0 for one in found])),
+                    "thickness": 1.5,
+                },
+                "marker": {"color": MARK, "size": 9},
+            }
+        )
+    return Figure(
+        key,
+        f"Changes in {unit}",
+        "A change to the left of its bar is not always seen.",
+        f"The smallest visible change of {len(shown)} candidates, {len(found)} changes found.",
+        tuple(data),
+        layout(
+            110 + 22 * len(shown),
+            xaxis=axis(f"change [{shown_text(unit)}]", type="log"),
+            yaxis=axis(""),
+        ),
+    )
+
+
+def spread(parameters: Sequence[str], machines: Mapping[str, Array], unusual: set[str]) -> Figure:
+    """Deviations of machines (n,) from the others, as normal deviates."""
+    colour = colours(machines)
+    labels = names(parameters)
+    data = [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": shown_text(name),
+            "x": numbers(values),
+            "y": labels,
+            "marker": {
+                "color": MARK if name in unusual else colour[name],
+                "size": 12 if name in unusual else 9,
+                "symbol": "diamond" if name in unusual else "circle",
+            },
+        }
+        for name, values in machines.items()
+    ]
+    band = {"type": "rect", "xref": "x", "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
+    look = {"fillcolor": AFTER, "opacity": 0.12, "line": {"width": 0}}
+    return Figure(
+        "spread",
+        "Machines beside each other",
+        "Deviation from the mean of the other machines, as the normal deviate of the same "
+        "probability. The band holds 95 % of the deviations of ordinary machines. Diamonds are "
+        "unusual machines.",
+        f"Deviations of {len(machines)} machines in {len(parameters)} parameters.",
+        tuple(data),
+        layout(
+            130 + 26 * len(parameters),
+            xaxis=axis("deviation [sds]", zeroline=True),
+            yaxis=axis("", autorange="reversed"),
+            shapes=[{**band, "x0": -1.96, "x1": 1.96, **look}],
+        ),
+    )
