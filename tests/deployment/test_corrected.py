@@ -10,8 +10,11 @@ import pytest
 import loopcal as lc
 from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
+from loopcal.deployment.arms import arms_of
 from loopcal.deployment.inverse import solve
 from loopcal.deployment.rigid import between, of_quaternion, turn_of, turned
+from loopcal.deployment.tool import tool_of
+from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.mechanisms.serial import serial_machine
 from tests.refusals import refused
 
@@ -220,3 +223,31 @@ def test_a_measured_pose_says_how_the_tool_is_turned() -> None:
     wanted = done.arms.machine.base @ done.corrected.targets.poses
     off = np.linalg.norm(turn_of(np.swapaxes(R, 1, 2) @ wanted[:, :3, :3]), axis=1)
     assert (off < 2.0 * reached.radial(3)).all()
+
+
+def test_an_arm_that_its_own_transitions_place_sags_as_it_was_calibrated() -> None:
+    """Also where its reflector slipped along the run: the tool is where it was afterwards."""
+    slipped = {"type": "shift", "changing": ["x6B"], "at": [10.0], "column": "pose number"}
+    data = {
+        "type": "motoman-ma1400",
+        "effect": [slipped | {"unit": "1", "name": "slip"}],
+        "structure": {"discrepancy": 4},
+    }
+    arm = mechanism_from_data(data, "a file")
+    rng = np.random.default_rng(2)
+    own = [n for n in arm.parameters.names if "sag" in n or "discrepancy" in n or "_from" in n]
+    assert len(own) > 20
+    values = {p.name: p.nominal for p in arm.parameters}
+    arm = arm.with_nominal({n: values[n] + 1e-3 * rng.standard_normal() for n in own})
+    arms = arms_of(arm, values, tool_of(arm, values))
+    q = rng.uniform(-1.0, 1.0, (20, 6))
+    joints = dict(zip(arms.joints, q.T, strict=True))
+    made = lc.simulate(arm, joints | {"pose number": np.full(20, 11.0)}, noise={"*": 0.0}, seed=0)
+    seen = np.array([made.dataset[axis] for axis in "xyz"]).T
+    reached = (arms.machine.base @ arms.machine(q))[:, :3, 3]
+    assert reached == pytest.approx(seen, abs=1e-9)
+    now = values["x6B"] + next(arm.parameters[n].nominal for n in own if n.startswith("x6B_from"))
+    assert arms.tool.of_controller[0] == pytest.approx(now, abs=1e-12)
+    nominal = arms_of(arm, values, tool_of(arm, values, "nominal")).tool
+    assert nominal.of_machine[0] == pytest.approx(now, abs=1e-12)
+    assert nominal.of_controller[0] == values["x6B"]

@@ -46,6 +46,13 @@ class ArmPose:
         t, R = _frame(points)
         return inverse(self.base) @ pose(R @ self.tool, t)
 
+    def tool_on_body(self) -> Array:
+        """(3,) where the tool's point is on the body, after the last change along the run [m]."""
+        points, _, _ = self._points(np.zeros((1, len(self.joints))), (), Stage.VALUES)
+        t, R = _frame(points)
+        found: Array = R[0].T @ (t[0] - points[0, 3:6])
+        return found
+
     def twists(self, q: Array, names: Sequence[str] = ()) -> tuple[Array, Array]:
         """(N, 6, n) by the joints and (N, 6, p) by the named parameters, in the arm's base."""
         stage = Stage.BY_PARAMETER if names else Stage.BY_QUANTITY

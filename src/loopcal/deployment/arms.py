@@ -26,6 +26,7 @@ from loopcal.mechanisms.limits import Limit, joint_limits
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.placement import ChainPlacement, rigid
 from loopcal.mechanisms.station import Station
+from loopcal.mechanisms.structure.structured import EFFECT
 
 Array = NDArray[np.float64]
 _BODY = {"body_o": (0.0, 0.0, 0.0), "body_x": (1.0, 0.0, 0.0), "body_y": (0.0, 1.0, 0.0)}
@@ -72,8 +73,11 @@ def arms_of(
             code="unknown-name",
             remedy="name the joints of the controller's model as those of the result",
         )
+    machine, stiff = _machine(calibrated, tool, joints, at or {})
+    tool = tool.moved_to(stiff.tool_on_body())
     of_controller = _controller(controller, calibrated, nominal, tool, tuple(joints))
-    machine = _machine(calibrated, tool, joints, at or {}, of_controller)
+    if isinstance(calibrated.placement, ChainPlacement):
+        machine = _based(machine, of_controller)
     limits = joint_limits(calibrated) if controller is None else joint_limits(controller)
     return Arms(machine, of_controller, joints, limits or joint_limits(calibrated), tool)
 
@@ -94,8 +98,8 @@ def _machine(
     tool: Tool,
     joints: Mapping[str, str],
     at: Mapping[str, float],
-    controller: ArmPose,
-) -> ArmPose:
+) -> tuple[ArmPose, ArmPose]:
+    """The machine, and the same without its structured model error."""
     station = next(
         (f.placement for f in calibrated.families if isinstance(f.placement, Station)), None
     )
@@ -106,7 +110,7 @@ def _machine(
     tape = looked_at.tape
     own = [f"{name}_{axis}" for name in points for axis in "xyz"]
     tape = tape.only([tape.loops.index(name) for name in own])
-    bare = ArmPose(
+    machine = ArmPose(
         tape,
         np.array([p.nominal for p in looked_at.parameters]),
         tuple(joints),
@@ -114,9 +118,9 @@ def _machine(
         np.eye(4) if station is None else product(station.steps, {}, values),
         of_yaw_pitch_roll(tool.of_machine[3:]),
     )
-    if isinstance(calibrated.placement, ChainPlacement):
-        return _based(bare, controller)
-    return bare
+    beyond = set(calibrated.effects.get(EFFECT, ()))
+    rigid = [0.0 if p.name in beyond else p.nominal for p in looked_at.parameters]
+    return machine, replace(machine, parameters=np.array(rigid))
 
 
 def _constants(mechanism: Mechanism, tape: Tape, at: Mapping[str, float]) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,13 @@ class Tool:
     def observed(self) -> bool:
         """Whether an instrument saw how the tool is turned."""
         return bool(self.turns)
+
+    def moved_to(self, point: Array) -> Tool:
+        """The tool at another point (3,) [m] of the body; in the controller too, if it has the
+        machine's numbers."""
+        own = np.concatenate([point, self.of_machine[3:]])
+        alike = self.of_controller is self.of_machine
+        return replace(self, of_machine=own, of_controller=own if alike else self.of_controller)
 
 
 def tool_of(

@@ -11,6 +11,7 @@ from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.motoman import motoman_joints
+from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import Station
 
 Point = Sequence[float] | Sequence[str]
@@ -55,7 +56,9 @@ def with_points(
                 n: {"value": float(v), "unit": "m", "fixed": True}
                 for n, v in zip(target, numbers, strict=True)
             }
-    return mechanism_from_data(data, mechanism.name)
+    # with several instruments its own chain would no longer say where the arm stands
+    chain = mechanism.placement if isinstance(mechanism.placement, ChainPlacement) else None
+    return mechanism_from_data(data, mechanism.name, placement=chain)
 
 
 def _listed(data: Mapping[str, Any], mechanism: Mechanism) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from loopcal.files.machines.parameter_entries import changed
 from loopcal.files.machines.python_function import Loops
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml, shown
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import Mechanism, Placement
 from loopcal.mechanisms.parameters import Parameters
 
 
@@ -65,12 +65,14 @@ def mechanism_from_data(
     function: Loops | Mechanism | None = None,
     parameters: Mapping[str, Any] | None = None,
     told: Told | None = None,
+    placement: Placement | None = None,
 ) -> Mechanism:
     """The mechanism that a table describes, without its schema.
 
     place: the file (and key) it stands at, for messages; parameters: a project's [parameters],
     in which a mechanism of the type "function" may declare its own; told: what a project will say
-    of the parameters, around which those of a chain are chosen that are fixed.
+    of the parameters, around which those of a chain are chosen that are fixed; placement: in place
+    of the one that its instruments give it.
 
     Raises InputError as `read_mechanism` does.
     """
@@ -107,6 +109,8 @@ def mechanism_from_data(
         made = machine_type(kind).build(model, units, place)
     except InputError as error:
         raise error if error.place else error.at(str(place)) from None
+    if placement is not None:
+        made = replace(made, placement=placement)
     made = affected(made, model.effect, units, place.at("effect"))
 
     def stated(parameters: Parameters) -> Parameters:
