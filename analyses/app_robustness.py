@@ -156,26 +156,25 @@ def _gone(pid: int) -> bool:
     return False
 
 
-def memory(folder: Path, refits: int) -> list[tuple[int, float, float]]:
-    """Refits, and MB of this process and of the warm one, from time to time."""
+def memory(folder: Path, refits: int) -> None:
+    """Print refits, and MB of this process and of the warm one, from time to time."""
     from multiprocessing import forkserver
 
     session = Session(folder, command)
     warm: int = getattr(forkserver, "_forkserver")._forkserver_pid  # noqa: B009
-    rows = []
     for count in range(refits + 1):
         calibrate(session)
         assert finished(session) == 0
         session.state()
         if count % max(refits // 10, 1) == 0:
-            rows.append((count, resident(os.getpid()), resident(warm)))
-    return rows
+            say(f"{count} refits: {resident(os.getpid())} MB, warm process {resident(warm)} MB")
 
 
 def resident(pid: int) -> float:
     """Memory of a process that no other shares [MB]."""
     text = Path(f"/proc/{pid}/smaps_rollup").read_text("ascii")
-    return sum(int(row.split()[1]) for row in text.splitlines() if row.startswith("Private")) / 1e3
+    kilobytes = [int(r.split()[1]) for r in text.splitlines() if r.startswith("Private")]
+    return round(sum(kilobytes) / 1e3, 1)
 
 
 def main() -> None:
@@ -194,8 +193,7 @@ def main() -> None:
             done = f"{found.edited} edits, {found.ran} runs"
             say(f"kill {seed} of the {found.target}: {done}: {end(found)}")
         if asked.refits:
-            for row in memory(made(Path(folder) / "m"), asked.refits):
-                say("{} refits: server {:.1f} MB, warm process {:.1f} MB".format(*row))
+            memory(made(Path(folder) / "m"), asked.refits)
 
 
 def end(found: Found) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.app.conftest import SCRIPT
+from tests.app.contrast import weak_texts
 from tests.app.pointing import Hand
 from tests.app.serving import Served
 from tests.browser import Seen
@@ -19,10 +21,11 @@ SIZES = {"desktop": (1440, 900), "tablet": (820, 1180)}
 MADE_OF_NAMES = "document.querySelectorAll('img[src=\"x\"]').length + (window.hit ?? 0)"
 
 
-def opened(browser: Any, served: Served, size: str = "desktop") -> Seen:
+def opened(browser: Any, served: Served, size: str = "desktop", scheme: str = "light") -> Seen:
     """A page of the app, and what it asked for elsewhere and complained about."""
     width, height = SIZES[size]
-    seen = Seen(browser.new_page(viewport={"width": width, "height": height}))
+    look = {"viewport": {"width": width, "height": height}, "color_scheme": scheme}
+    seen = Seen(browser.new_page(**look))
     seen.page.set_default_timeout(120_000)  # a busy machine takes its time
     own = (served.address, served.address.replace("http", "ws"), "data:", "blob:")
 
@@ -45,16 +48,25 @@ def opened(browser: Any, served: Served, size: str = "desktop") -> Seen:
     return seen
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_every_step_opens_in_its_window_and_shows_names_as_text(
-    served: Served, browser: Any, size: str
+def select(page: Any, count: int) -> None:
+    """Select the first poses, as brushing does."""
+    plot = page.get_by_label("error over the poses", exact=True)
+    plot.locator(".nsewdrag").first.wait_for()
+    points = [{"customdata": i} for i in range(count)]
+    plot.evaluate("(plot, points) => plot.emit('plotly_selected', {points})", points)
+
+
+@pytest.mark.parametrize(("size", "scheme"), [("desktop", "light"), ("tablet", "dark")])
+def test_every_step_opens_in_its_window_with_names_as_text_and_contrast(
+    served: Served, browser: Any, size: str, scheme: str
 ) -> None:
-    seen = opened(browser, served, size)
+    seen = opened(browser, served, size, scheme)
     for name in STEPS:
         Hand(seen.page).step(name)
         wide = seen.page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
         assert wide <= 0, f"{name} is {wide} pixels wider than the window"
         assert seen.page.evaluate(MADE_OF_NAMES) == 0, name
+        assert weak_texts(seen.page) == [], name
         assert "This is a fault of loopcal" not in seen.page.inner_text("body"), name
     assert SCRIPT in seen.page.inner_text("body")  # the log shows it
     seen.page.close()
@@ -84,3 +96,29 @@ def test_an_error_and_a_name_handed_in_are_shown_as_text(
     assert seen.page.evaluate(MADE_OF_NAMES) == 0
     (hostile / name).unlink()
     seen.page.close()
+
+
+def test_pages_keep_what_is_theirs_and_see_what_others_change(
+    served: Served, browser: Any, hostile: Path
+) -> None:
+    project = hostile / "project.toml"
+    before = project.read_text("utf-8")
+    pages = [opened(browser, served).page for _ in range(3)]
+    first, second, third = (Hand(page) for page in pages)
+    for hand, name in ((first, "Diagnose"), (second, "Diagnose"), (third, "History")):
+        hand.step(name)
+    select(first.page, 10)
+    first.sees("10 of 49 poses selected")
+    select(second.page, 20)
+    second.sees("20 of 49 poses selected")
+    assert first.page.get_by_text("10 of 49 poses selected").is_visible()
+    first.press("Exclude")
+    for hand in (second, third):
+        hand.sees("Another page or program has changed the folder")
+    assert project.read_text("utf-8") != before
+    second.sees("20 of 49 poses selected")
+    third.press(re.compile("^Undo"))
+    second.sees("Another page or program has changed the folder")
+    assert project.read_text("utf-8") == before
+    for page in pages:
+        page.close()

@@ -45,10 +45,13 @@ SAID = 1_500
 LOOKS_EVERY = 0.4
 """Seconds between looks at the folder."""
 STYLE = """
-:root { --good: #17693a; --care: #8a4b00; --bad: #b3261e; }
-body.body--dark { --good: #6fdc9a; --care: #ffb95c; --bad: #ff9a90; }
+:root { --good: #17693a; --care: #8a4b00; --bad: #b3261e; --none: #525964; }
+body.body--dark { --good: #6fdc9a; --care: #ffb95c; --bad: #ff9a90; --none: #a8b0bb; }
+.js-plotly-plot svg text { fill: var(--none) !important; }
+body .nicegui-code-copy { opacity: 1; }
+body.body--light a.nicegui-link { color: #0b5cad; }
 .good { color: var(--good) !important; } .care { color: var(--care) !important; }
-.bad { color: var(--bad) !important; } .none { color: inherit; opacity: 0.6; }
+.bad { color: var(--bad) !important; } .none { color: var(--none) !important; }
 .printed { white-space: pre-wrap; font-family: ui-monospace, monospace; font-size: 0.8rem;
            overflow-wrap: anywhere; }
 .beside { display: flex; flex-wrap: wrap; gap: 1rem; width: 100%; align-items: flex-start; }
@@ -62,9 +65,9 @@ body.body--dark { --good: #6fdc9a; --care: #ffb95c; --bad: #ff9a90; }
 body .q-footer.run { color: inherit; max-height: 40vh; overflow: auto; padding: 0.4rem 1rem; }
 body.body--light .q-footer.run { background: #f3f5f8; color: #1f2328; }
 body.body--dark .q-footer.run { background: #24282e; color: #e6e6e6; }
+body .tip { background: #333; color: #fff; font-size: 0.85rem; max-width: 22rem; }
 .q-page { overflow-wrap: anywhere; } .q-checkbox { max-width: 100%; }
 .q-uploader__list { min-height: 1.5rem; padding: 4px 8px; }
-.tip { font-size: 0.85rem; max-width: 22rem; }
 .command { max-width: 100%; } .q-table td { white-space: normal; overflow-wrap: anywhere; }
 .step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }
 .q-btn { min-height: 44px; text-transform: none; }
@@ -73,6 +76,7 @@ body.body--dark .q-footer.run { background: #24282e; color: #e6e6e6; }
   body.body--light .q-btn.step { color: #1f2328 !important; }
   body.body--dark .q-btn.step { color: #e6e6e6 !important; }
   body.body--dark .text-primary, body.body--dark a { color: #7db9ff !important; }
+  body.body--dark .q-table__bottom .q-btn { color: inherit !important; }
   body.body--dark .text-negative { color: #ff9a90 !important; }
 }
 """
