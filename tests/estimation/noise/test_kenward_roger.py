@@ -10,7 +10,7 @@ import pytest
 import loopcal as lc
 from analyses.small_samples import CASES, Drawn, counted
 from loopcal.estimation.noise.kenward_roger import learnt_parameters
-from loopcal.estimation.noise.linear_model import projected
+from loopcal.estimation.noise.linear_model import mixed_fit, projected, slope, whitened
 from loopcal.estimation.noise.variance_components import estimate_ratios
 
 ARM = lc.planar_two_link()
@@ -33,7 +33,7 @@ def test_slopes_are_differences_of_the_covariance() -> None:
     estimate = result.estimate
     assert estimate is not None
     found = learnt_parameters(estimate)
-    for slope, error in zip(found.covariance.slopes, found.errors.T, strict=True):
+    for along, error in zip(found.covariance.slopes, found.errors.T, strict=True):
         step = 1e-4 * estimate.found.ratios.min() / np.abs(error).max()
         ends = []
         for side in (-step, step):
@@ -41,7 +41,7 @@ def test_slopes_are_differences_of_the_covariance() -> None:
             assert at is not None
             ends.append(at.root @ at.root.T)
         np.testing.assert_allclose(
-            slope, (ends[1] - ends[0]) / (2 * step), rtol=1e-4, atol=1e-6 * np.abs(slope).max()
+            along, (ends[1] - ends[0]) / (2 * step), rtol=1e-4, atol=1e-6 * np.abs(along).max()
         )
 
 
@@ -163,3 +163,14 @@ def test_a_worse_instrument_is_not_called_a_fault_of_the_model() -> None:
     assert len(said) == 1
     assert "instrument" in said[0]
     assert "Repeat readings" in said[0]
+
+
+def test_the_score_alone_is_that_beside_the_information() -> None:
+    estimate = learnt({"?P": "group", "phi?": "each"}).estimate
+    assert estimate is not None
+    joined = whitened(estimate.model, estimate.found.ratios)
+    assert joined is not None
+    alone, beside = slope(estimate.model, joined), mixed_fit(estimate.model, joined)
+    assert alone.criterion == beside.criterion
+    size = np.sqrt(np.diag(beside.information))
+    np.testing.assert_allclose(alone.score / size, beside.score / size, atol=1e-9)
