@@ -4,6 +4,8 @@
 VENV     ?= .venv
 JOBS     ?= 2
 VERSIONS ?= 3.11 3.12 3.13
+# What is installed beside loopcal itself.
+EXTRAS   ?= app,test
 # Independent programs that some tests compare with; those tests skip where they are absent.
 PARTNERS ?= casadi distributed drake example-robot-data-loaders mujoco pin playwright pytransform3d roboticstoolbox-python \
 	rtb-data urchin xacro
@@ -55,7 +57,7 @@ $(STAMP): pyproject.toml CMakeLists.txt $(wildcard engine/*)
 			echo "$(PYTHON) cannot be used: loopcal needs Python 3.11 or newer." >&2; exit 1; }; \
 		echo "creating $(VENV) with $$($(PYTHON) -V)"; \
 		$(PYTHON) -m venv $(VENV); fi
-	$(BIN)/python -m pip install --quiet --editable '.[test]' $(SETTINGS)
+	$(BIN)/python -m pip install --quiet --editable '.[$(EXTRAS)]' $(SETTINGS)
 	@$(BIN)/python -m compileall -q src # pip compiles what it copies, not what it links
 	@touch $@
 
@@ -99,14 +101,15 @@ test-pythons: ## the suite on every interpreter of VERSIONS found, each in its o
 		$(MAKE) --no-print-directory suite VENV=.venv-$$v PYTHON="$$python" || status=1; \
 	done; exit $$status
 
-# Every dependency at its lower bound; build tools and test partners as they come.
+# Every dependency at its lower bound; build tools and test partners as they come. Not the app, which
+# needs newer ones.
 LOWEST := $(CURDIR)/.cache/lowest.txt
 
 test-lowest: ## the suite on the oldest dependencies that pyproject.toml allows, in an environment of its own
 	@mkdir -p $(TMPDIR) && $(PYTHON) -c 'import re, tomllib; \
 		bounds = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
 		print(*(re.sub(">=([^,]*).*", r"==\1", bound) for bound in bounds), sep="\n")' > $(LOWEST)
-	@PIP_CONSTRAINT=$(LOWEST) $(MAKE) --no-print-directory install VENV=.venv-lowest
+	@PIP_CONSTRAINT=$(LOWEST) $(MAKE) --no-print-directory install VENV=.venv-lowest EXTRAS=test
 	@$(MAKE) --no-print-directory suite VENV=.venv-lowest
 
 # A PATH with everything on it but what builds the engine.

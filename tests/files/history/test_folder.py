@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 
 from analyses.history_kills import killed
 from loopcal.files.history.folder import append_entry, read_entries
+from loopcal.files.tables import raw
 from tests.refusals import refused
 
 NOON = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
@@ -31,7 +33,7 @@ def test_entries_are_read_in_their_order_and_without_loopcal(tmp_path: Path) -> 
     assert stated == hashlib.sha256(text.encode()).hexdigest()
 
 
-@pytest.mark.parametrize("damage", ["", "{", "[]", '{"schema": 1}'])
+@pytest.mark.parametrize("damage", ["", "{", "[]", "5", "[" * 100_000, '{"schema": 1}'])
 def test_damaged_entries_are_named_and_skipped(tmp_path: Path, damage: str) -> None:
     entries = [append_entry(tmp_path, "event", {"words": str(i)}, time=NOON) for i in range(3)]
     (tmp_path / entries[1].file).write_text(damage)
@@ -40,6 +42,16 @@ def test_damaged_entries_are_named_and_skipped(tmp_path: Path, damage: str) -> N
     assert [one.file for one in found.skipped] == [entries[1].file]
     assert append_entry(tmp_path, "event", {"words": "next"}, time=NOON).sequence == 4
     assert (tmp_path / entries[1].file).read_text() == damage
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")
+def test_a_device_and_a_silent_pipe_among_the_entries_are_skipped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(raw, "PATIENCE", 0.1)
+    (tmp_path / "a.json").symlink_to("/dev/zero")
+    os.mkfifo(tmp_path / "b.json")
+    assert [one.file for one in read_entries(tmp_path).skipped] == ["a.json", "b.json"]
 
 
 def test_a_changed_number_is_noticed(tmp_path: Path) -> None:

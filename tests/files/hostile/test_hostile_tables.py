@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 
 from loopcal import InputError, read_dataset
+from loopcal.files.programs.joint_axes import JointAxes
+from loopcal.files.programs.reader import read_program
+from loopcal.files.recognition.fields import source_of
 from loopcal.files.tables import raw
 from tests.command_line import run
 from tests.files.hostile import generated
@@ -109,6 +112,19 @@ def test_a_pipe_that_stays_silent_is_refused(
     os.mkfifo(tmp_path / "pipe.csv")
     with refused("unreadable-file"):
         read_dataset(tmp_path / "pipe.csv")
+    with refused("unreadable-file"):
+        read_program(tmp_path / "pipe.csv", JointAxes({"q": "rad"}))
+
+
+@pytest.mark.parametrize("fault", ["a cell far beyond its sheet", "a malformed cell reference"])
+def test_a_workbook_of_which_no_sheet_can_be_read_is_refused_once(
+    fault: str, tmp_path: Path
+) -> None:
+    ending, content = generated.REFUSED[fault]
+    path = generated.written(tmp_path, ending, content())
+    with pytest.raises(InputError) as caught:
+        source_of(path, 1)
+    assert is_whole(caught.value, path)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")

@@ -22,6 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from loopcal.errors import InputError
+from loopcal.files.json_reader import MOST_BYTES
+from loopcal.files.tables.raw import bytes_of
 
 SCHEMA = 1
 KINDS = ("calibration", "verification", "event")
@@ -105,7 +107,7 @@ def read_entries(folder: str | Path) -> Entries:
     for path in sorted(folder.glob("*.json")):
         try:
             whole.append(_read(path))
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (InputError, ValueError, KeyError, TypeError, RecursionError) as error:
             skipped.append(Skipped(path.name, _reason(error)))
     whole.sort(key=lambda entry: entry.sequence)
     return Entries(folder, tuple(whole), tuple(skipped))
@@ -143,7 +145,9 @@ def _written(folder: Path, entry: Entry) -> bool:
 
 
 def _read(path: Path) -> Entry:
-    found = json.loads(path.read_text("utf-8"))
+    found = json.loads(bytes_of(path, MOST_BYTES))
+    if not isinstance(found, dict):
+        raise ValueError("it is no JSON object")
     stated = found.pop("sha256")
     if stated != _sum(found):
         raise ValueError("its SHA-256 differs from its content")
@@ -166,4 +170,6 @@ def _number(name: str) -> int:
 def _reason(error: Exception) -> str:
     if isinstance(error, KeyError):
         return f"it has no {error.args[0]!r}"
-    return "it is no whole JSON document" if isinstance(error, json.JSONDecodeError) else str(error)
+    if isinstance(error, json.JSONDecodeError | UnicodeDecodeError | RecursionError):
+        return "it is no whole JSON document"
+    return error.message if isinstance(error, InputError) else str(error)

@@ -170,7 +170,7 @@ def text_of(data: bytes, name: str) -> str:
     """The text of a program. Raises InputError for what cannot be edited byte by byte."""
     if len(data) > LARGEST:
         raise InputError(
-            f"the program has {len(data):,} bytes; the limit is {LARGEST:,}",
+            f"the program has more than {LARGEST:,} bytes",
             code="too-large",
             place=name,
             remedy="divide it",

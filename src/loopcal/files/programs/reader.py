@@ -17,6 +17,7 @@ from loopcal.files.programs.rapid import read_rapid
 from loopcal.files.programs.table import read_table
 from loopcal.files.programs.urscript import read_urscript
 from loopcal.files.programs.yaskawa import read_yaskawa
+from loopcal.files.tables.raw import bytes_of
 
 Read = Callable[[str, str, JointAxes], Program]
 FORMATS: dict[str, Read] = {
@@ -40,16 +41,7 @@ def read_program(path: str | Path, axes: JointAxes) -> Program:
             place=str(path),
             remedy=f"give a file that ends in {', '.join(FORMATS)}",
         )
-    try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST + 1)
-    except OSError as error:
-        raise InputError(
-            f"cannot be read: {error.strerror or error}",
-            code="missing-file" if isinstance(error, FileNotFoundError) else "unreadable-file",
-            place=str(path),
-            remedy="check the path",
-        ) from None
+    data = bytes_of(path, LARGEST)
     program = read(text_of(data, path.name), path.name, axes)
     for target in program.targets:
         if not all(math.isfinite(number.value) for number in target.numbers):

@@ -236,7 +236,8 @@ def _table_of(path: Path, sheet: str | None) -> tuple[Table, str, bool]:
         try:
             table, title = below_titles(path, number)
         except InputError as error:
-            if error.code == "unknown-name":  # there is no sheet of this number
+            # there is no sheet of this number, or the fault is that of the file, not of a sheet
+            if error.code == "unknown-name" or (first and str(error) == str(first)):
                 break
             first = first or error
             continue
