@@ -13,6 +13,8 @@ from loopcal.errors import InputError
 from loopcal.files.paths import INSIDE
 from tests.app.plain_command import command
 
+pytest.importorskip("tomlkit", reason="tomlkit is absent; `pip install .[app]` installs it")
+
 LOOPS = """
 from pathlib import Path
 Path(__file__).with_name("was-run").touch()

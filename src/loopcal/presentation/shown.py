@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from loopcal.presentation.rounding import rounded_by_sd, significant
 from loopcal.units import from_si
@@ -66,3 +67,12 @@ def percent(value: float | None, digits: int = 0) -> str:
     ('80 %', '92.8 %')
     """
     return NONE if value is None else f"{100.0 * value:.{digits}f} %"
+
+
+def enumerated(names: Sequence[str]) -> str:
+    """Names in a sentence.
+
+    >>> enumerated(["x", "y", "z"])
+    'x, y and z'
+    """
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

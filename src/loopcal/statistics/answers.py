@@ -10,7 +10,6 @@ from loopcal import chi_squared
 from loopcal.document.accuracy import Distances
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Answer
-from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import with_unit
 from loopcal.statistics.candidates import NOMINAL
 from loopcal.statistics.tolerance import Quantile, judged
@@ -46,10 +45,10 @@ def valid(document: ResultDocument) -> Answer:
     if worst.sd is None or worst.ratio is None:
         words = f"The data leave a direction open that moves the end point in {where}."
         return Answer(False, "near-poses-only", None, words, "Measure poses all over the region.")
-    there, ratio = with_unit(worst.sd, worst.unit, 2), significant(worst.ratio, 2)
+    there = with_unit(worst.sd, worst.unit, 2)
     both = f"the predicted sd is {there} in {where} and {here} at the measured poses"
     if worst.ratio > NEAR_ONLY:
-        words = f"{both[0].upper()}{both[1:]}, {ratio} times as large in the region."
+        words = f"{both[0].upper()}{both[1:]}."
         remedy = "Measure poses all over the region, or state the region in which you work."
         return Answer(False, "near-poses-only", worst.ratio, words, remedy)
     words = f"Valid: {both}."

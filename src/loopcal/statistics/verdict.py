@@ -16,7 +16,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.document.terms import DECISIVE, TermEntry
 from loopcal.document.verdict import Answer, Verdict
 from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import chance, percent, with_unit
+from loopcal.presentation.shown import chance, enumerated, percent, with_unit
 from loopcal.presentation.wrapped import shortened
 from loopcal.statistics.answers import better, good_enough, valid
 from loopcal.statistics.judged_machine import far_from_nominal, off_the_drawing, prior_tension
@@ -60,7 +60,7 @@ def _moved(document: ResultDocument) -> Said | None:
     found = [point for point in points if not point.modelled]
     if not found:
         return None
-    return Said(f"Something moved along the run: {_first_of(found)}.", float(len(found)))
+    return Said(_told("Something moved", "Something moved", found), float(len(found)))
 
 
 def _moved_and_modelled(document: ResultDocument) -> Said | None:
@@ -69,10 +69,22 @@ def _moved_and_modelled(document: ResultDocument) -> Said | None:
     if not found:
         return None
     return Said(
-        f"The fit models what changed along the run: {_first_of(found)}. Predictions hold after "
-        f"the last change.",
+        f"{_told('The fit models what changed', 'The fit models changes', found)} "
+        "Predictions hold after the last change.",
         float(len(found)),
     )
+
+
+def _told(one: str, several: str, found: Sequence[ChangePoint]) -> str:
+    """The first sentence says how often and when; the headline has no room for more."""
+    details = _first_of(found)
+    if len(found) == 1:
+        return f"{one} along the run: {details}."
+    steps = [point.pose for point in found if point.shape == "step"]
+    when = [f"from pose{'s' if len(steps) > 1 else ''} {enumerated(steps)} on"] if steps else []
+    if len(steps) < len(found):
+        when.append("over the whole run")
+    return f"{several} along the run {' and '.join(when)}. {details[0].upper()}{details[1:]}."
 
 
 def _first_of(found: Sequence[ChangePoint]) -> str:

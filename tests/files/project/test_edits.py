@@ -9,6 +9,8 @@ import pytest
 from loopcal.errors import InputError
 from loopcal.files.project.edits import with_changes, with_shift, with_value, without_poses
 
+pytest.importorskip("tomlkit", reason="tomlkit is absent; `pip install .[app]` installs it")
+
 TEXT = """# my notes
 schema = 1
 

@@ -27,7 +27,7 @@ from loopcal.mechanisms.structure.sag import BASE, Column, Sag
 from loopcal.mechanisms.structure.smooth import Smooth
 from loopcal.mechanisms.structure.structured import DISCREPANCY, ORDERS, structure_of
 from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import with_unit
+from loopcal.presentation.shown import enumerated, with_unit
 
 Array = NDArray[np.float64]
 _COUNTS = 0.2
@@ -187,7 +187,7 @@ def _remaining(at: _Fitted, smooth: Smooth, unit: str) -> list[TermPart]:
     names = [name for row in rows for name in row]
     sd = at.sd(dict(zip(names, slopes.ravel().tolist(), strict=True)))
     joints = _depends_on(at, smooth, c)
-    where = "all joints" if set(joints) == set(smooth.joints) else _listed(joints)
+    where = "all joints" if set(joints) == set(smooth.joints) else enumerated(joints)
     shown = with_unit(size, unit, 2) if unit == "m" else f"{significant(1e3 * size, 2)} mrad"
     words = f"what remains unexplained: {shown} rms, smooth in {where}"
     return [TermPart(joints, unit, size, sd, None, words)]
@@ -213,7 +213,3 @@ def _depends_on(at: _Fitted, smooth: Smooth, c: Array) -> tuple[str, ...]:
 
 def _turn(size: float, sd: float, pose: str) -> str:
     return f"{significant(1e3 * size, 2)} mrad (sd {significant(1e3 * sd, 2)} mrad, pose {pose})"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
