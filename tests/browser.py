@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,19 +25,26 @@ class Seen:
     complaints: list[str] = field(default_factory=list)
 
 
+_STARTED: list[Any] = []
+"""The browser of this process: playwright starts once only."""
+
+
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """A browser; skips the test where playwright or Chromium is absent."""
+    """The browser of this process; skips the test where playwright or Chromium is absent."""
     sync_api = pytest.importorskip(
         "playwright.sync_api", reason="playwright is absent; `make partners` installs it"
     )
     path = shutil.which("chromium") or shutil.which("google-chrome")
     if path is None:
         pytest.skip("chromium is absent; `make partners` installs it")
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
-        yield browser
-        browser.close()
+    if not _STARTED:
+        stack = ExitStack()
+        playwright = stack.enter_context(sync_api.sync_playwright())
+        _STARTED.append(playwright.chromium.launch(executable_path=path, args=ARGUMENTS))
+        stack.callback(_STARTED[0].close)
+        atexit.register(stack.close)
+    yield _STARTED[0]
 
 
 @contextmanager

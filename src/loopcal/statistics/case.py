@@ -34,6 +34,9 @@ class Case:
     """Corrections (N,) of what no sensor reads, where a fit of these readings ended."""
     trusted: bool = False
     """Whether faults of the file were sought, and there are none."""
+    begin: Mapping[str, float] | None = None
+    """Where the calibration of all poses begins [SI], as another one ended. That of some begins as
+    asked: what it leaves open must not stand where the other poses put it."""
 
     @cached_property
     def copied(self) -> Index:
@@ -51,7 +54,9 @@ class Case:
 
         progress: called at every iteration.
         """
-        data = self.data
+        data, fit = self.data, self.fit
+        if index is None and self.begin is not None:
+            fit = replace(fit, start=self.begin)
         if index is not None:
             index = index[~np.isin(index, self.copied)]
             data = replace(data, source=replace(data.source, judged=True)).take(index)
@@ -61,7 +66,7 @@ class Case:
             self.mechanism,
             data,
             noise=noise,
-            fit=self.fit,
+            fit=fit,
             progress=progress,
             near=near,
             trusted=self.trusted,

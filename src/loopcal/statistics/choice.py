@@ -204,7 +204,7 @@ def _begun(one: Entrant, whole: Result | None) -> Entrant:
         own = case.mechanism.parameters.names
         start = {name: value for name, value in whole.value.items() if name in own}
         near = unread(whole) if len(case.data) == whole.problem.count else {}
-        case = replace(case, fit=replace(case.fit, start=start), near=near)
+        case = replace(case, begin=start, near=near)
     return replace(one, case=case)
 
 

@@ -143,10 +143,10 @@ def _shared(problem: Problem, equations: Sequence[PoseEquations], root: Array) -
     found = []
     for a, b in combinations(every, 2):
         both = a.read & b.read
-        X, Y = a.y[both] - a.y[both].mean(axis=0), b.y[both] - b.y[both].mean(axis=0)
-        n, p, q = len(X), X.shape[1], Y.shape[1]
+        n, p, q = int(np.count_nonzero(both)), a.y.shape[1], b.y.shape[1]
         if n < _PAIRED * (p + q):
             continue
+        X, Y = a.y[both] - a.y[both].mean(axis=0), b.y[both] - b.y[both].mean(axis=0)
         r = np.linalg.svd(np.linalg.qr(X)[0].T @ np.linalg.qr(Y)[0], compute_uv=False)
         left = 1.0 - np.square(np.minimum(r, 1.0 - 1e-12))
         square = -(n - 0.5 * (p + q + 3)) * float(np.log(left).sum())
