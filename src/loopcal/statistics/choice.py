@@ -30,6 +30,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.local import own_threads
@@ -116,6 +117,7 @@ class Choice:
         return self.validation.added_to(document) if self.validation else document
 
 
+@one_blas_thread()  # candidates share the process: else its threads would differ from run to run
 def choose(
     case: Case,
     scheme: Scheme | None = None,

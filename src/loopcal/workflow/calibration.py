@@ -16,6 +16,7 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.estimation.plausible import refuse_other_units
 from loopcal.estimation.result import Result
+from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import Progress
 from loopcal.execution.executor import Executor
 from loopcal.files.project.fit_entries import ValidationSpec
@@ -200,6 +201,7 @@ class _Run:
         """Where results go."""
         return default_folder(self.project) if self.out is None else Path(self.out)
 
+    @one_blas_thread()
     def in_memory(self) -> Calibration:
         """Calibrate from poses that are all in memory, and write the result."""
         finished = self.finished()
