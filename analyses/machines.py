@@ -161,7 +161,7 @@ def run(name: str, seeds: Sequence[int]) -> Counts:
         errors.append(chi2.sf((error / sd) @ np.linalg.solve(shape, error / sd), len(error)))
         rank, freedom = found.identifiability.rank, chi.degrees_of_freedom
     return Counts(
-        1.0 * np.array(held), np.array(factors), np.array(fits), np.array(errors), rank, freedom
+        np.array(held, float), np.array(factors), np.array(fits), np.array(errors), rank, freedom
     )
 
 

@@ -158,8 +158,10 @@ class _Part:
         if not series:
             return
         counts = np.array([len(part) for part in series])
-        square = sum(np.square(part - part.mean(axis=0)).sum(axis=0) for part in series)
-        steps = sum(np.square(np.diff(part, axis=0)).sum(axis=0) for part in series)
+        square = np.sum(
+            [np.square(part - part.mean(axis=0)).sum(axis=0) for part in series], axis=0
+        )
+        steps = np.sum([np.square(np.diff(part, axis=0)).sum(axis=0) for part in series], axis=0)
         found = [
             slow_p_value(float(a), float(b), counts) for a, b in zip(square, steps, strict=True)
         ]

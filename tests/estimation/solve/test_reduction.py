@@ -147,7 +147,9 @@ def test_a_prior_is_so_many_rows_more(triangular: bool) -> None:
     E_all = np.concatenate([E, rows @ np.where(np.isfinite(sd), offset, 0.0)])
     assert found.step() == pytest.approx(np.linalg.lstsq(D_all, E_all)[0], rel=1e-8)
     expected = np.linalg.inv(D_all.T @ D_all)
-    assert found.covariance() == pytest.approx(expected, rel=1e-7, abs=1e-9 * abs(expected).min())
+    assert found.covariance() == pytest.approx(
+        expected, rel=1e-7, abs=float(1e-9 * abs(expected).min())
+    )
 
 
 @pytest.mark.parametrize("triangular", WAYS)
