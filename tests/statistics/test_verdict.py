@@ -178,7 +178,7 @@ def test_regions_that_take_shared_errors_as_independent_say_so_alone() -> None:
 
 def test_a_slip_is_named_with_row_size_and_cause() -> None:
     found = verdict_of(replace(clean(), change_points=ChangePoints((SLIP,), 0.01, 120, "")))
-    assert "from pose 86 on the target x6B moved on the body: x6B by 0.500 mm" in found.sound.words
+    assert "on the target x6B moved on the body. Size: x6B by 0.500 mm" in found.sound.words
 
 
 def test_a_plain_model_that_lacks_sag_is_wrong() -> None:

@@ -470,9 +470,10 @@ def _words(over: Sequence[Candidate], unit: str, better: Sequence[str]) -> str:
     words = f"{taken.name}: {size(taken.out_of_sample.rms, unit)} {shown} rms on poses not used"
     if taken.blocked is not None:
         words += f", {size(taken.blocked.rms, unit)} {shown} in regions not used"
+    least = 0.02 * taken.out_of_sample.rms  # finer digits tell nobody anything
     beaten = [
-        f"{one.name} {by_sd(one.difference, one.sd, unit, sign=True)} ± "
-        f"{by_sd(one.sd, one.sd, unit)}"
+        f"{one.name} {by_sd(one.difference, max(one.sd, least), unit, sign=True)} ± "
+        f"{by_sd(one.sd, max(one.sd, least), unit)}"
         for one in others
         if one.difference is not None and one.sd is not None
     ]

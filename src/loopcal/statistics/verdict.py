@@ -79,7 +79,8 @@ def _told(one: str, several: str, found: Sequence[ChangePoint]) -> str:
     """The first sentence says how often and when; the headline has no room for more."""
     details = _first_of(found)
     if len(found) == 1:
-        return f"{one} along the run: {details}."
+        what, _, sizes = details.rpartition(": ")
+        return f"{one} along the run: {what}. Size: {sizes}."
     steps = [point.pose for point in found if point.shape == "step"]
     when = [f"from pose{'s' if len(steps) > 1 else ''} {enumerated(steps)} on"] if steps else []
     if len(steps) < len(found):
