@@ -47,13 +47,17 @@ class _Blas:
     def __init__(self) -> None:
         self.lock = threading.Lock()
         self.holders = 0
+        self.scipy = False
         self.limit = ExitStack()
 
     def hold(self) -> None:
         with self.lock:
-            if not self.holders:
-                blas = _controller("scipy.special" in sys.modules or "scipy.linalg" in sys.modules)
+            scipy = "scipy.special" in sys.modules or "scipy.linalg" in sys.modules
+            if not self.holders or scipy != self.scipy:  # SciPy may come while it is held
+                self.scipy = scipy
+                blas = _controller(scipy)
                 if _threaded(blas):  # to set the limit takes as long as a small block
+                    _disown()
                     self.limit.enter_context(blas.limit(limits=1, user_api="blas"))
             self.holders += 1
 
