@@ -11,6 +11,7 @@ import pytest
 
 from analyses.gauntlet import STAMP, run
 from analyses.gauntlet_kinds import KINDS
+from analyses.kept import kept
 from analyses.rates import interval, table, wrong
 
 CLEAN, FAULT = "planar arm, 40 poses", "points in mm"
