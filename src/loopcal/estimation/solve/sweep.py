@@ -72,6 +72,9 @@ class Sweeper:
         self._block = min((kernel.block for kernel in self._kernels.values()), default=BLOCK)
         # The basic method corrects nothing; only unmeasured quantities have to be found.
         self.corrects = not exact or any(p.unmeasured for p in problem.patterns)
+        alike = [isinstance(pattern.poses, slice) for pattern in problem.patterns]
+        # What the only block brings is all corrections, which need not be copied.
+        self._whole = alike == [True] and problem.count <= self._block
         self.parameters = problem.start
         self.evaluations = 0
         self.rounding = rounding
@@ -94,7 +97,7 @@ class Sweeper:
         closing = closing if self.corrects else None
         self.at(parameters)
         data = Accumulator(len(problem.free), triangular, self._units)
-        whole = self._one_block(corrections)
+        whole = self._whole
         used = corrections if closing is None or whole else np.zeros(corrections.shape)
         kept = not self.corrects or whole
         proposal = corrections if kept else np.zeros(corrections.shape)
@@ -156,8 +159,7 @@ class Sweeper:
         if not self.corrects:
             return Closed(corrections, np.zeros(corrections.shape[1], dtype=bool))
         self.at(parameters)
-        whole = self._one_block(corrections)
-        done = corrections if whole else np.zeros(corrections.shape)
+        done = corrections if self._whole else np.zeros(corrections.shape)
         late = np.zeros(corrections.shape[1], dtype=bool)
         for pattern, block in self.blocks(corrections, self._block):
             closed = self._close(pattern, block, tolerance, contraction)
@@ -235,11 +237,6 @@ class Sweeper:
         some = np.concatenate(found)
         return Failed(some.size, tuple(self.problem.pose(int(i)) for i in some[:NAMED]))
 
-    def _one_block(self, corrections: Array) -> bool:
-        """Whether what one block brings is all corrections (k, N), and need not be copied."""
-        alike = [isinstance(pattern.poses, slice) for pattern in self.problem.patterns]
-        return alike == [True] and corrections.shape[1] <= self._block
-
     def _made(self, engine: Engine) -> BlockKernel:
         return kernel_for(engine, self.reduce, exact=self.exact)
 
@@ -290,6 +287,8 @@ def _far(block: Block) -> NDArray[np.intp]:
     usable = np.isfinite(sd) & (sd > 0.0)
     shares = np.where(usable, block.corrections / np.where(usable, sd, 1.0), 0.0)
     cost = np.square(shares).sum(axis=0)
+    if cost.max() <= _ASTRAY:  # whatever the middle one is
+        return np.empty(0, dtype=np.intp)
     far = np.flatnonzero(~(cost <= _ASTRAY * max(float(np.median(cost)), 1.0)))
     return np.asarray(far[np.argsort(-cost[far], kind="stable")[:_ANEW]])
 
