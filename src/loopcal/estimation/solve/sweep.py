@@ -73,8 +73,10 @@ class Sweeper:
         # The basic method corrects nothing; only unmeasured quantities have to be found.
         self.corrects = not exact or any(p.unmeasured for p in problem.patterns)
         alike = [isinstance(pattern.poses, slice) for pattern in problem.patterns]
+        self._alike = alike == [True]
         # What the only block brings is all corrections, which need not be copied.
-        self._whole = alike == [True] and problem.count <= self._block
+        self._whole = self._alike and problem.count <= self._block
+        self._only: Block | None = None
         self.parameters = problem.start
         self.evaluations = 0
         self.rounding = rounding
@@ -109,7 +111,7 @@ class Sweeper:
         for pattern, block in self.blocks(corrections, self._block):
             if self.rounding is None:
                 self.rounding = self._rounding(pattern, block)
-            start = Closed(block.corrections, np.zeros(block.count, dtype=bool))
+            start = None
             if closing is not None:
                 start = self._close(pattern, block, closing, contraction)
                 block = block.at(start.corrections)
@@ -126,14 +128,15 @@ class Sweeper:
                 data.add(found.rows)
             if found.singular.any():
                 singular.append(block.positions(np.flatnonzero(found.singular)))
-            if start.open.any():
+            if start is not None and start.failed:
                 late.append(block.positions(np.flatnonzero(start.open)))
             if self.corrects:
                 if into is None:
                     proposal = _with_part(proposal, found.correction, block.poses)
                 steps.append(float(found.step.max()))
-                last = steps[-1] / start.step if start.step > 0.0 else 0.0
-                ratios.append(min(max(last, start.contraction), 1.0))
+                if start is not None:
+                    last = steps[-1] / start.step if start.step > 0.0 else 0.0
+                    ratios.append(min(max(last, start.contraction), 1.0))
         return Evaluation(
             data,
             used,
@@ -252,7 +255,7 @@ class Sweeper:
         tolerance = max(tolerance, 8.0 * (self.rounding or 0.0))
         closed = self.kernel(pattern).close(block, tolerance, contraction)
         self.evaluations += closed.evaluations
-        if not closed.open.any():
+        if not closed.failed:
             return closed
         some = np.flatnonzero(closed.open)
         near, tape = block.at(closed.corrections).of(some), self.problem.tape(pattern)
@@ -262,8 +265,15 @@ class Sweeper:
 
     def blocks(self, corrections: Array, most: int = BLOCK) -> Iterator[tuple[Pattern, Block]]:
         """All poses in blocks with corrections (k, N); a pose without any loop is in none."""
+        whole = self._alike and self.problem.count <= most
+        if whole and self._only is not None:  # cut once for all sweeps
+            yield self.problem.patterns[0], self._only.at(corrections)
+            return
         for pattern, poses in self.problem.blocks(most):
-            yield pattern, self.block(pattern, poses, corrections[:, poses])
+            block = self.block(pattern, poses, corrections[:, poses])
+            if whole:
+                self._only = block
+            yield pattern, block
 
     def block(self, pattern: Pattern, poses: Poses, corrections: Array) -> Block:
         """Some poses of a pattern with corrections (k, b) of theirs."""
