@@ -45,8 +45,8 @@ def history_figures(history: History) -> list[Figure]:
     events = [Event(e.time.isoformat(), e.content["words"]) for e in history.of_kind("event")]
     found = []
     for unit in dict.fromkeys(trend.unit for trend in history.trends):
-        its = [one for one in history.trends if one.unit == unit and len(one.times) > 1]
-        lines = [_line(trend) for trend in its]
+        several = [one for one in history.trends if one.unit == unit and len(one.times) > 1]
+        lines = [_line(trend) for trend in several]
         key = {"m": "lengths", "rad": "angles"}.get(unit, "others")
         found.append(courses(key, unit_shown(unit), lines, events))
     measured = history.measured

@@ -99,7 +99,7 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "region": top.region_bars(source),
         "figures": figures(source)
         | deployed_figures(source.deployed)
-        | (later.figures if later else {}),
+        | (dict(later.figures) if later else {}),
         "deployed": {
             "words": deployed_words(source.deployed),
             "figures": list(deployed_figures(source.deployed)),
