@@ -155,7 +155,7 @@ class Fitted:
     @cached_property
     def E(self) -> Array:
         """(N, R) scaled."""
-        return np.einsum("nrs,ns->nr", self.T, self.system.E)
+        return np.asarray(np.einsum("nrs,ns->nr", self.T, self.system.E))
 
     @cached_property
     def left(self) -> Array:
