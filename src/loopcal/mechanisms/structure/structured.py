@@ -9,22 +9,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from loopcal.errors import InputError
 from loopcal.expressions.substitution import substituted
 from loopcal.mechanisms.effects.effect import Effect, with_effects
+from loopcal.mechanisms.effects.harmonics import Harmonics
+from loopcal.mechanisms.effects.scale import Scale
 from loopcal.mechanisms.keys import Key, described
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, matching
-from loopcal.mechanisms.placement import ChainPlacement
+from loopcal.mechanisms.serial import places_itself
+from loopcal.mechanisms.structure.sag import Column, Sag
+from loopcal.mechanisms.structure.smooth import FEATURES, Smooth
 from loopcal.mechanisms.terms import Term
-
-if TYPE_CHECKING:
-    from loopcal.mechanisms.structure.sag import Column, Sag
-    from loopcal.mechanisms.structure.smooth import Smooth
 
 MOUNTED = {"m": 5e-3, "rad": 50e-3}
 """Prior sds of what is mounted on the body: 5 mm, and that over the 0.1 m of a typical bracket."""
@@ -200,13 +200,11 @@ def _in_space(mechanism: Mechanism) -> Sag | None:
     if not chain:
         return None
     ahead = 0
-    if isinstance(mechanism.placement, ChainPlacement):
+    if places_itself(mechanism):
         ahead = next(i for i, step in enumerate(chain) if step.joint)
     lengths = {p.name for p in mechanism.parameters if p.unit == "m"}
     # the coordinates of the first thing that is mounted on the body
     at = [n for n, kind in mechanism.located.items() if kind == "mounting" and n in lengths][:3]
-    from loopcal.mechanisms.structure.sag import Sag
-
     return Sag(chain, ahead, tuple(at), mechanism.gravity or DOWN)
 
 
@@ -235,8 +233,6 @@ def _smooth(mechanism: Mechanism, wanted: bool | int) -> Smooth | None:
     """Features of the joints that are driven and read."""
     if not wanted:
         return None
-    from loopcal.mechanisms.structure.smooth import FEATURES, Smooth
-
     count = FEATURES if wanted is True else wanted
     driven = driven_joints(mechanism)
     ranges = {name: limit.high - limit.low for name, limit in joint_limits(mechanism).items()}
@@ -355,9 +351,6 @@ def _coefficients(
 
 def _with_drives(mechanism: Mechanism) -> Mechanism:
     """The mechanism with harmonics of its turning joints, and scales of its slides."""
-    from loopcal.mechanisms.effects.harmonics import Harmonics
-    from loopcal.mechanisms.effects.scale import Scale
-
     driven = driven_joints(mechanism)
     made = _with_drive(
         mechanism,
