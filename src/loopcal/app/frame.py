@@ -39,6 +39,7 @@ SHOWN: Mapping[str, Callable[[View], None]] = {
     "deploy": deploy.show,
     "history": history.show,
 }
+LINKED = "/linked.js"
 TIP = 'anchor="center right" self="center left"'
 SAID = 1_500
 """Characters of what a failed run said that are shown at once; the end of it."""
@@ -85,6 +86,7 @@ body .tip { background: #333; color: #fff; font-size: 0.85rem; max-width: 22rem;
 def build(session: Session) -> None:
     """One page on the folder."""
     ui.add_css(STYLE)
+    ui.add_head_html(f'<script src="{LINKED}"></script>')
     ui.colors(primary="#0b5cad")
     view = View(session)
     known = {"version": session.version, "finished": session.finished}

@@ -39,7 +39,7 @@ def serve(
             code="missing-dependency",
             remedy="pip install loopcal[app]",
         ) from None
-    from loopcal.app.frame import build
+    from loopcal.app.frame import LINKED, build
     from loopcal.app.sending import sent, shown
     from loopcal.app.session import Session
     from loopcal.files.paths import INSIDE
@@ -58,6 +58,7 @@ def serve(
     session.state()  # reads what is there before the first page asks
     app.add_middleware(Guard, rules=rules)
     tell(f"http://{shown_host}:{number}{asked}")
+    app.add_static_file(local_file=Path(__file__).with_name("linked.js"), url_path=LINKED)
     app.add_api_route("/file/{name:path}", lambda name: sent(session, name))
     app.add_api_route("/page/{name:path}", lambda name: shown(session, name))
     ui.page("/", title=f"loopcal: {path.name}", response_timeout=60.0)(lambda: build(session))

@@ -6,58 +6,55 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
 from nicegui import ui
 
 from loopcal.app import words
 from loopcal.app.controls import reason
-from loopcal.app.pictures import SIZE, Errors
+from loopcal.app.pictures import SIZE, Errors, Framed
 from loopcal.app.view import View, heading, table
 from loopcal.app.views.fit import offer_fit
 from loopcal.document.change_points import ChangePoints
 from loopcal.document.result_document import ResultDocument
 from loopcal.report.tables import outlier_table
 
-POSES = "(event) => emit((event?.points ?? []).map((point) => point.customdata))"
-"""Of an event of plotly only the positions travel, not the figure."""
+TAKE = "(event) => linked.take(event, emit)"
+"""The page marks what an event of plotly selects (linked.js); its positions and range travel."""
+NONE = "() => linked.none(emit)"
 LISTED = 200
 """Rows of the table of selected poses."""
 
 
 class _Linked:
-    """The figures of one page; plots: with the trace whose points can be selected."""
+    """The figures of one page, and the panel of what is selected in them."""
 
     def __init__(self, view: View, errors: Errors) -> None:
         self.view, self.errors = view, errors
-        self.plots: list[Any] = []
-        self.space: Any = None
-        self.where = {int(i): n for n, i in enumerate(errors.drawn)}
-        self.selection = ui.refreshable(lambda: _selected(self))
+        self.panel = ui.refreshable(lambda: _selected(self))
 
-    def plot(self, drawn: dict[str, Any], label: str) -> None:
-        """Draw a figure that takes part."""
-        plot = ui.plotly(drawn).classes("w-full").props(f'aria-label="{label}"')
+    def plot(self, drawn: dict[str, Any], label: str, of: Framed | None = None) -> None:
+        """Draw a figure that takes part; of: what its axes show, where a frame can be drawn."""
+        plot = ui.plotly(drawn).classes("w-full linked").props(f'aria-label="{label}"')
+
+        def taken(event: Any) -> None:
+            positions, frame = [int(i) for i in event.args[0]], event.args[1]
+            whole = None if of is None or frame is None else self.errors.framed(of, frame)
+            self.keep(positions if whole is None else whole)
+
         for event in ("plotly_selected", "plotly_click"):
-            plot.on(event, lambda e: self.select([int(i) for i in e.args or ()]), js_handler=POSES)
-        plot.on("plotly_deselect", lambda: self.select([]), js_handler="() => emit()")
-        if drawn["data"][0]["type"] == "scatter3d":
-            self.space = plot
-        else:
-            self.plots.append(plot)
+            plot.on(event, taken, js_handler=TAKE)
+        plot.on("plotly_deselect", lambda: self.keep([]), js_handler=NONE)
+
+    def keep(self, positions: Sequence[int]) -> None:
+        """Remember the poses that the figures mark already."""
+        self.view.selected[:] = sorted(set(positions))
+        self.panel.refresh()
 
     def select(self, positions: Sequence[int]) -> None:
         """Select these poses in every figure."""
-        self.view.selected[:] = sorted(set(positions))
-        self.draw()
-
-    def draw(self) -> None:
-        """Show the selection: only marks travel to the browser, not the figures."""
-        chosen = [self.where[i] for i in self.view.selected if i in self.where]
-        for plot in self.plots:
-            marks: list[Any] = [chosen] if self.view.selected else [None]
-            plot.run_plot_method("restyle", {"selectedpoints": marks}, [0])
-        if self.space is not None:
-            self.space.run_plot_method("restyle", self.errors.space_of(self.view.selected), [1])
-        self.selection.refresh()
+        drawn = np.intersect1d(self.errors.drawn, list(positions))
+        ui.run_javascript(f"linked.select({drawn.tolist()})")
+        self.keep(positions)
 
 
 def show(view: View) -> None:
@@ -66,11 +63,11 @@ def show(view: View) -> None:
     if source is None:
         ui.label(words.NO_RESULT)
         return
-    errors = Errors.of(source, view.session.steps())
+    view.select_among(source.table.poses)
+    errors = Errors.of(source, view.session.steps(), view.selected)
     if errors is None:
         ui.label(words.NO_OUTPUTS)
         return
-    view.select_among(source.table.poses)
     if view.session.state().stale:
         ui.label(words.STALE).classes("care")
     if len(errors.drawn) < len(errors.size):
@@ -82,22 +79,22 @@ def show(view: View) -> None:
         with ui.column().classes("figures"):
             shown = ui.toggle(list(errors.shown), value=what, on_change=partial(_show, view))
             shown.props('no-caps aria-label="error shown"')
-            linked.plot(errors.over_poses(what), "error over the poses")
+            over = errors.numbers, errors.shown[what]
+            linked.plot(errors.over_poses(what), "error over the poses", over)
             space = errors.in_space()
             if space is not None:
                 linked.plot(space, "error in space")
             with ui.element("div").classes("tiles"):
                 for name in errors.joints:
-                    linked.plot(errors.over_joint(name, what), f"error over {name}")
+                    over = errors.joint(name), errors.shown[what]
+                    linked.plot(errors.over_joint(name, what), f"error over {name}", over)
         with ui.column().classes("acts"):
-            linked.selection()
+            linked.panel()
             ui.button("Select none", on_click=partial(linked.select, [])).props("outline")
             _undo(view)
             heading("Fit again")
             offer_fit(view)
             _found(view, source.document, linked)
-    if view.selected:
-        linked.draw()
 
 
 def _show(view: View, event: Any) -> None:
