@@ -32,10 +32,11 @@ WATCH = """
     const marks = {
       figures: () => flat.every(p => bright(p) === count),
       space: () => solid.every(p => p.data[1].x.length === count),
-      panel: () => told().startsWith(`${count} of `),
+      panel: () => told() !== before,
     };
     const told = () => [...document.querySelectorAll('.q-page .text-subtitle1')]
       .map(e => e.innerText).find(t => t.includes('poses selected')) ?? '';
+    const before = told();
     const took = {};
     const look = () => {
       for (const [name, shown] of Object.entries(marks))
@@ -53,7 +54,7 @@ def brushes(folder: Path, count: int) -> list[dict[str, float]]:
     """Milliseconds of each brush until figures, space and panel show it."""
     with serving(folder) as served, chromium() as browser:
         page: Any = browser.new_page(viewport={"width": 1440, "height": 900})
-        page.set_default_timeout(120_000)
+        page.set_default_timeout(60_000)
         page.goto(served.address)
         hand = Hand(page, folder)
         hand.step("Diagnose")
@@ -66,7 +67,7 @@ def brushes(folder: Path, count: int) -> list[dict[str, float]]:
         for i in range(count):
             page.evaluate(WATCH)
             begin = low + (high - low) * (0.1 + 0.5 * i / count)
-            hand.brush("error over the poses", begin, begin + 0.2 * (high - low))
+            hand.brush("error over the poses", begin, begin + (0.2 + 0.01 * i) * (high - low))
             page.wait_for_function("window.took !== null")
             found.append(page.evaluate("window.took"))
         page.close()

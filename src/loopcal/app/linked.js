@@ -33,8 +33,8 @@ const linked = {
   unframe() {
     for (const figure of document.querySelectorAll(".linked.js-plotly-plot")) {
       for (const layout of [figure.layout, figure._fullLayout]) if (layout) layout.selections = [];
-      for (const frame of figure.querySelectorAll(".selectionlayer path, .select-outline"))
-        frame.remove();
+      const frames = ".selectionlayer path, .select-outline, .outline-controllers";
+      for (const frame of figure.querySelectorAll(frames)) frame.remove();
     }
   },
 

@@ -29,6 +29,7 @@ NO_OUTPUTS = "The result has no outputs that could be compared with readings."
 STALE = "The project has changed since this result. Fit again to see the effect."
 NO_REGION = "The result states no working region, so loopcal cannot predict over it."
 RUNNING = "running"
+READING = "Reading the files ..."
 LEFT = "about {seconds} s left"
 CANCELLED = "cancelled; nothing was written"
 CHANGED = "Another page or program has changed the folder. This page shows it now."
@@ -51,7 +52,10 @@ REASONS = {
     "shifted": ("reflector slipped", "reflector replaced", "instrument moved", "base moved"),
 }
 SELECTED = "{count:,} of {all:,} poses selected"
-NONE_SELECTED = "No pose is selected. Drag over points of a figure, or click one."
+NONE_SELECTED = "No pose is selected. Drag over points of a figure, click one, or name the ends."
+ENDS = ("From pose", "To pose")
+SELECT = "Select"
+NO_SUCH_POSE = "The result has no pose {pose}."
 TOO_LARGE = "The file is larger than an upload may be."
 ROBOT_FIRST = "Describe the robot first, in the step Robot."
 STATE_IT = "Links and sheet, where several fit"

@@ -89,6 +89,7 @@ def show(view: View) -> None:
                     over = errors.joint(name), errors.shown[what]
                     linked.plot(errors.over_joint(name, what), f"error over {name}", over)
         with ui.column().classes("acts"):
+            _from_to(linked)
             linked.panel()
             ui.button("Select none", on_click=partial(linked.select, [])).props("outline")
             _undo(view)
@@ -141,6 +142,28 @@ def _state(view: View, changes: ChangePoints) -> None:
     state = partial(view.session.modelled, changes, "found by loopcal")
     button = ui.button("Put these changes into the project", on_click=partial(view.act, state))
     button.props("outline")
+
+
+def _from_to(linked: _Linked) -> None:
+    """The brush by keyboard: a run of poses by the ids of its ends."""
+    poses = linked.errors.source.table.poses
+    at = {pose: i for i, pose in enumerate(poses)}
+    with ui.row().classes("items-center no-wrap w-full"):
+        named = zip(words.ENDS, (poses[0], poses[-1]), strict=True)
+        ends = [ui.input(label, value=pose).classes("col") for label, pose in named]
+
+        def select() -> None:
+            given = [str(end.value).strip() for end in ends]
+            unknown = [pose for pose in given if pose not in at]
+            if unknown:
+                ui.notify(words.NO_SUCH_POSE.format(pose=unknown[0]), type="negative")
+                return
+            first, last = sorted(at[pose] for pose in given)
+            linked.select(range(first, last + 1))
+
+        for end in ends:
+            end.on("keydown.enter", select)
+        ui.button(words.SELECT, on_click=select).props("outline")
 
 
 def _ends(linked: _Linked) -> None:
