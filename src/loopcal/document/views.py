@@ -85,4 +85,6 @@ class Views:
     if not TYPE_CHECKING:  # a type checker shall still find misspelt names
 
         def __getattr__(self, name: str) -> Any:
+            if hasattr(type(self), name):  # a property that failed: say what failed in it
+                return object.__getattribute__(self, name)
             return aliased(self, name)

@@ -19,8 +19,8 @@ from loopcal.pose_performance.intervals import Estimate
 from loopcal.pose_performance.parts import ConditionPerformance
 from loopcal.pose_performance.result import METHOD, Performance
 from loopcal.pose_performance.summary import headline, tables_of
-from loopcal.report.page import environment, part, sha256
 from loopcal.report.tables import Table
+from loopcal.report.templates import environment, part, sha256
 
 MM = 1e3
 MOST_PANELS = 30

@@ -12,6 +12,7 @@ from loopcal.estimation.result import Result
 from loopcal.files.atomic import write_atomic
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.start_writer import Start, start_to_toml
+from loopcal.files.result.deployed import FLEET, note_deployed, result_path
 from loopcal.files.result.result_folder import ReadResult, read_result_folder
 from loopcal.life.fleet import Fleet, learn
 from loopcal.life.measured_machine import MeasuredMachine
@@ -54,6 +55,8 @@ def run_fleet(
 
         written.append(Path(out).with_suffix(".html"))
         write_atomic(written[-1], fleet_html(found))
+    for path in results:
+        note_deployed(result_path(path), FLEET, Path(out).stem, found.document())
     return FleetDone(found, tuple(written))
 
 

@@ -191,7 +191,7 @@ class NoiseEstimate:
             return self._by_sums()
         unsure = {name for pair in self.alike for name in pair}
         return tuple(
-            _judged(self.model, self.found, i, component, component.name in unsure)
+            judged(self.model, self.found, i, component, component.name in unsure)
             for i, component in enumerate(self.stated)
         )
 
@@ -380,9 +380,10 @@ def _change(before: Array, after: Array) -> float:
     return float(np.abs(np.log(after[both] / before[both])).max(initial=0.0))
 
 
-def _judged(
+def judged(
     model: LinearModel, found: Estimate, which: int, component: Component, unsure: bool
 ) -> EstimatedSd:
+    """What a model says of one component. unsure: whether it is hardly told apart from another."""
     from scipy.special import chdtrc
 
     ratio, sd = math.sqrt(float(found.ratios[which])), found.sd_of_root(which)
