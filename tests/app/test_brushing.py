@@ -1,4 +1,4 @@
-"""One selection in all figures: by brushing again and again, by naming ends, of more than is drawn."""
+"""One selection in all figures: by brushing, by naming ends, of more than is drawn."""
 
 from __future__ import annotations
 

@@ -224,7 +224,7 @@ def _run(session: Session) -> Callable[[], Any]:
         if run.code is None:
             ui.spinner(size="sm")
             progress, left = ui.label(words.RUNNING), ui.label()
-            ui.button("Cancel", on_click=session.worker.cancel).props("outline")
+            ui.button(words.CANCEL, on_click=session.worker.cancel).props("outline")
         elif run.cancelled:
             ui.label(words.CANCELLED)
         elif run.code < 0:
@@ -237,8 +237,8 @@ def _run(session: Session) -> Callable[[], Any]:
         if run.code is not None and run.text:
             with ui.dialog() as output, ui.card().classes("w-full").style("max-width: 70rem"):
                 text_block(run.text)
-                ui.button("Close", on_click=output.close)
-            ui.button("Output", on_click=output.open).props("flat")
+                ui.button(words.CLOSE, on_click=output.close)
+            ui.button(words.OUTPUT, on_click=output.open).props("flat")
     if run.code not in (None, 0) and not run.cancelled:
         text_block(run.text[max(run.text.rfind("loopcal: "), 0) :][-SAID:])
 

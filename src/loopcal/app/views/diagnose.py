@@ -91,9 +91,9 @@ def show(view: View) -> None:
         with ui.column().classes("acts"):
             _from_to(linked)
             linked.panel()
-            ui.button("Select none", on_click=partial(linked.select, [])).props("outline")
+            ui.button(words.SELECT_NONE, on_click=partial(linked.select, [])).props("outline")
             _undo(view)
-            heading("Fit again")
+            heading(words.FIT_AGAIN)
             offer_fit(view)
             _found(view, source.document, linked)
 
@@ -106,7 +106,7 @@ def _show(view: View, event: Any) -> None:
 def _undo(view: View) -> None:
     edits = view.session.folder.log().edits()
     if edits:
-        label = f"Undo: {edits[-1].what[:60]}"
+        label = words.UNDO.format(what=edits[-1].what[:60])
         undo = partial(view.act, view.session.folder.undo)
         ui.button(label, on_click=undo, icon="undo").props("outline")
 
@@ -118,14 +118,14 @@ def _found(view: View, document: ResultDocument, linked: _Linked) -> None:
     outliers = outlier_table(document)
     if not found and outliers is None:
         return
-    heading("Found by loopcal")
+    heading(words.FOUND_BY_LOOPCAL)
     poses = linked.errors.source.table.poses
     for point in found:
         words_ = str(point)
         ui.label(f"{words_[0].upper()}{words_[1:]}.").classes("text-body2")
         if point.shape == "step" and point.pose in poses:
             positions = list(range(poses.index(point.pose), len(poses)))
-            label = f"Select from pose {point.pose} on"
+            label = words.SELECT_FROM.format(pose=point.pose)
             ui.button(label, on_click=partial(linked.select, positions)).props("flat")
     if changes is not None and changes.toml:
         _state(view, changes)
@@ -133,14 +133,14 @@ def _found(view: View, document: ResultDocument, linked: _Linked) -> None:
         odd = [poses.index(str(row[0])) for row in outliers.rows if str(row[0]) in poses]
         ui.label(f"{outliers.caption}: pose {', '.join(str(row[0]) for row in outliers.rows[:12])}")
         if odd:
-            ui.button("Select these poses", on_click=partial(linked.select, odd)).props("flat")
-        with ui.expansion("Details").classes("w-full"):
+            ui.button(words.SELECT_THESE_POSES, on_click=partial(linked.select, odd)).props("flat")
+        with ui.expansion(words.DETAILS).classes("w-full"):
             table(outliers.head, outliers.rows)
 
 
 def _state(view: View, changes: ChangePoints) -> None:
     state = partial(view.session.modelled, changes, "found by loopcal")
-    button = ui.button("Put these changes into the project", on_click=partial(view.act, state))
+    button = ui.button(words.STATE_CHANGES, on_click=partial(view.act, state))
     button.props("outline")
 
 
@@ -186,7 +186,7 @@ def _ends(linked: _Linked) -> None:
 def _selected(linked: _Linked) -> None:
     """The selected poses, and what can be done with them."""
     view, errors = linked.view, linked.errors
-    heading("Selected poses")
+    heading(words.SELECTED_POSES)
     if not view.selected:
         ui.label(words.NONE_SELECTED)
         return
@@ -208,7 +208,7 @@ def _selected(linked: _Linked) -> None:
         ui.button(f"{label} moved here", on_click=partial(do, act, "shifted")).props("unelevated")
     reason(view, "excluded", words.REASONS["excluded"])
     exclude = partial(view.session.excluded, poses)
-    ui.button("Exclude", on_click=partial(do, exclude, "excluded")).props("unelevated")
+    ui.button(words.EXCLUDE, on_click=partial(do, exclude, "excluded")).props("unelevated")
     rows = [
         [p, *(f"{values[i]:.3g}" for values in errors.shown.values())]
         for p, i in zip(poses[:LISTED], view.selected, strict=False)
