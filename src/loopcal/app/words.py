@@ -56,6 +56,7 @@ NONE_SELECTED = "No pose is selected. Drag over points of a figure, click one, o
 ENDS = ("From pose", "To pose")
 SELECT = "Select"
 NO_SUCH_POSE = "The result has no pose {pose}."
+CHOOSE_FILES = "Choose files"
 TOO_LARGE = "The file is larger than an upload may be."
 ROBOT_FIRST = "Describe the robot first, in the step Robot."
 STATE_IT = "Links and sheet, where several fit"
