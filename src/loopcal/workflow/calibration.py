@@ -26,7 +26,6 @@ from loopcal.files.project.stream import ParquetStream, project_stream
 from loopcal.files.project.validation_entries import validation_arguments
 from loopcal.files.result import result_file
 from loopcal.files.result.residual_parts import NAME as RESIDUALS
-from loopcal.files.result.truth_file import read_truth
 from loopcal.files.versions import versions as known_versions
 from loopcal.lazy import cached_property
 from loopcal.measurements.checks import DataWarning
@@ -171,6 +170,8 @@ class _Run:
         """The true parameters."""
         if self.request.truth is None:
             return None
+        from loopcal.files.result.truth_file import read_truth
+
         return read_truth(self.request.truth, self.project.mechanism)
 
     @cached_property
