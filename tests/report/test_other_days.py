@@ -7,6 +7,7 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import loopcal as lc
@@ -19,6 +20,7 @@ from loopcal.report.source import read_source
 from loopcal.statistics.changed import WhatChanged
 from loopcal.workflow.fleet import run_fleet
 from loopcal.workflow.history import run_history
+from loopcal.workflow.updating import run_update
 from loopcal.workflow.verifying import run_verification
 from tests.command_line import run
 
@@ -79,11 +81,23 @@ def test_notes_hold_what_the_commands_found(folder: Path) -> None:
     assert fleet.parameters == lc.fleet(names).parameters
 
 
+def test_the_report_of_an_update_draws_by_how_much_it_narrowed(folder: Path) -> None:
+    run_update(folder / "one", folder / "planar-two" / "poses.csv", out=folder / "new")
+    source = read_source(folder / "new")
+    found = other_days(source.document, source.deployed)
+    assert found.words[0].startswith("This result updates an earlier calibration: the sds of ")
+    figure = found.figures["sds_lengths"]
+    before, after = (np.array(bar["x"]) for bar in figure.data)
+    assert (after < before).all()
+    assert 'id="later"' in report_html([source])
+
+
 def test_a_damaged_note_is_named_and_left_out(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder / "one", tmp_path / "one")
     note = tmp_path / "one" / "deployed" / "verification-poses.json"
     told = json.loads(note.read_text("utf-8"))
     note.write_text(json.dumps({**told, "changes": {"found": 3}}), "utf-8")
-    found = other_days(read_deployed(tmp_path / "one" / "result.json"))
+    source = read_source(tmp_path / "one")
+    found = other_days(source.document, source.deployed)
     assert [words for words in found.words if "verification" in words and "damaged" in words]
     assert not [one for one in found.tables if "poses.csv" in one.caption]

@@ -20,7 +20,7 @@ from loopcal.report.templates import environment, part, sha256
 from loopcal.statistics.changed import WhatChanged
 from loopcal.statistics.verified import Verification
 
-_UNITS = {"m": "lengths", "rad": "angles"}
+UNITS = {"m": "lengths", "rad": "angles"}
 
 
 def verification_html(found: Verification, title: str) -> str:
@@ -43,7 +43,7 @@ def verification_html(found: Verification, title: str) -> str:
 def change_figures(found: WhatChanged) -> list[Figure]:
     """What changed, and what would not have been seen: one figure for each unit."""
     units = dict.fromkeys(one.unit for one in found.candidates)
-    drawn = [changes(_UNITS.get(u, "others"), unit_shown(u), _reaches(found, u)) for u in units]
+    drawn = [changes(UNITS.get(u, "others"), unit_shown(u), _reaches(found, u)) for u in units]
     return [figure for figure in drawn if figure is not None]
 
 

@@ -1,4 +1,5 @@
-"""What was found of a result on other days, for its report: verifications, history, fleet."""
+"""What was found of a result on other days, for its report: update, verifications, history,
+fleet."""
 
 from __future__ import annotations
 
@@ -6,15 +7,27 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from loopcal.document.accuracy import Distances
-from loopcal.document.tables import distances_shown
+from loopcal.document.result_document import ResultDocument
+from loopcal.document.tables import distances_shown, shown_parameters
+from loopcal.estimation.inherited import UPDATED
 from loopcal.figures.figure import Figure
+from loopcal.figures.life import narrowed
 from loopcal.files.result.deployed import FLEET, HISTORY, VERIFICATION, Deployed
 from loopcal.life.fleet import Fleet
 from loopcal.life.history import History
-from loopcal.presentation.shown import by_sd, chance, size, unit_shown
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import by_sd, chance, in_unit, size, unit_shown
 from loopcal.report.history_page import history_figures, history_table
-from loopcal.report.life_pages import change_figures, fleet_figure, fleet_tables, fleet_words
+from loopcal.report.life_pages import (
+    UNITS,
+    change_figures,
+    fleet_figure,
+    fleet_tables,
+    fleet_words,
+)
 from loopcal.report.tables import Table
 from loopcal.statistics.changed import WhatChanged
 
@@ -28,10 +41,9 @@ class OtherDays:
     tables: Sequence[Table]
 
 
-def other_days(notes: Sequence[Deployed]) -> OtherDays:
-    """What the notes of a result say of other days; nothing where there are none."""
-    words: list[str] = []
-    figures: list[Figure] = []
+def other_days(document: ResultDocument, notes: Sequence[Deployed]) -> OtherDays:
+    """What a result, if it is an update, and its notes say of other days."""
+    words, figures = _update(document)
     tables: list[Table] = []
     told = {VERIFICATION: _verification, HISTORY: _history, FLEET: _fleet}
     for number, note in enumerate((n for n in notes if n.kind in told), 1):
@@ -44,6 +56,29 @@ def other_days(notes: Sequence[Deployed]) -> OtherDays:
         figures += [replace(its, key=f"{key}_{number}") for key, its in one.figures.items()]
         tables += one.tables
     return OtherDays(words, {figure.key: figure for figure in figures}, tables)
+
+
+def _update(document: ResultDocument) -> tuple[list[str], list[Figure]]:
+    """By how much an update narrowed what the earlier calibration knew."""
+    known = [
+        (p.name, p.unit, p.prior_sd, p.sd)
+        for p in shown_parameters(document.parameters, document.terms)
+        if not p.fixed and p.prior_sd and p.sd
+    ]
+    if document.method_label != UPDATED or not known:
+        return [], []
+    shares = [sd / before for _, _, before, sd in known]
+    words = (
+        f"This result updates an earlier calibration: the sds of {len(known)} parameters are "
+        f"{significant(min(shares), 2)} to {significant(max(shares), 2)} times those before."
+    )
+    drawn = []
+    for unit in dict.fromkeys(unit for _, unit, _, _ in known):
+        its = [one for one in known if one[1] == unit]
+        sds = np.array([[in_unit(v, unit) for v in one[2:]] for one in its])
+        key = f"sds_{UNITS.get(unit, 'others')}"
+        drawn.append(narrowed(key, unit_shown(unit), [one[0] for one in its], *sds.T))
+    return [words], [figure for figure in drawn if figure is not None]
 
 
 def _verification(its: Mapping[str, Any]) -> OtherDays:

@@ -14,6 +14,7 @@ from loopcal.document.plain import plain
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.errors import UsageError
+from loopcal.estimation.inherited import UPDATED
 from loopcal.estimation.methods.registry import method_named
 from loopcal.estimation.result import Result
 from loopcal.figures.figure import plotly_javascript
@@ -123,11 +124,12 @@ def _result(source: Source, number: int) -> dict[str, Any]:
 
 
 def _later(source: Source) -> OtherDays | None:
-    if not any(note.kind in OTHER_DAYS for note in source.deployed):
+    noted = any(note.kind in OTHER_DAYS for note in source.deployed)
+    if not noted and source.document.method_label != UPDATED:
         return None
     from loopcal.report.other_days import other_days
 
-    return other_days(source.deployed)
+    return other_days(source.document, source.deployed)
 
 
 def identifiability_words(document: ResultDocument) -> list[str]:

@@ -106,7 +106,8 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
     with one_blas_thread():
         known = predictor(result)
         # side by side: the result keeps what they find
-        gathered(own_threads(), _asked, result, (find_outliers, _shifts, _documented))
+        asked: tuple[Callable[[Result], object], ...] = (find_outliers, _shifts, _documented)
+        gathered(own_threads(), _asked, result, asked)
         outliers, shifts = find_outliers(result), _shifts(result)
         if outliers.columns:
             shifts = NOT_SEARCHED

@@ -103,6 +103,8 @@ class OrderedSystem:
         for pattern in np.unique(self.patterns):
             here = self.patterns == pattern
             there = np.flatnonzero(self.rows[here][0])
+            if not there.size:  # poses in which no loop holds
+                continue
             S = alone * np.eye(len(there))
             poses, few = int(here.sum()), _ENOUGH * len(there)
             if poses > 2 * len(there):

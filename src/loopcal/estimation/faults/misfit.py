@@ -154,7 +154,7 @@ def beside(problem: Problem, steps: int = _STEPS) -> Callable[[Problem], float]:
     sweeper.at(start)
     for pattern, block in sweeper.blocks(np.broadcast_to(0.0, problem.readings.shape)):
         found = sweeper.engine(pattern).evaluate(block.corrected, block.known)
-        loops = list(pattern.loops)
+        loops = np.array(pattern.loops, dtype=np.intp)
         J = found.by_parameter[its]
         at = np.arange(problem.count)[block.poses]
         columns[np.ix_(at, loops)] = J.transpose(2, 1, 0) / scales.loops[loops]
