@@ -183,7 +183,9 @@ class Sweeper:
             read = np.zeros(part.corrections.shape)
             read[list(pattern.unmeasured)] = part.corrections[list(pattern.unmeasured)]
             tape = self.problem.tape(pattern)
-            closed = close_by_newton(tape, parameters, part.at(read), NEGLIGIBLE)
+            closed = close_by_newton(
+                tape, parameters, part.at(read), NEGLIGIBLE, self.problem.names
+            )
             before = self.misfit(pattern, part)
             after = self.misfit(pattern, part.at(closed.corrections))
             better = ~closed.open & (after < _NEARER * before)
@@ -259,7 +261,9 @@ class Sweeper:
             return closed
         some = np.flatnonzero(closed.open)
         near, tape = block.at(closed.corrections).of(some), self.problem.tape(pattern)
-        found = close_by_newton(tape, self.parameters, near, min(tolerance, 1e-3))
+        found = close_by_newton(
+            tape, self.parameters, near, min(tolerance, 1e-3), self.problem.names
+        )
         closed.corrections[:, some], closed.open[some] = found.corrections, found.open
         return replace(closed, contraction=1.0)
 
