@@ -124,7 +124,7 @@ def _in_rows(tape: Tape, instructions: Sequence[Instruction], ends: Sequence[int
         if name in ("quantity", "known"):
             rows[position] = int(payload[0]) + (len(tape.quantities) if name == "known" else 0)
     count = len(tape.quantities) + len(tape.known)
-    # of each position: whether its row is its own to the end, and the last instruction that takes it
+    # of each position: whether its row stays its own, and the last instruction that takes it
     kept, last = bytearray(len(tape.operations)), [-1] * len(tape.operations)
     for position in (*rows, *tape.outputs):
         kept[position] = True

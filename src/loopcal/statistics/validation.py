@@ -54,8 +54,8 @@ from loopcal.statistics.verification import day_problem
 
 Array = NDArray[np.float64]
 NEARLY = 1e-2
-"""Where sds of terms are learnt, or weights are found in rounds, refits converge to so many sds: far
-less than these are known, and no prediction moves by more than a hundredth of its error."""
+"""Where sds of terms are learnt, or weights are found in rounds, refits converge to so many sds: no
+prediction moves by more than a hundredth of its error."""
 ENOUGH = 1e-5
 """Elsewhere: no prediction moves by more than a hundred-thousandth of its error."""
 
