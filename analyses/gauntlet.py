@@ -22,13 +22,11 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import json
 import math
 import re
 import time
 import warnings
 import zlib
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +36,7 @@ import loopcal as lc
 from analyses.gauntlet_kinds import KINDS, Kind
 from analyses.gauntlet_truth import Array
 from analyses.gauntlet_worlds import Fresh
+from analyses.kept import complete
 from analyses.rates import table
 from analyses.written import write_block
 from loopcal.small_samples import f_limit
@@ -132,19 +131,6 @@ def _placed(points: Array, onto: Array) -> Array:
     return moved
 
 
-def kept(path: Path = KEPT, stamp: str = STAMP) -> list[dict[str, Any]]:
-    """The draws of this code that earlier runs have kept; a broken line is left out."""
-    found = {}
-    for line in path.read_text("utf-8").splitlines() if path.exists() else []:
-        try:
-            draw = json.loads(line)
-        except json.JSONDecodeError:
-            continue
-        if draw.get("stamp") == stamp:
-            found[draw["kind"], draw["draw"]] = draw
-    return list(found.values())
-
-
 def main() -> None:
     """Run what is missing and print the table."""
     options = argparse.ArgumentParser(description=__doc__)
@@ -157,17 +143,8 @@ def main() -> None:
     chosen = options.parse_args()
     names = [name for name in KINDS if all(word in name for word in chosen.only)]
     wanted = range(chosen.first, chosen.first + chosen.draws)
-    done = {(d["kind"], d["draw"]) for d in kept(chosen.keep)}
-    todo = [(n, i) for i in wanted for n in names if (n, i) not in done]
-    chosen.keep.parent.mkdir(parents=True, exist_ok=True)
-    with (
-        chosen.keep.open("a", encoding="utf-8") as file,
-        ProcessPoolExecutor(chosen.processes) as pool,
-    ):
-        for future in as_completed([pool.submit(run, *which) for which in todo]):
-            file.write(json.dumps(future.result()) + "\n")
-            file.flush()
-    draws = [d for d in kept(chosen.keep) if d["kind"] in names and d["draw"] in wanted]
+    asked = [(name, i) for i in wanted for name in names]
+    draws = complete(chosen.keep, asked, run, chosen.processes, STAMP)
     text = f"{table(draws)}\n\nstamp of the code that was judged: {STAMP}"
     print(text)
     if chosen.write:

@@ -98,7 +98,9 @@ def _drifting(run: Run, rng: Rng) -> None:
     run.drift += np.linspace(0.0, 3e-4, len(run.drift))[:, None] * _direction(rng)
 
 
-def _wandering(persistence: float, sd: float) -> Callable[[Run, Rng], None]:
+def wandering(persistence: float, sd: float) -> Callable[[Run, Rng], None]:
+    """An instrument that drifts by AR(1), to this sd [m] of each coordinate."""
+
     def event(run: Run, rng: Rng) -> None:
         value = sd * rng.standard_normal(3)
         for row in run.drift:
@@ -302,13 +304,13 @@ FAULTY = (
     Kind("drift", replace(_LONG, event=_drifting), cause=ALONG, placed=True),
     Kind(
         "drift along a path, AR(1) 0.95",
-        replace(_PATH, event=_wandering(0.95, 6e-5)),
+        replace(_PATH, event=wandering(0.95, 6e-5)),
         cause=ALONG,
         placed=True,
     ),
     Kind(
         "drift along a path, AR(1) 0.6",
-        replace(_PATH, event=_wandering(0.6, 3e-5)),
+        replace(_PATH, event=wandering(0.6, 3e-5)),
         cause=ALONG,
         placed=True,
     ),

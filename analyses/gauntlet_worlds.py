@@ -117,18 +117,19 @@ class World:
     learnt: bool = False
     left_handed: bool = False
 
-    def made(self, rng: Rng) -> Trial:
-        """One data set."""
+    def made(self, rng: Rng, day: Rng | None = None) -> Trial:
+        """One data set; day: draws all that is not the machine and what is mounted on it."""
         drawing = ARMS[self.machine]
         true = self.worn(drawing.perturbed(rng, *BUILT), rng)
-        everywhere = truth.BOXES[self.machine]
-        box = everywhere if self.share == 1.0 else truth.corner(everywhere, self.share, rng)
         targets = 3 if self.instrument == "three reflectors" else 1
         places = np.array([TOOL, TOOL * [-1.5, 2.0, 0.8], TOOL * [0.5, -3.0, 1.2]])[:targets]
         if self.machine == "planar":
             places = places * 0.0
         mounted = places + MOUNTED * rng.standard_normal(places.shape) * (self.machine != "planar")
         mounted = mounted + np.array(self.tool)
+        rng = day or rng
+        everywhere = truth.BOXES[self.machine]
+        box = everywhere if self.share == 1.0 else truth.corner(everywhere, self.share, rng)
         stands = [random_placement(rng, 2.0) for _ in range(2)]
         if self.machine == "planar":
             stands = [(truth.turn(2, rng.uniform(-3.0, 3.0)), np.array([1.0, 0.5, 0.0]))] * 2

@@ -74,11 +74,16 @@ def drawn(world: World, seed: int, method: str = "auto") -> Draw:
     )
 
 
+def sagging() -> World:
+    """Arms that sag."""
+    world = KINDS["sag"].world
+    assert isinstance(world, World)
+    return world
+
+
 def corners(poses: int, share: float, *, stated: bool) -> World:
     """Arms that sag, measured in a corner."""
-    sagging = KINDS["sag"].world
-    assert isinstance(sagging, World)
-    return replace(sagging, poses=poses, share=share, stated=1.0 if stated else None)
+    return replace(sagging(), poses=poses, share=share, stated=1.0 if stated else None)
 
 
 def line(name: str, draws: Sequence[Draw]) -> str:

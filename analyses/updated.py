@@ -2,7 +2,7 @@
 
 The first half of a measured set is calibrated and updated by the second half, the instrument where
 it stood; beside it stands the calibration of all poses. Printed: differences in sds of the latter.
-The sds are those that the calibration of the first half states.
+Sds that the project learns are learnt anew from both halves.
 
     python -m analyses.updated PROJECT.toml [--from ROW]
 """

@@ -34,7 +34,7 @@ class Small:
 def measure(draws: int = DRAWS) -> list[Small]:
     """The planar arm; raises DisagreementError unless both programs find the same."""
     drawn = [planar(POSES, seed) for seed in range(1, draws + 1)]
-    mine = [ours.on_engine(ours.BEST, ours.solver(problem), 1) for problem in drawn]
+    mine = [ours.solver(problem) for problem in drawn]
     theirs = [odrpack_on_tape(problem) for problem in drawn]
     title = f"Monte Carlo: {draws:,} fits of {POSES} poses"
     return [
@@ -47,9 +47,12 @@ def compared(
     fits: str, mine: list[Callable[[], Fit]], theirs: list[Callable[[], Fit]], rounds: int
 ) -> Small:
     """Both in turns; raises DisagreementError unless every chi-squared is the same."""
-    for one, other in zip(mine, theirs, strict=True):
-        apart = abs(one().chi_squared / other().chi_squared - 1.0)
+    programs = {
+        "ours": ours.on_engine(ours.BEST, lambda: [f() for f in mine], 1),
+        "odrpack": lambda: [f() for f in theirs],
+    }
+    for one, other in zip(programs["ours"](), programs["odrpack"](), strict=True):
+        apart = abs(one.chi_squared / other.chi_squared - 1.0)
         if not apart <= AGREED:
             raise DisagreementError(f"{fits}: chi-squared differs by {apart:.2g} from odrpack's")
-    programs = {"ours": lambda: [f() for f in mine], "odrpack": lambda: [f() for f in theirs]}
     return Small(fits, **in_turns(programs, rounds=rounds))

@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
-from analyses.gauntlet import STAMP, kept, run
+from analyses.gauntlet import STAMP, run
 from analyses.gauntlet_kinds import KINDS
+from analyses.kept import kept
 from analyses.rates import interval, table, wrong
 
 CLEAN, FAULT = "planar arm, 40 poses", "points in mm"
@@ -57,8 +58,8 @@ def test_draws_of_other_code_and_broken_lines_do_not_count(tmp_path: Path) -> No
     path = tmp_path / "kept.jsonl"
     draws = [draw(CLEAN, 0), draw(CLEAN, 0, sound=False), draw(CLEAN, 1) | {"stamp": "older"}]
     path.write_text("".join(json.dumps(d) + "\n" for d in draws) + '{"kind": "pla', "utf-8")
-    assert kept(path) == [draws[1]]
-    assert kept(tmp_path / "absent.jsonl") == []
+    assert kept(path, STAMP) == [draws[1]]
+    assert kept(tmp_path / "absent.jsonl", STAMP) == []
 
 
 def test_the_table_counts_alarms_misses_and_names() -> None:

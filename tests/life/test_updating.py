@@ -106,6 +106,85 @@ def test_along_a_curved_valley_it_equals_fitting_everything_at_once(
     assert symmetric(entry.unwidened) == pytest.approx(plain)
 
 
+def line() -> lc.Mechanism:
+    return lc.Mechanism.from_function(
+        lambda x, p: [x.y - p.a * x.q - p.b, x.z - p.a * x.q],
+        {"q": "m", "y": "m", "z": "m"},
+        {"a": (1.0, "1"), "b": (0.0, "m")},
+        outputs=("y", "z"),
+    )
+
+
+def test_sds_are_learnt_from_the_poses_of_both_days() -> None:
+    rng = np.random.default_rng(0)
+    q = rng.uniform(0.0, 1.0, 60)
+    y = 1.1 * q + 0.2 + 2e-3 * rng.standard_normal(60)
+    z = 1.1 * q + 5e-3 * rng.standard_normal(60)
+    noise = lc.Noise({"q": 0.0, "y": 1e-3, "z": 1e-3}, estimate={"y": "each", "z": "each"})
+    every, first = (
+        lc.calibrate(
+            line(), {"q": q[:n], "y": y[:n], "z": z[:n]}, noise=noise, method="implicit-loop"
+        )
+        for n in (60, 20)
+    )
+    later = {"q": q[20:], "y": y[20:], "z": z[20:]}
+    found = lc.update(first, later)
+    assert values(found) == pytest.approx(values(every), abs=1e-3 * sds(every).min())
+    for one, both in zip(found.noise, every.noise, strict=True):
+        assert one.quantities == both.quantities
+        assert one.source == both.source
+        assert one.sd == pytest.approx(both.sd, rel=2e-3)
+        assert (one.sd_of_sd or 0.0) == pytest.approx(both.sd_of_sd or 0.0, rel=1e-2)
+    held = lc.update(first, later, noise={"q": 0.0, "y": 1e-3, "z": 1e-3})
+    assert {one.sd for one in held.noise} == {0.0, 1e-3}
+    once_more = lc.update(found, later)
+    assert [one.source for one in once_more.noise] == [one.source for one in found.noise]
+
+
+def test_a_drift_is_not_taken_for_noise() -> None:
+    rng = np.random.default_rng(0)
+    q = rng.uniform(0.0, 1.0, 80)
+    slope = np.where(np.arange(80) < 40, 1.1, 1.15)
+    y, z = (slope * q + by + 2e-3 * rng.standard_normal(80) for by in (0.2, 0.0))
+    data = lc.Dataset.from_arrays({"q": q, "y": y, "z": z})
+    noise = lc.Noise({"q": 0.0, "y": 1e-3, "z": 1e-3}, estimate={"[yz]": "group"})
+    first = lc.calibrate(line(), data.take(np.arange(40)), noise=noise, method="implicit-loop")
+    later = data.take(np.arange(40, 80))
+    allowed, mixed = (update(first, later, drift=drift) for drift in ({"a": 0.1}, {}))
+    assert {one.quantities: one.sd for one in allowed.noise}["y", "z"] < 2.5e-3
+    assert {one.quantities: one.sd for one in mixed.noise}["y", "z"] > 5e-3
+    assert allowed.value["a"] == pytest.approx(1.15, abs=5e-3)
+
+
+def test_without_the_earlier_poses_the_learnt_sds_are_handed_on() -> None:
+    rng = np.random.default_rng(0)
+    q = rng.uniform(0.0, 1.0, 40)
+    data = {"q": q, "y": 1.1 * q + 2e-3 * rng.standard_normal(40), "z": 1.1 * q}
+    noise = lc.Noise({"q": 0.0, "y": 1e-3, "z": 1e-3}, estimate={"y": "each"})
+    first = lc.calibrate(line(), data, noise=noise, method="implicit-loop")
+    bare = replace(Calibrated.of(first, ""), poses=None)
+    assert update(bare, data).noise == Calibrated.of(first, "").noise
+
+
+def test_learnt_sds_and_parameters_are_those_of_all_poses_on_a_measured_set(
+    shared_data: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = shared_data("motoman_ma1400_leica/left_arm_grid.csv")
+    monkeypatch.setenv("LOOPCAL_DATA", os.fspath(path.parents[1]))
+    project = lc.read_project(EXAMPLES / "left_arm_sensors.toml")
+    loaded = lc.load_dataset(project)
+    rows = np.random.default_rng(0).permutation(len(loaded.dataset))
+    first, every = (
+        lc.calibrate(project.mechanism, data, noise=loaded.noise, method="implicit-loop")
+        for data in (loaded.dataset.take(np.sort(rows[:104])), loaded.dataset)
+    )
+    found = lc.update(first, loaded.dataset.take(np.sort(rows[104:])), moved=False)
+    assert np.abs((values(first) - values(every)) / sds(every)).max() > 1.0
+    assert np.abs((values(found) - values(every)) / sds(every)).max() < 0.02
+    learnt, of_all = ([e.sd for e in one.noise] for one in (found, every))
+    assert learnt == pytest.approx(of_all, rel=0.01)
+
+
 def test_without_the_earlier_poses_the_covariance_serves() -> None:
     given = setup("six-axis spherical")
     data = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1).dataset

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from analyses.instruments import ARM_VALUES, six_axis
 from loopcal.errors import Code
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.effects.backlash import Backlash
@@ -19,7 +20,7 @@ from loopcal.mechanisms.effects.gravity import ACCELERATION, Load, end_of, unit_
 from loopcal.mechanisms.effects.harmonics import Harmonics
 from loopcal.mechanisms.effects.scale import Scale
 from loopcal.mechanisms.exponentials import ScrewJoint, exponentials
-from loopcal.mechanisms.instruments.length import relative_distance
+from loopcal.mechanisms.instruments.length import draw_wire, relative_distance
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.mechanism import Mechanism
@@ -101,6 +102,16 @@ def test_scale_and_backlash_follow_one_another() -> None:
     }
     known = {"d_theta_1": 1.0, "d_theta_2": -1.0}
     assert loops(changed, x, known, **p) == pytest.approx(loops(plain, x | moved))
+
+
+def test_a_length_that_an_instrument_reads_has_a_scale_where_it_is_named() -> None:
+    plain = assemble(six_axis(), [draw_wire("wire")], ARM_VALUES)
+    x = readings(plain) | {"wire": 1.2}
+    scaled = with_effects(plain, [Scale(("wire",))])
+    assert loops(scaled, x, wire_scale=0.02) == pytest.approx(
+        loops(plain, x | {"wire": 1.2 * 1.02})
+    )
+    assert "wire_scale" not in with_effects(plain, [Scale()]).parameters.names
 
 
 def test_a_drift_and_shifts_move_parameters_with_their_column() -> None:

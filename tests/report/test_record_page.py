@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +12,20 @@ from pathlib import Path
 import pytest
 
 import loopcal as lc
+from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Answer
 from loopcal.files.result.record_file import OPEN, RecordFile, check_record
 from loopcal.files.result.result_file import read_result
-from loopcal.report.record_page import FIELDS, OTHERS, PEOPLE, RULE, UNSTATED, record_page
+from loopcal.report.record_content import (
+    FIELDS,
+    OPTIONAL,
+    OTHERS,
+    PEOPLE,
+    RULE,
+    UNSTATED,
+    record_content,
+)
+from loopcal.report.record_page import record_page
 from loopcal.small_samples import t_quantile
 from tests.browser import chromium
 from tests.refusals import refused
@@ -32,6 +43,10 @@ def folder(planar: Path, tmp_path: Path) -> Path:
     return tmp_path / "planar" / "result"
 
 
+def page_of(document: ResultDocument, stated: Mapping[str, str], *files: RecordFile) -> str:
+    return record_page(record_content(document, stated, files))
+
+
 def text_of(page: str) -> str:
     return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page.split("<body")[1]))
 
@@ -40,33 +55,33 @@ def test_every_key_of_the_project_is_printed(planar: Path) -> None:
     from loopcal.files.project.project_schema import RecordEntry
 
     assert set(KEYS) == set(RecordEntry.model_fields)
-    made = record_page(read_result(planar / "result.json"), STATED, ())
+    made = record_content(read_result(planar / "result.json"), STATED, ())
+    page = record_page(made)
     for key in KEYS:
-        assert f"the {key} &lt;b&gt;&amp;amp;" in made.html
+        assert f"the {key} &lt;b&gt;&amp;amp;" in page
     assert made.missing == ()
     assert made.number == STATED["number"]
 
 
 def test_what_is_empty_is_not_stated(planar: Path) -> None:
-    made = record_page(read_result(planar / "result.json"), {"customer": "  "}, ())
-    optional = {"accreditation", "number", "note"}
-    assert set(made.missing) == set(KEYS) - optional
-    assert made.html.count(f">{UNSTATED}<") == len(made.missing)
+    made = record_content(read_result(planar / "result.json"), {"customer": "  "}, ())
+    assert set(made.missing) == set(KEYS) - set(OPTIONAL)
+    assert record_page(made).count(f">{UNSTATED}<") == len(made.missing)
 
 
 def test_it_is_a_certificate_only_with_an_accreditation(planar: Path) -> None:
     document = read_result(planar / "result.json")
     plain, accredited = (
-        record_page(document, stated, ()) for stated in ({}, {"accreditation": "K-12345"})
+        record_content(document, stated, ()) for stated in ({}, {"accreditation": "K-12345"})
     )
     assert plain.title == "Calibration record"
-    assert "ertificate" not in text_of(plain.html)
+    assert "ertificate" not in text_of(record_page(plain))
     assert accredited.title == "Calibration certificate"
 
 
 def test_results_before_and_after_have_expanded_uncertainties(planar: Path) -> None:
     document = read_result(planar / "result.json")
-    text = text_of(record_page(document, {}, ()).html)
+    text = text_of(page_of(document, {}))
     for words in ("before: nominal", "after: calibrated", "on poses not used", "its 95 % interval"):
         assert words in text
     entry = next(p for p in document.parameters if p.sd is not None and p.unit == "m")
@@ -75,17 +90,17 @@ def test_results_before_and_after_have_expanded_uncertainties(planar: Path) -> N
     assert re.search(rf"{entry.name} mm \S+ \S+ {1e3 * k * (entry.sd or 0.0):.2g}\S* {k:.2f}", text)
     few = replace(entry, degrees_of_freedom=4.0)
     learnt = replace(document, parameters=(few,), terms=())
-    assert f"{t_quantile(0.9545, 4.0):.2f}" in text_of(record_page(learnt, {}, ()).html)
+    assert f"{t_quantile(0.9545, 4.0):.2f}" in text_of(page_of(learnt, {}))
 
 
 def test_conformity_is_stated_with_its_rule_or_not_at_all(planar: Path) -> None:
     document = read_result(planar / "result.json")
     assert document.verdict is not None
-    assert RULE not in record_page(document, {}, ()).html
+    assert RULE not in page_of(document, {})
     for passed, word in ((True, "Pass."), (False, "Fail."), (None, "No decision.")):
         answer = Answer(passed, "near-tolerance", 1.0, "The guard band.", None)
         judged = replace(document, verdict=replace(document.verdict, tolerance=answer))
-        page = record_page(judged, {}, ()).html
+        page = page_of(judged, {})
         assert f"<strong>{word}</strong> The guard band." in page
         assert RULE in page
     assert "relate only to the item calibrated" in page
@@ -147,7 +162,7 @@ def test_readings_elsewhere_are_recorded_by_their_hash(planar: Path, tmp_path: P
 def test_the_number_follows_from_the_content(planar: Path) -> None:
     document = read_result(planar / "result.json")
     one, same, other = (
-        record_page(document, {"customer": name}, ()).number for name in ("A", "A", "B")
+        record_content(document, {"customer": name}, ()).number for name in ("A", "A", "B")
     )
     assert one == same != other
 
@@ -156,7 +171,7 @@ def test_markup_in_names_is_shown_as_text(hostile: Path) -> None:
     from tests.report.conftest import MARKUP, SCRIPT
 
     file = RecordFile(MARKUP, SCRIPT, SCRIPT, OPEN)
-    page = record_page(read_result(hostile / "result.json"), {"note": SCRIPT}, (file,)).html
+    page = page_of(read_result(hostile / "result.json"), {"note": SCRIPT}, file)
     assert "<img/src" not in page
     assert page.count("</script>") == 1
 
@@ -166,7 +181,7 @@ def test_markup_in_names_is_shown_as_text(hostile: Path) -> None:
 )
 def test_what_a_result_does_not_have_is_left_out(planar: Path, without: dict[str, None]) -> None:
     document = replace(read_result(planar / "result.json"), **without)  # type: ignore[arg-type]
-    assert "relate only to the item" in record_page(document, {}, ()).html
+    assert "relate only to the item" in page_of(document, {})
 
 
 def test_another_page_is_refused(tmp_path: Path) -> None:
@@ -176,8 +191,8 @@ def test_another_page_is_refused(tmp_path: Path) -> None:
 
 
 def test_it_prints_on_paper_without_any_network(planar: Path, tmp_path: Path) -> None:
-    made = record_page(read_result(planar / "result.json"), STATED, ())
-    (tmp_path / "record.html").write_text(made.html, "utf-8")
+    made = page_of(read_result(planar / "result.json"), STATED)
+    (tmp_path / "record.html").write_text(made, "utf-8")
     with chromium() as browser:
         page = browser.new_page(viewport={"width": 672, "height": 950})
         asked: list[str] = []

@@ -84,6 +84,28 @@ def test_the_headline_names_the_rival_that_was_beaten(
     assert found.headline.endswith(words)
 
 
+@pytest.mark.parametrize(
+    ("own", "drawn", "code"), [(2e-3, 1e-3, "better-near-only"), (1e-3, 2e-3, "better")]
+)
+def test_a_result_that_the_drawing_beats_in_regions_not_used_is_not_better_everywhere(
+    own: float, drawn: float, code: str
+) -> None:
+    document = chosen(("nominal", 1e-3))
+    assert document.chosen is not None
+    mine, nominal = document.chosen.over
+    assert mine.out_of_sample is not None
+    over = (
+        replace(mine, blocked=replace(mine.out_of_sample, rms=own)),
+        replace(nominal, blocked=replace(mine.out_of_sample, rms=drawn)),
+    )
+    answer = better(replace(document, chosen=replace(document.chosen, over=over)))
+    assert answer.code == code
+    assert (answer.passed is None) == (code == "better-near-only")
+    assert ("In regions not used it is worse: 2.00 mm rms instead of 1.00 mm" in answer.words) == (
+        code == "better-near-only"
+    )
+
+
 def test_distances_are_positions_where_any_is_seen() -> None:
     arm = assemble(six_axis(), [pose()], ARM_VALUES)
     assert distance_unit(dh_arm()) == "m"

@@ -258,3 +258,10 @@ def test_readings_without_noise_hide_no_change_and_no_outlier(slope: float, meth
     result = lc.calibrate(line, data, noise=lc.Noise({"q": 1e-4, "y": 1e-4}), method=method)
     assert lc.find_shifts(result).found == ()
     assert lc.find_outliers(result).found == ()
+
+
+def test_a_pose_in_which_no_loop_holds_is_passed_over() -> None:
+    data = read(joints(60, 1), 2)
+    blank = {q: np.where(np.arange(60) == 7, np.nan, data[q]) for q in "xyz"}
+    whole, part = (lc.find_shifts(fitted(its)) for its in (data, data.with_readings(blank)))
+    assert whole.found == part.found == ()

@@ -369,14 +369,21 @@ def test_a_hundred_prior_sds_are_too_far_for_every_method() -> None:
 
 
 def with_lengths(document: ResultDocument, *off: float) -> ResultDocument:
-    """The document with a learnt term of so many lengths, each this far [m] off its drawing."""
+    """The document with a learnt term of so many lengths of 1 m, each this far [m] off."""
     first = next(p for p in document.parameters if p.unit == "m" and not p.fixed)
     own = [
-        replace(first, name=f"a_{i}", value=first.nominal + d, prior_sd=2e-2, sd=2e-5)
+        replace(first, name=f"a_{i}", nominal=1.0, value=1.0 + d, prior_sd=2e-2, sd=2e-5)
         for i, d in enumerate(off, 1)
     ]
     term = replace(SAG, name="lengths", unit="m", columns=len(own))
+    document = changed(document, "mechanism.kinds", {p.name: "length" for p in own})
     return replace(document, parameters=tuple(own), terms=(term,))
+
+
+def flat(document: ResultDocument) -> ResultDocument:
+    """As a method without priors has it."""
+    own = tuple(replace(p, prior_sd=None) for p in document.parameters)
+    return replace(document, parameters=own, terms=())
 
 
 def test_a_dimension_that_is_off_the_drawing_alone_is_named() -> None:
@@ -384,9 +391,58 @@ def test_a_dimension_that_is_off_the_drawing_alone_is_named() -> None:
     found = verdict_of(with_lengths(clean(), *near, -0.05)).sound
     assert (found.code, found.passed) == ("off-the-drawing", None)
     assert "a_6 is off the drawing by -50.0 mm" in found.words
+    assert verdict_of(flat(with_lengths(clean(), *near, -0.05))).sound.words == found.words
     # all of them are off, or one not far enough to stand out of five others
     for off in ((0.05, -0.04, 0.03, 0.05, -0.06, 0.05), (*near, 1e-3)):
-        assert verdict_of(with_lengths(clean(), *off)).sound.passed
+        for document in (with_lengths(clean(), *off), flat(with_lengths(clean(), *off))):
+            assert verdict_of(document).sound.passed
+
+
+def test_the_drawing_of_another_machine_is_named() -> None:
+    """Its lengths are off by more than a tenth of their size, with a prior or without."""
+    other = with_lengths(clean(), 0.3, -0.2, 0.05, -0.3, 0.1)
+    for document in (flat(other), replace(other, parameters=flat(other).parameters)):
+        found = verdict_of(document).sound
+        assert (found.code, found.passed) == ("off-the-drawing", None)
+        assert "another machine" in found.words
+        unsure = tuple(replace(p, sd=0.1) for p in document.parameters)
+        assert verdict_of(replace(document, parameters=unsure)).sound.passed
+
+
+def test_a_tool_far_from_its_place_is_named_without_a_prior() -> None:
+    document = flat(with_lengths(clean(), 3e-4, -2e-4, 1e-4))
+    tool = replace(document.parameters[0], name="tool_x", nominal=0.1)
+    for off, code in ((0.11, "off-the-drawing"), (0.012, "sound")):
+        own = (*document.parameters, replace(tool, value=0.1 + off))
+        mounted = changed(document, "mechanism.kinds", {"tool_x": "mounting"})
+        assert verdict_of(replace(mounted, parameters=own)).sound.code == code
+    # where nobody stated a place, nothing is off
+    unknown = changed(mounted, "mechanism.unstated", (("tool_x",),))
+    own = (*document.parameters, replace(tool, value=0.21))
+    assert verdict_of(replace(unknown, parameters=own)).sound.code == "mounting-unstated"
+
+
+def test_sds_that_a_learnt_error_makes_good_are_named_on_a_sound_result() -> None:
+    first, *others = candidates(1e-6).over
+    for factor, told in ((3.0, True), (1.5, False)):
+        over = (first, replace(others[0], excess=factor))
+        found = verdict_of(replace(clean(), chosen=replace(candidates(1e-6), over=over))).sound
+        assert found.passed
+        assert ("err 3.0 times as much as the stated sds" in found.words) is told
+
+
+def test_a_drift_that_a_smooth_model_error_hides_is_named() -> None:
+    first, *others = candidates(1e-6).over
+    alike = replace(others[0], serial=Likeness(0.3, 1e-6))
+    document = replace(clean(), chosen=replace(candidates(1e-6), over=(first, alike)))
+    found = verdict_of(document).sound
+    assert (found.code, found.passed) == ("drift-or-model", None)
+    assert "drift" in found.words
+    # a term that explains the order of the poses, or a drift that the result allows for
+    sag = replace(SAG, effects=("sag_1",))
+    assert verdict_of(replace(document, terms=(sag,))).sound.passed
+    drifts = replace(document, dependence=depends(1e-9, 1.0))
+    assert verdict_of(drifts).sound.code == "serial-dependence"
 
 
 def test_lengths_of_one_distribution_are_off_the_drawing_once_in_a_thousand() -> None:

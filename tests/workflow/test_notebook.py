@@ -184,6 +184,17 @@ def test_an_unknown_name_is_an_attribute_error(result: lc.Result) -> None:
     assert copy.copy(result).value == result.value
 
 
+def test_a_verdict_that_fails_says_what_failed_in_it(result: lc.Result) -> None:
+    """Not that a result has no verdict."""
+
+    def judge(of: lc.Result) -> Any:
+        return of.title  # type: ignore[attr-defined]
+
+    failing = replace(result, judge=judge)
+    with pytest.raises(AttributeError, match="no attribute 'title'"):
+        _ = failing.verdict
+
+
 def test_a_table_of_parameters_can_be_pickled(result: lc.Result) -> None:
     assert pickle.loads(pickle.dumps(result.params)).entries == result.params.entries
 

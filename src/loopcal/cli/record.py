@@ -16,7 +16,8 @@ def record(
     result: Annotated[
         str,
         typer.Argument(
-            metavar="RESULT", help="Folder of a calibration; with --verify a record.html."
+            metavar="RESULT",
+            help="Folder of a calibration; with --verify a record.html or record.xml.",
         ),
     ],
     project: Annotated[
@@ -32,6 +33,16 @@ def record(
             metavar="FILE", help="Write the page here [default: record.html in the result folder]."
         ),
     ] = None,
+    dcc: Annotated[
+        bool,
+        typer.Option("--dcc", help="Write also a digital calibration certificate, XML beside it."),
+    ] = False,
+    schema: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE", help="Write only what validates against this dcc.xsd; implies --dcc."
+        ),
+    ] = None,
     verify: Annotated[
         bool,
         typer.Option("--verify", help="Check whether a record and its files are unaltered."),
@@ -43,15 +54,17 @@ def record(
     from loopcal.workflow.record import verify_record
 
     if not verify:
-        done = write_record(result, project=project, out=out)
+        dcc = dcc or schema is not None
+        done = write_record(result, project=project, out=out, dcc=dcc, schema=schema)
         if as_json:
             print_json(done.document())
         else:
             print_out(str(done))
         return
-    if project is not None or out is not None:
+    if project is not None or out is not None or dcc or schema is not None:
         raise UsageError(
-            "--verify checks a record and writes none", remedy="leave --project and --out out"
+            "--verify checks a record and writes none",
+            remedy="leave --project, --out, --dcc and --schema out",
         )
     found = verify_record(result)
     if as_json:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.bounds import Size
+from loopcal.document.dependence import Likeness
 from loopcal.document.goodness_of_fit import ChiSquared
 from loopcal.document.terms import TermEntry
 
@@ -29,6 +30,12 @@ class Candidate:
     """What it learnt of the model error, where the chosen candidate learnt nothing."""
     chi_squared: ChiSquared | None = None
     """Of its fit of all poses at the stated sds; null: it used none, or did not converge."""
+    excess: Size | None = None
+    """Its errors at the outputs over those that the stated sds alone cause, where it learnt a
+    further error; null: it learnt none, or there are no outputs."""
+    serial: Likeness | None = None
+    """Of residuals of consecutive poses, of a plain candidate whose residuals depend on the pose
+    order, where the chosen one has a model error; null: they do not, or were not tested."""
 
 
 @dataclass(frozen=True)

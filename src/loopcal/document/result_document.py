@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -140,6 +140,9 @@ class MechanismEntry:
     """What a user should know of it, such as why a parameter is fixed."""
     unstated: tuple[tuple[str, ...], ...] = ()
     """The parameters of each thing on the body whose place nobody stated: all free, flat and 0."""
+    kinds: Mapping[str, str] = field(default_factory=dict)
+    """Parameter -> what it says: placement, mounting, length, angle, gain or effect; empty: written
+    by an earlier version."""
 
     @classmethod
     def of(cls, mechanism: Mechanism) -> MechanismEntry:
@@ -153,6 +156,7 @@ class MechanismEntry:
             mechanism.compared,
             mechanism.remarks,
             unstated_mountings(mechanism),
+            dict(mechanism.kinds),
         )
 
 

@@ -307,14 +307,14 @@ class Result(Views):
         """Whether chi-squared is what it is because the sds were chosen so."""
         if self.estimate is None:
             return False
-        positions = [component.quantities for component in self.estimate.stated]
-        return all_learnt(self.stated, positions)
+        return all_learnt(self.stated, [c.quantities for c in self.estimate.stated])
 
     @cached_property
     def noise(self) -> tuple[NoiseEntry, ...]:
         """The sds that were used."""
-        if self.fit.solver.exact:
-            return ()
+        handed_on = () if self.inherited is None else self.inherited.noise
+        if handed_on or self.fit.solver.exact:
+            return handed_on
         errors = None
         if self._learnt is not None and self.drifting is None:  # a drift has no slopes
             errors = self._learnt.errors[: len(self._learnt.ratios)]

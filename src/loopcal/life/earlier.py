@@ -54,6 +54,14 @@ class Coordinates:
 
 
 @dataclass(frozen=True, eq=False)
+class PriorRows:
+    """rows (q, n) of steps of parameters, of unit variance, and their values (q,)."""
+
+    rows: Array
+    values: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Seen:
     """The coordinates phi: at parameters p (n_all,), with readings that close the loops there.
 
@@ -108,13 +116,14 @@ class Earlier:
     """The poses of an earlier calibration, None where they are not there.
 
     root: R (n_all, r) with inverse (r, n_all); added: (r, r) R^T M R; pull: (r,) R^T D_0^T E_0;
-    seen: the coordinates at p_0.
+    seen: the coordinates at p_0; kept: positions of the poses whose loops close.
     """
 
     begin: Array
     root: Array
     inverse: Array
     problem: Problem | None = None
+    kept: NDArray[np.intp] | None = None
     added: Array | None = None
     pull: Array | None = None
     seen: Seen | None = None
@@ -134,14 +143,43 @@ class Earlier:
         problem = day_problem(known, known.poses, noise_of(known))
         sweeper = Sweeper(problem)
         closed = sweeper.close(begin, start_corrections(sweeper, begin), NEGLIGIBLE, 1.0)
-        problem = taken(problem, np.flatnonzero(~closed.open))
-        one = replace(bare, problem=problem)
+        kept = np.flatnonzero(~closed.open)
+        one = replace(bare, problem=taken(problem, kept), kept=kept)
         E, D = one._equations(begin)
         D = D @ root
         f, V = np.linalg.eigh(D.T @ D)
         left = np.where(1.0 - f > _SHARE, 1.0 - f, 0.0)
         seen = one._seen(begin, root)
         return replace(one, added=(V * left) @ V.T, pull=D.T @ E, seen=seen)
+
+    def at_sds(self, known: Calibrated) -> Earlier:
+        """The same poses at other sds of their readings, with the same prior."""
+        return replace(self, problem=self._poses(known))
+
+    def _poses(self, known: Calibrated) -> Problem | None:
+        if self.kept is None or known.poses is None:
+            return None
+        return taken(day_problem(known, known.poses, noise_of(known)), self.kept)
+
+    def prior(self, parameters: Array) -> PriorRows:
+        """What the earlier calibration knew beside its poses, of steps from parameters (n_all,)."""
+        assert self.added is not None
+        assert self.pull is not None
+        values, V = np.linalg.eigh(self.added)
+        kept = values > _SHARE
+        root = np.sqrt(values[kept])
+        rows = (root[:, None] * V[:, kept].T) @ self.inverse
+        away = self.inverse @ (parameters - self.begin)
+        return PriorRows(rows, -(root * (V[:, kept].T @ away)) - V[:, kept].T @ self.pull / root)
+
+    def linear(
+        self, known: Calibrated, parameters: Array, components: Sequence[Sequence[int]]
+    ) -> tuple[ModelBlock, ...]:
+        """The poses, with loadings at the sds of `known`, linearised where their loops close at
+        parameters (n_all,)."""
+        problem = self._poses(known)
+        assert problem is not None
+        return linear_model(problem, parameters, self._closed(parameters), components).blocks
 
     def wider(self, known: Calibrated) -> Array:
         """(r, r) by how much the stated covariance is larger, in shares of the own one."""
@@ -168,19 +206,27 @@ class Earlier:
     def beside(self, today: Array, anew: NDArray[np.bool_]) -> Around:
         """Near the machine of today (n_all,), where that stood then: what was placed anew since
         (n_all,) is found from the earlier poses."""
+        return self.around(self.there(today, anew))
+
+    def there(self, today: Array, anew: NDArray[np.bool_]) -> Array:
+        """The machine of today (n_all,) with what was placed anew since where it stood then."""
         there = np.where(anew, self.begin, today)
         for _ in range(_PLACINGS if self.problem is not None and anew.any() else 0):
             E, D = self._equations(there)
             there[anew] += _least_squares(D[:, anew], E[:, None])[:, 0]
-        return self.around(there)
+        return there
+
+    def _closed(self, parameters: Array) -> Array:
+        """The corrections of all poses that close their loops."""
+        assert self.problem is not None
+        sweeper = Sweeper(self.problem)
+        begun = start_corrections(sweeper, parameters)
+        return sweeper.close(parameters, begun, NEGLIGIBLE, 1.0).corrections
 
     def _equations(self, parameters: Array) -> tuple[Array, Array]:
         """E (R,) and D (R, n_all) of all poses where their loops close."""
         assert self.problem is not None
-        sweeper = Sweeper(self.problem)
-        begun = start_corrections(sweeper, parameters)
-        corrections = sweeper.close(parameters, begun, NEGLIGIBLE, 1.0).corrections
-        blocks = pose_equations(self.problem, parameters, corrections)
+        blocks = pose_equations(self.problem, parameters, self._closed(parameters))
         E = np.concatenate([block.E.ravel() for block in blocks])
         return E, np.concatenate([block.D.reshape(-1, block.D.shape[2]) for block in blocks])
 

@@ -14,7 +14,7 @@ by their sums.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.calibrate import LEARNT, calibrate
 from loopcal.estimation.fit import Fit
-from loopcal.estimation.inherited import Inherited
+from loopcal.estimation.inherited import UPDATED, Inherited
 from loopcal.estimation.methods.method import Method
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.unknowns import Unknowns
@@ -36,6 +36,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.life.both_days import learnt
 from loopcal.life.earlier import Around, Coordinates, Earlier
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
@@ -47,12 +48,19 @@ from loopcal.statistics.verified import Verification
 Array = NDArray[np.float64]
 KINDS = ("length", "angle", "mounting", "gain", "effect")
 """Kinds of parameters that may drift."""
-LABEL = "implicit loop, updated"
-"""Of the method, in the result of an update."""
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
 _RANK = 1e-12
-_ROUNDS, _SETTLED = 6, 2e-2
-"""Fits, each near the end of the last, until they end within so many sds."""
+_ROUNDS, _SETTLED = 12, 2e-2
+"""Fits, each near the end of the last, until they end within so many sds, at sds that settle."""
+
+
+@dataclass(frozen=True)
+class Since:
+    """What may have changed since a calibration, as `update` takes it."""
+
+    moved: bool = True
+    remounted: bool | Sequence[str] = False
+    drift: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,19 +98,11 @@ def update(
 
     Raises InputError for a calibration or readings without sds, and for a kind that is not there.
     """
-    return updated(
-        calibration, data, noise=noise, moved=moved, remounted=remounted, drift=drift
-    ).result
+    return updated(calibration, data, Since(moved, remounted, drift or {}), noise).result
 
 
 def updated(
-    calibration: Result | Calibrated,
-    data: Dataset | Any,
-    *,
-    noise: NoiseLike | None = None,
-    moved: bool = True,
-    remounted: bool | Sequence[str] = False,
-    drift: Mapping[str, float] | None = None,
+    calibration: Result | Calibrated, data: Dataset | Any, since: Since, noise: NoiseLike | None
 ) -> Updated:
     """`update`, with the check of the machine."""
     known = Calibrated.of(calibration, "") if isinstance(calibration, Result) else calibration
@@ -115,14 +115,15 @@ def updated(
             remedy="give noise, or update a calibration by another method",
         )
     known = replace(known, residual=None)
-    drifts = _drifts(known, drift or {})
-    check = verify(known.drifted(drifts), data, noise=stated, remounted=remounted)
+    drifts = _drifts(known, since.drift)
+    check = verify(known.drifted(drifts), data, noise=stated, remounted=since.remounted)
+    held = stated is not None
     if stated is None:
         stated, data = noise_of(known), as_learnt(known, data)
     with one_blas_thread():
         problem = day_problem(known, data, stated)
-        freedom = Freedom.of(known.mechanism, remounted)
-        if not moved:
+        freedom = Freedom.of(known.mechanism, since.remounted)
+        if not since.moved:
             freedom = _without_placement(known, freedom)
         here = replaced(problem, freedom)
         earlier = Earlier.of(known, with_poses=not freedom.whole)
@@ -132,12 +133,19 @@ def updated(
         with one_blas_thread():
             prior = _Prior.of(known, here, drifts, earlier, before)
         found = _fitted(known, here, prior, data, stated, before)
-        if before is not None and _apart(found, before) < _SETTLED:
+        with one_blas_thread():
+            sds = None if held else learnt(known, earlier, found, here.anew, drifts)
+        if sds is not None:
+            known = replace(known, noise=sds.noise)
+            stated, earlier = noise_of(known), earlier.at_sds(known)
+        settled = sds is None or sds.change < _SETTLED
+        if before is not None and settled and _apart(found, before) < _SETTLED:
             break
     assert found is not None
     with one_blas_thread():
         terms = calibration.told_terms() if isinstance(calibration, Result) else known.terms
-        found = replace(found, inherited=Inherited(prior.widened(found), terms))
+        noted = () if held else known.noise
+        found = replace(found, inherited=Inherited(prior.widened(found), terms, noted))
     done = Updated(found, check)
     return done if done.mixed is None else replace(done, result=found.noted(done.mixed))
 
@@ -154,7 +162,7 @@ def _fitted(
     before."""
     method = Method(
         name="implicit-loop",
-        label=LABEL,
+        label=UPDATED,
         description="Implicit loop: every sensor is uncertain, and an earlier calibration is the "
         "prior.",
         solve=partial(_solved, prior=prior),

@@ -23,6 +23,7 @@ _BEATEN = 3.3
 _RELATIVE = 0.41
 """sd of an rms of N distances in space over rms / sqrt(N): sqrt(2/3) / 2."""
 _DRAWN = "the nominal machine"
+_OVER_THE_REGION = "Measure poses all over the region, or use the result near these poses only."
 _OUTPUTS = "Add an instrument that measures the end point."
 
 
@@ -82,10 +83,28 @@ def better(document: ResultDocument) -> Answer:
     both = f"{mine} rms on poses not used instead of {with_unit(rms + first.difference, unit)}"
     figures = f"{both} (sd of the difference {with_unit(first.sd, unit, 2)})"
     if first.difference > _CERTAIN * first.sd:
+        elsewhere = _nominal_elsewhere(document)
+        if elsewhere is not None:
+            words = f"Better than {first.name} near the measured poses only: {figures}. {elsewhere}"
+            return Answer(None, "better-near-only", first.difference, words, _OVER_THE_REGION)
         words = f"Better than {first.name}: {figures}."
         return Answer(True, "better", first.difference, words, None)
     words = f"About as good as {first.name}: {figures}."
     return Answer(None, "no-better", first.difference, words, "Measure more poses to decide.")
+
+
+def _nominal_elsewhere(document: ResultDocument) -> str | None:
+    """What is said where the nominal machine predicts the regions not used better."""
+    candidates = () if document.chosen is None else document.chosen.over
+    drawn = next((c.blocked for c in candidates if c.name == NOMINAL), None)
+    own = candidates[0].blocked if candidates else None
+    if own is None or drawn is None or own.rms <= drawn.rms or document.accuracy is None:
+        return None
+    unit = document.accuracy.unit
+    return (
+        f"In regions not used it is worse: {with_unit(own.rms, unit)} rms instead of "
+        f"{with_unit(drawn.rms, unit)}."
+    )
 
 
 @dataclass(frozen=True)

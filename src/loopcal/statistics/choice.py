@@ -29,6 +29,7 @@ from loopcal.document.choice import Candidate, Chosen
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.accuracy import by_pose, deviations
+from loopcal.estimation.dependence.dependence import likenesses
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import Progress as Iterated
@@ -41,7 +42,7 @@ from loopcal.statistics.case import Case
 from loopcal.statistics.changes import Changes, changes, unchanged
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
-from loopcal.statistics.noise_floor import noise_floor
+from loopcal.statistics.noise_floor import excess, noise_floor
 from loopcal.statistics.validation import (
     Failed,
     Outcome,
@@ -376,6 +377,8 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
         learnt = one.whole if one.made and not taken.entrant.structured else None
         entry = _candidate(one, own, gain)
         over.append(replace(entry, terms=() if learnt is None else learnt.terms))
+    if taken.entrant.structured:
+        _tell_order(judged, ordered, over)
     better = [
         one.name
         for one in judged
@@ -384,6 +387,19 @@ def _choice(case: Case, judged: Sequence[Judged], plan: Plan | None) -> Choice:
     words = _words(over, "" if best is None else best.unit, better)
     chosen = Chosen(taken.name, _terms(taken), words, tuple(over))
     return Choice(case.fit.method.name, taken.whole, chosen, found[taken.name], nominal)
+
+
+def _tell_order(judged: Sequence[Judged], ordered: Sequence[Judged], over: list[Candidate]) -> None:
+    """Note at the first plain candidate whether its residuals depend on the pose order."""
+    plain = (one for one in judged if not (one.entrant.structured or one.entrant.drawn))
+    first = next((one for one in plain if one.whole and not one.failed), None)
+    if first is None or first.whole is None:
+        return
+    whole, exact = first.whole, first.whole.fit.solver.exact
+    tests = likenesses(whole.problem, whole.solution, whole.pose_equations(), exact=exact)
+    if tests.serial:
+        i = ordered.index(first)
+        over[i] = replace(over[i], serial=tests.serial[0].serial)
 
 
 def _taken(judged: Sequence[Judged], risks: Mapping[str, Array], plan: Plan) -> Judged:
@@ -439,10 +455,11 @@ def _terms(one: Judged) -> tuple[str, ...]:
 
 
 def _bare(one: Judged) -> Candidate:
-    chi = None
+    chi = more = None
     if one.whole is not None and one.whole.status.converged and not one.entrant.drawn:
-        chi = one.whole.chi_squared
-    return Candidate(one.name, None, None, None, None, one.failed or None, chi_squared=chi)
+        chi, more = one.whole.chi_squared, excess(one.whole)
+    out = one.failed or None
+    return Candidate(one.name, None, None, None, None, out, chi_squared=chi, excess=more)
 
 
 def _candidate(one: Judged, own: Validation | None, gain: Gain | None) -> Candidate:

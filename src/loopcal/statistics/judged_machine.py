@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
+from loopcal.mechanisms.structure.structured import MOUNTED
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import with_unit
 from loopcal.small_samples import f_limit
@@ -20,6 +22,9 @@ BEYOND = 100.0
 """The same of prior sds."""
 SHRUNK = 0.1
 """A fit whose lengths add up to less than this share of the nominal ones has collapsed."""
+ANOTHER = 0.1
+"""Lengths that are off the drawing by this share of their size, and angles by so many rad, all in
+all, are those of another machine."""
 _FEWEST, _CLEAR = 3, 5.0
 """Other parameters of a kind that one is compared with; by how many of its own sds, and of their
 distances, it must be off."""
@@ -82,20 +87,29 @@ def _farthest(document: ResultDocument) -> float:
 
 
 def off_the_drawing(document: ResultDocument) -> Said | None:
-    """One dimension far off, where the others of its kind are near: the drawing is wrong there.
+    """One dimension, all of them, or what is mounted far off: the drawing is wrong there."""
+    alike = [*_dimensions(document)]
+    return _one_off(alike) or _all_off(document, alike) or _mounted_off(document)
 
-    Its distance is compared with the root mean square of the others that share a learnt prior sd.
-    """
-    effects = {name for term in document.terms for name in term.effects}
-    kinds: dict[tuple[str, float], list[ParameterEntry]] = {}
-    for p in document.parameters:
-        if p.prior_sd and not p.fixed and p.name not in effects:
-            kinds.setdefault((p.unit, p.prior_sd), []).append(p)
-    learnt = {(term.unit, term.columns) for term in document.terms}
-    for (unit, _), alike in kinds.items():
-        worst = max(alike, key=_off)
+
+def _dimensions(document: ResultDocument) -> Iterator[list[ParameterEntry]]:
+    """Lengths, and angles, that nothing but a learnt sd holds near the drawing, or nothing."""
+    kinds = {} if document.mechanism is None else document.mechanism.kinds
+    learnt = {term.name: term.columns for term in document.terms}
+    for kind in ("length", "angle"):
+        own = [p for p in document.parameters if kinds.get(p.name) == kind and not p.fixed]
+        shared, count = Counter(p.prior_sd for p in own), learnt.get(f"{kind}s")
+        alike = [p for p in own if not p.prior_sd or shared[p.prior_sd] == count]
+        if alike:
+            yield alike
+
+
+def _one_off(dimensions: Sequence[list[ParameterEntry]]) -> Said | None:
+    """One that is far off, compared with the root mean square of the others of its kind."""
+    for alike in dimensions:
+        worst, unit = max(alike, key=_off), alike[0].unit
         others = len(alike) - 1
-        if others < _FEWEST or (unit, len(alike)) not in learnt or not worst.sd:
+        if others < _FEWEST or not worst.sd:
             continue
         # what the poses hardly determine stays at the drawing: its sd counts as well
         squares = [_off(p) ** 2 + (p.sd or 0.0) ** 2 for p in alike if p is not worst]
@@ -112,6 +126,52 @@ def off_the_drawing(document: ResultDocument) -> Said | None:
                 worst.value - worst.nominal,
             )
     return None
+
+
+def _all_off(document: ResultDocument, dimensions: Sequence[list[ParameterEntry]]) -> Said | None:
+    """All lengths, or all angles, far off: another machine is drawn."""
+    kinds = {} if document.mechanism is None else document.mechanism.kinds
+    for alike in dimensions:
+        kind = kinds[alike[0].name]
+        drawn = [p.nominal for p in document.parameters if kinds.get(p.name) == kind]
+        size = _rms(drawn) if kind == "length" else 1.0
+        off, sure = _rms([_off(p) for p in alike]), _rms([p.sd or 0.0 for p in alike])
+        if len(alike) > _FEWEST and off > max(ANOTHER * size, _CLEAR * sure):
+            return Said(
+                f"The {kind}s are off the drawing by {with_unit(off, alike[0].unit, 2)} (rms): "
+                "this may be the drawing of another machine.",
+                off,
+            )
+    return None
+
+
+def _mounted_off(document: ResultDocument) -> Said | None:
+    """What is mounted farther from its place in the drawing than things are mounted."""
+    if document.mechanism is None:
+        return None
+    unstated = {name for names in document.mechanism.unstated for name in names}
+    own = [
+        p
+        for p in document.parameters
+        if document.mechanism.kinds.get(p.name) == "mounting"
+        and not (p.fixed or p.prior_sd or p.name in unstated)
+        and p.unit in MOUNTED
+    ]
+    p = max(own, key=lambda p: _off(p) / MOUNTED[p.unit], default=None)
+    if p is None or not p.sd or _off(p) < _CLEAR * p.sd:
+        return None
+    z = _off(p) / MOUNTED[p.unit]
+    if len(own) * math.erfc(z / math.sqrt(2.0)) >= RARE:
+        return None
+    off, usual = with_unit(p.value - p.nominal, p.unit), with_unit(MOUNTED[p.unit], p.unit)
+    return Said(
+        f"{p.name} is off the drawing by {off}; what is mounted is usually within {usual} (sd).",
+        p.value - p.nominal,
+    )
+
+
+def _rms(values: Sequence[float]) -> float:
+    return math.sqrt(sum(v * v for v in values) / len(values)) if values else 0.0
 
 
 def _off(p: ParameterEntry) -> float:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from loopcal.document.result_document import ResultDocument
+from loopcal.document.terms import DECISIVE
+from loopcal.mechanisms.structure.structured import DISCREPANCY
 from loopcal.presentation.rounding import significant
 from loopcal.statistics.rule import LOOSE, Said
 
@@ -63,6 +65,39 @@ def rows_copied(document: ResultDocument) -> Said | None:
     """Rows that copy others."""
     said = document.data.warnings()
     return Said(said[0], float(len(document.data.copied))) if document.data.copied else None
+
+
+def beyond_sds(document: ResultDocument) -> str:
+    """What a learnt error makes good: readings that err by more than the stated sds allow."""
+    over = () if document.chosen is None else document.chosen.over
+    most = max((one.excess or 0.0 for one in over), default=0.0)
+    if most < LOOSE**-0.5:
+        return ""
+    return (
+        f"The readings err {significant(most, 2)} times as much as the stated sds allow, which a "
+        "learnt error makes good: these sds are too small, or something changes from pose to pose."
+    )
+
+
+def order_or_model(document: ResultDocument) -> Said | None:
+    """A smooth model error that a drift along a path would look like.
+
+    Where a term that no drift imitates is needed, such as sag, it explains the order of the plain
+    residuals.
+    """
+    chosen, depends = document.chosen, document.dependence
+    if chosen is None or depends is None or depends.serial:
+        return None
+    alike = next((one.serial for one in chosen.over if one.serial), None)
+    own = [t for t in document.terms if t.effects and not t.name.startswith(DISCREPANCY)]
+    if alike is None or any((t.gain or 0.0) >= DECISIVE for t in own):
+        return None
+    return Said(
+        "The instrument may drift: without a smooth model error residuals depend on the pose order "
+        f"(correlation {significant(alike.correlation, 2)}). Along a path these two cannot be "
+        "distinguished.",
+        alike.correlation,
+    )
 
 
 def sds_overruled(document: ResultDocument) -> Said | None:

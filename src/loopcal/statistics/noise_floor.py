@@ -30,6 +30,22 @@ def noise_floor(result: Result) -> float | None:
     """
     if not result.noise or not result.mechanism.outputs:
         return None
+    return result.remembered("noise floor", lambda: _floor(result))
+
+
+def excess(result: Result) -> float | None:
+    """The errors at the outputs over those that the stated sds of all sensors cause, by the error
+    beside the sensors that a fit learnt; None where it learnt none, or sds of sensors as well."""
+    own = [e for e in result.noise if e.role == "disturbance" and e.source == "estimated"]
+    read = [e for e in result.noise if e.role == "reading"]
+    if not own or any(e.source == "estimated" for e in read):
+        return None
+    floor = noise_floor(result)
+    squares = sum(len(e.quantities) * e.sd**2 for e in own)
+    return math.sqrt(1.0 + squares / floor**2) if floor else None
+
+
+def _floor(result: Result) -> float | None:
     mechanism, problem = result.calibrated, result.problem
     quantities = mechanism.tape.quantities
     unit = main_unit(result.deviations(result.differences_after))

@@ -21,8 +21,10 @@ from loopcal.presentation.wrapped import shortened
 from loopcal.statistics.answers import better, good_enough, valid
 from loopcal.statistics.judged_machine import far_from_nominal, off_the_drawing, prior_tension
 from loopcal.statistics.judged_readings import (
+    beyond_sds,
     coarse,
     first_suspects,
+    order_or_model,
     rows_copied,
     sds_overruled,
     size_unsure,
@@ -334,6 +336,12 @@ SOUND: tuple[Rule, ...] = (
     Rule("sds-generous", None, _noise_generous, "State smaller sds, or estimate them."),
     Rule("serial-dependence", None, _serial, "Look for shifts, or measure in random order."),
     Rule(
+        "drift-or-model",
+        None,
+        order_or_model,
+        "Measure the poses in random order: a drift is then no model error.",
+    ),
+    Rule(
         "errors-shared",
         None,
         _errors_shared,
@@ -420,7 +428,8 @@ def _sound(document: ResultDocument) -> Answer:
     found = findings_against(document)
     if not found:
         words = "The fit converged; sensors, poses and machine model are consistent."
-        return Answer(True, "sound", None, f"{words}{_modelled(document)}", None)
+        told = [words, _modelled(document), beyond_sds(document)]
+        return Answer(True, "sound", None, " ".join(filter(None, told)), None)
     if found[0].rule.code == COLUMN_FAULT:
         found = found[:1]  # all else follows from it
     rule, said = found[0].rule, found[0].said
@@ -432,7 +441,7 @@ def _modelled(document: ResultDocument) -> str:
     """The largest effects beyond geometry that the data need."""
     needed = sorted((t for t in document.terms if t.told), key=lambda t: -(t.gain or 0.0))
     words = "; ".join(term.told[0] for term in needed[:_MODELLED])
-    return f" The model has learnt: {words}." if words else ""
+    return f"The model has learnt: {words}." if words else ""
 
 
 _HEADS = {

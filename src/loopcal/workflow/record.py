@@ -1,4 +1,4 @@
-"""The calibration record of a result on the disk, and its check."""
+"""The calibration record of a result on the disk, as page and as XML, and its check."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
 from loopcal.files.result.record_file import RecordCheck, RecordFile, check_record, record_files
 from loopcal.files.result.result_file import read_result
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import checked_schema, read_toml
+from loopcal.files.xml_schema import check_against, schema_version
+from loopcal.report.record_content import RecordContent, record_content
 from loopcal.report.record_page import record_page
 
 PAGE = "record.html"
@@ -23,7 +26,7 @@ class Record:
 
     path: of the page; number: unique; title: "Calibration record", or "Calibration certificate"
     where an accreditation is stated; files: those behind it; missing: keys of [record] that it
-    prints as "not stated".
+    prints as "not stated"; dcc: path of the digital calibration certificate, None if not asked for.
     """
 
     path: Path
@@ -31,6 +34,7 @@ class Record:
     title: str
     files: tuple[RecordFile, ...]
     missing: tuple[str, ...]
+    dcc: Path | None = None
 
     def document(self) -> dict[str, Any]:
         """Plain data for JSON."""
@@ -40,10 +44,13 @@ class Record:
             "title": self.title,
             "files": [vars(file) for file in self.files],
             "missing": list(self.missing),
+            "dcc": None if self.dcc is None else str(self.dcc),
         }
 
     def __str__(self) -> str:
         lines = [f"{self.title} {self.number} written to {self.path}"]
+        if self.dcc is not None:
+            lines.append(f"digital calibration certificate written to {self.dcc}")
         if self.missing:
             lines.append(f"not stated in [record]: {', '.join(self.missing)}")
         lost = [file.name for file in self.files if file.path is None]
@@ -53,13 +60,20 @@ class Record:
 
 
 def record(
-    result: str | Path, *, project: str | Path | None = None, out: str | Path | None = None
+    result: str | Path,
+    *,
+    project: str | Path | None = None,
+    out: str | Path | None = None,
+    dcc: bool = False,
+    schema: str | Path | None = None,
 ) -> Record:
     """Write the calibration record of a result folder: one page for print.
 
     project: the project file, whose [record] is taken as it is now; without it that of the
-    calibration is. out: the page, by default record.html in the folder of the result. Raises
-    InputError for what cannot be read or written, and for readings that changed since.
+    calibration is. out: the page, by default record.html in the folder of the result. dcc: also
+    write a digital calibration certificate, XML beside the page. schema: a dcc.xsd on the disk that
+    this XML must validate against, else nothing is written. Raises InputError for what cannot be
+    read or written, for readings that changed since, and for keys that the certificate needs.
     """
     path = Path(result)
     path = path if path.name == "result.json" else path / "result.json"
@@ -69,9 +83,34 @@ def record(
         stated = _stated(Path(project))
     page = path.with_name(PAGE) if out is None else Path(out)
     files = record_files(path, document, page, None if project is None else Path(project))
-    made = record_page(document, {k: str(v) for k, v in stated.items() if v is not None}, files)
-    write_atomic(page, made.html)
-    return Record(page, made.number, made.title, files, made.missing)
+    texts = {key: str(value) for key, value in stated.items() if value is not None}
+    content = record_content(document, texts, files)
+    html = record_page(content)
+    xml = _certificate(content, html, schema) if dcc else None
+    write_atomic(page, html)
+    beside = page.with_suffix(".xml")
+    if xml is not None:
+        write_atomic(beside, xml)
+    at = None if xml is None else beside
+    return Record(page, content.number, content.title, files, content.missing, at)
+
+
+def _certificate(content: RecordContent, html: str, schema: str | Path | None) -> str:
+    """The XML, which validates where a schema is given."""
+    from loopcal.report.record_dcc import VERSION, record_dcc
+
+    xml = record_dcc(content, html)
+    if schema is not None:
+        found = schema_version(Path(schema))
+        if found != VERSION:
+            raise InputError(
+                f"this schema is of version {found or 'unknown'}; loopcal writes {VERSION}",
+                code="wrong-schema",
+                place=str(schema),
+                remedy=f"name the dcc.xsd of https://www.ptb.de/dcc/v{VERSION}/",
+            )
+        check_against(xml, Path(schema))
+    return xml
 
 
 def verify_record(path: str | Path) -> RecordCheck:

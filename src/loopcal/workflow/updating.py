@@ -16,7 +16,7 @@ from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.new_readings import read_new_readings
 from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.result.result_poses import poses_of_result, read_result_poses
-from loopcal.life.updating import updated
+from loopcal.life.updating import Since, updated
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import Freedom, mounted
 from loopcal.statistics.verdict import refuses
@@ -80,7 +80,7 @@ def run_update(
         inputs = _with_file(inputs, readings)
         data = read_new_readings(readings, read.document.inputs, read.mechanism, whole=True)
     try:
-        done = updated(known, data, moved=mounting.moved, remounted=anew, drift=allowed)
+        done = updated(known, data, Since(mounting.moved, anew, allowed), None)
     except InputError as error:
         raise error.at(str(readings)) from None
     target = Path(f"{folder}-updated") if out is None else Path(out)

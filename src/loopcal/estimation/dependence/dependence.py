@@ -56,6 +56,29 @@ def dependence(
 
     equations: of the poses where the fit ended; exact: the readings were taken as exact.
     """
+    found, whole = _tested(problem, solution, equations, exact=exact)
+    families = {i.instrument for i in found.serial}
+    drifting = [f for f in instruments(problem) if f.name in families]
+    if not drifting:
+        return Depending(found)
+    root = solution.spectrum.root
+    readings = tuple(dict.fromkeys(q for f in drifting for q in f.readings))
+    its = seen(problem, equations, root, readings).take(pose_order(problem))
+    drift = learnt_drift(whole, its)
+    found = replace(found, drift_share=drift.share, drift_poses=drift.length)
+    return Depending(found, Drifting(drift, readings), root @ drift.covariance(whole, its) @ root.T)
+
+
+def likenesses(
+    problem: Problem, solution: Solution, equations: Sequence[PoseEquations], *, exact: bool = False
+) -> Dependence:
+    """The tests of all instruments alone, as in `dependence`."""
+    return _tested(problem, solution, equations, exact=exact)[0]
+
+
+def _tested(
+    problem: Problem, solution: Solution, equations: Sequence[PoseEquations], *, exact: bool
+) -> tuple[Dependence, Whole]:
     root = solution.spectrum.root
     whole = _whole(problem, solution, equations, root, exact=exact)
     informed = 0 if exact else int(np.isfinite(problem.prior_sd).sum())
@@ -64,7 +87,7 @@ def dependence(
     families = instruments(problem)
     if not square > _ROUNDING * freedom:
         untested = tuple(InstrumentDependence(f.name, None, None) for f in families)
-        return Depending(Dependence(untested, LEVEL))
+        return Dependence(untested, LEVEL), whole
     order = pose_order(problem)
     pairs = _spatial(problem, order)
     rows = []
@@ -75,15 +98,7 @@ def dependence(
         spatial = likeness(own, pairs, square, freedom)
         rows.append(InstrumentDependence(family.name, serial, spatial))
     shared = _shared(problem, equations, root) if _joints_exact(problem, exact=exact) else None
-    found = Dependence(tuple(rows), LEVEL, shared=shared)
-    drifting = [f for f, row in zip(families, rows, strict=True) if row in found.serial]
-    if not drifting:
-        return Depending(found)
-    readings = tuple(dict.fromkeys(q for f in drifting for q in f.readings))
-    its = seen(problem, equations, root, readings).take(order)
-    drift = learnt_drift(whole, its)
-    found = replace(found, drift_share=drift.share, drift_poses=drift.length)
-    return Depending(found, Drifting(drift, readings), root @ drift.covariance(whole, its) @ root.T)
+    return Dependence(tuple(rows), LEVEL, shared=shared), whole
 
 
 def covariance_under(

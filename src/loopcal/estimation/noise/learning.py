@@ -115,7 +115,7 @@ def entries(
             if group is not names:  # shown with the first of its sd
                 group.append(quantity)
                 continue
-            entry = _learnt(entry, learnt[owner[i]], begun)
+            entry = learnt_entry(entry, learnt[owner[i]], begun)
             if errors is not None and entry.sd > 0.0:
                 relative = errors[owner[i]] / learnt[owner[i]].ratio ** 2
                 entry = replace(entry, slopes=tuple(relative.tolist()))
@@ -130,7 +130,9 @@ def _typical(problem: Problem, position: int) -> float | None:
     return float(np.median(measured)) if measured.size else None
 
 
-def _learnt(entry: NoiseEntry, component: EstimatedSd, begun: float) -> NoiseEntry:
+def learnt_entry(entry: NoiseEntry, component: EstimatedSd, begun: float) -> NoiseEntry:
+    """The entry with an sd that was learnt; begun: the stated one."""
+
     def sd(ratio: float | None) -> float | None:
         return None if ratio is None else ratio * begun
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,9 +70,9 @@ def patterns_of(
 def _pattern(mechanism: Mechanism, code: NDArray[np.bool_]) -> Pattern:
     """The pattern of all poses in which this is unmeasured and, in the second half, blind."""
     tape = mechanism.tape
-    unmeasured, blind = code.reshape(2, -1)
-    missing = {tape.quantities[i] for i in np.flatnonzero(unmeasured)}
-    unread = {tape.quantities[i] for i in np.flatnonzero(blind)}
+    unmeasured, blind = code.reshape(2, -1).tolist()
+    missing = set(compress(tape.quantities, unmeasured))
+    unread = set(compress(tape.quantities, blind))
     silent = {loop for f in mechanism.families if unread.issuperset(f.readings) for loop in f.loops}
     inputs = tape.depends_on()
     loops = [i for i, loop in enumerate(tape.loops) if loop not in silent]

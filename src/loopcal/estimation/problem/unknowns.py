@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.lazy import cached_property
+
 Array = NDArray[np.float64]
 
 
@@ -33,8 +35,15 @@ class Unknowns:
         difference: Array = self.nominal - parameters[self.free]
         return difference
 
+    @cached_property
+    def flat(self) -> bool:
+        """Whether nothing is known of any parameter beforehand."""
+        return not np.isfinite(self.prior_sd).any()
+
     def prior_square(self, parameters: Array) -> float:
         """The sum of (p - nominal)^2 / prior variance."""
+        if self.flat:
+            return 0.0
         off = self.offset(parameters) / self.prior_sd
         return float(off @ off)
 

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.solve.block import Block, BlockNoise
-from loopcal.estimation.solve.gauss_newton import close_by_gauss_newton
+from loopcal.estimation.solve.gauss_newton import UNMEASURED_SCALE, close_by_gauss_newton
 from loopcal.estimation.solve.kernel import Whitened
-from loopcal.estimation.solve.newton import UNMEASURED_SCALE
 from loopcal.estimation.solve.reduced import Closed, Reduced
 from loopcal.estimation.solve.scratch import scratch
 from loopcal.estimation.solve.searching import search
@@ -115,7 +114,7 @@ class CompiledKernel:
 
     def close(self, block: Block, tolerance: float, contraction: float) -> Closed:
         corrections, count = np.empty(block.readings.shape), block.count
-        step, ratio = np.empty(count), np.empty(count)
+        sizes = np.empty((2, count))  # of last steps, and their ratios to the ones before
         rounds, late = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.bool_)
         self.engine.native.close(
             *_native(block),
@@ -123,13 +122,13 @@ class CompiledKernel:
             tolerance,
             contraction,
             corrections,
-            step,
-            ratio,
+            sizes[0],
+            sizes[1],
             rounds,
             late.view(np.uint8),
         )
-        worst = float(ratio.max(initial=0.0))
-        return Closed(corrections, late, float(step.max(initial=0.0)), worst, int(rounds.sum()))
+        step, ratio = sizes.max(axis=1, initial=0.0).tolist()
+        return Closed(corrections, late, step, ratio, int(rounds.sum()))
 
     def rounding(self, block: Block) -> Array:
         rows = self._misclosure(block)

@@ -53,7 +53,7 @@ class InMemory:
     ) -> Array | None:
         """Corrections that close all loops to so many sds; None where some stay open."""
         closed = self.sweeper.close(parameters, state, tolerance, contraction)
-        return None if closed.open.any() else closed.corrections
+        return None if closed.failed else closed.corrections
 
 
 def outside_domain(problem: Problem, parameters: Array) -> InputError:

@@ -8,6 +8,7 @@ does not look into: the corrections of poses in memory, or nothing at all for a 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -79,7 +80,8 @@ class Evaluation(Generic[State]):
     @property
     def finite(self) -> bool:
         """Whether every loop could be evaluated."""
-        return bool(np.isfinite(self.data.total).all())
+        total = self.data.total
+        return math.isfinite(total.sum()) or bool(np.isfinite(total).all())
 
 
 def without_state(found: Evaluation[Any]) -> Evaluation[None]:

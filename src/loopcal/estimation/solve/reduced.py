@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.lazy import cached_property
+
 Array = NDArray[np.float64]
 
 
@@ -47,3 +49,8 @@ class Closed:
     step: float = np.inf
     contraction: float = 0.0
     evaluations: int = 0
+
+    @cached_property
+    def failed(self) -> bool:
+        """Whether any pose did not settle."""
+        return bool(self.open.any())

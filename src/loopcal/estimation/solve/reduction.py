@@ -276,18 +276,18 @@ class Spectrum:
 
 def spectrum(data: Accumulator, offset: Array, prior_sd: Array) -> Spectrum:
     """The spectrum of data and prior: offset = nominal - current value, prior_sd may be inf."""
-    precision = 1.0 / prior_sd
-    known = np.where(precision, offset, 0.0) * precision
-    n = len(prior_sd)
+    n, precision = len(prior_sd), 1.0 / prior_sd
+    stated = bool(precision.any())
+    known = np.where(precision, offset, 0.0) * precision if stated else precision
     if data.triangular:
         R = _triangle(data.total, np.column_stack([np.diag(precision), known]))
         scale = _scale(np.sqrt(np.square(R[:, :n]).sum(axis=0)), data.units)
         return Spectrum(scale, Stacked(R[:n, :n] * scale, R[:n, n]))
-    H = data.total[:n, :n].copy()
-    diagonal = H.reshape(-1)[:: n + 1]  # a view
-    diagonal += np.square(precision)
-    g = data.total[:n, n] + known * precision
-    scale = _scale(np.sqrt(diagonal), data.units)
+    H, g = data.total[:n, :n], data.total[:n, n]
+    if stated:
+        H, g = H.copy(), g + known * precision
+        H.reshape(-1)[:: n + 1] += np.square(precision)  # a view of its diagonal
+    scale = _scale(np.sqrt(H.diagonal()), data.units)
     return Spectrum(scale, Summed(H * scale * scale[:, None], scale * g))
 
 

@@ -265,12 +265,11 @@ class _Solver(Generic[State]):
             return self._point(parameters, found)
 
     def _point(self, parameters: Array, found: Evaluation[State]) -> Point[State]:
-        offset = self.unknowns.offset(parameters)
-        off = offset / self.unknowns.prior_sd
-        merit = found.cost + float(off @ off)
+        merit = found.cost + self.unknowns.prior_square(parameters)
         bad = not math.isfinite(merit) or bool(found.late) or bool(found.singular)
         system = None
         if found.finite:
+            offset = self.unknowns.offset(parameters)
             system = spectrum(found.data, offset, self.unknowns.prior_sd)
         return Point(parameters, found, np.inf if bad else merit, system, found.closing)
 
@@ -357,7 +356,7 @@ class _Solver(Generic[State]):
         if not math.isfinite(trial.merit) or trial.spectrum is None:
             return False
         # Each of many residuals E carries a rounding d, so the merit wavers by about 2 |E| |d|.
-        wavering = 4 * np.sqrt(current.merit * self.floor) + 1e-13 * current.merit
+        wavering = 4 * math.sqrt(current.merit * self.floor) + 1e-13 * current.merit
         if predicted <= wavering:
             return trial.spectrum.decrement <= 2 * predicted
         return bool(current.merit - trial.merit >= 1e-3 * predicted - wavering)

@@ -23,7 +23,6 @@ from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.kernel import unweighted, whiten
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import NAMED, NONE_FAILED, Evaluation, Failed
-from loopcal.estimation.solve.newton import close_by_newton
 from loopcal.estimation.solve.reduced import Closed, Reduced
 from loopcal.estimation.solve.reduction import Accumulator
 from loopcal.expressions.engine import Engine, engine_for
@@ -72,6 +71,11 @@ class Sweeper:
         self._block = min((kernel.block for kernel in self._kernels.values()), default=BLOCK)
         # The basic method corrects nothing; only unmeasured quantities have to be found.
         self.corrects = not exact or any(p.unmeasured for p in problem.patterns)
+        alike = [isinstance(pattern.poses, slice) for pattern in problem.patterns]
+        self._alike = alike == [True]
+        # What the only block brings is all corrections, which need not be copied.
+        self._whole = self._alike and problem.count <= self._block
+        self._only: Block | None = None
         self.parameters = problem.start
         self.evaluations = 0
         self.rounding = rounding
@@ -94,7 +98,7 @@ class Sweeper:
         closing = closing if self.corrects else None
         self.at(parameters)
         data = Accumulator(len(problem.free), triangular, self._units)
-        whole = self._one_block(corrections)
+        whole = self._whole
         used = corrections if closing is None or whole else np.zeros(corrections.shape)
         kept = not self.corrects or whole
         proposal = corrections if kept else np.zeros(corrections.shape)
@@ -106,7 +110,7 @@ class Sweeper:
         for pattern, block in self.blocks(corrections, self._block):
             if self.rounding is None:
                 self.rounding = self._rounding(pattern, block)
-            start = Closed(block.corrections, np.zeros(block.count, dtype=bool))
+            start = None
             if closing is not None:
                 start = self._close(pattern, block, closing, contraction)
                 block = block.at(start.corrections)
@@ -123,14 +127,15 @@ class Sweeper:
                 data.add(found.rows)
             if found.singular.any():
                 singular.append(block.positions(np.flatnonzero(found.singular)))
-            if start.open.any():
+            if start is not None and start.failed:
                 late.append(block.positions(np.flatnonzero(start.open)))
             if self.corrects:
                 if into is None:
                     proposal = _with_part(proposal, found.correction, block.poses)
                 steps.append(float(found.step.max()))
-                last = steps[-1] / start.step if start.step > 0.0 else 0.0
-                ratios.append(min(max(last, start.contraction), 1.0))
+                if start is not None:
+                    last = steps[-1] / start.step if start.step > 0.0 else 0.0
+                    ratios.append(min(max(last, start.contraction), 1.0))
         return Evaluation(
             data,
             used,
@@ -156,8 +161,7 @@ class Sweeper:
         if not self.corrects:
             return Closed(corrections, np.zeros(corrections.shape[1], dtype=bool))
         self.at(parameters)
-        whole = self._one_block(corrections)
-        done = corrections if whole else np.zeros(corrections.shape)
+        done = corrections if self._whole else np.zeros(corrections.shape)
         late = np.zeros(corrections.shape[1], dtype=bool)
         for pattern, block in self.blocks(corrections, self._block):
             closed = self._close(pattern, block, tolerance, contraction)
@@ -183,6 +187,8 @@ class Sweeper:
             read = np.zeros(part.corrections.shape)
             read[list(pattern.unmeasured)] = part.corrections[list(pattern.unmeasured)]
             tape = self.problem.tape(pattern)
+            from loopcal.estimation.solve.newton import close_by_newton
+
             closed = close_by_newton(
                 tape, parameters, part.at(read), NEGLIGIBLE, self.problem.names
             )
@@ -237,11 +243,6 @@ class Sweeper:
         some = np.concatenate(found)
         return Failed(some.size, tuple(self.problem.pose(int(i)) for i in some[:NAMED]))
 
-    def _one_block(self, corrections: Array) -> bool:
-        """Whether what one block brings is all corrections (k, N), and need not be copied."""
-        alike = [isinstance(pattern.poses, slice) for pattern in self.problem.patterns]
-        return alike == [True] and corrections.shape[1] <= self._block
-
     def _made(self, engine: Engine) -> BlockKernel:
         return kernel_for(engine, self.reduce, exact=self.exact)
 
@@ -257,8 +258,10 @@ class Sweeper:
         tolerance = max(tolerance, 8.0 * (self.rounding or 0.0))
         closed = self.kernel(pattern).close(block, tolerance, contraction)
         self.evaluations += closed.evaluations
-        if not closed.open.any():
+        if not closed.failed:
             return closed
+        from loopcal.estimation.solve.newton import close_by_newton
+
         some = np.flatnonzero(closed.open)
         near, tape = block.at(closed.corrections).of(some), self.problem.tape(pattern)
         found = close_by_newton(
@@ -269,8 +272,15 @@ class Sweeper:
 
     def blocks(self, corrections: Array, most: int = BLOCK) -> Iterator[tuple[Pattern, Block]]:
         """All poses in blocks with corrections (k, N); a pose without any loop is in none."""
+        whole = self._alike and self.problem.count <= most
+        if whole and self._only is not None:  # cut once for all sweeps
+            yield self.problem.patterns[0], self._only.at(corrections)
+            return
         for pattern, poses in self.problem.blocks(most):
-            yield pattern, self.block(pattern, poses, corrections[:, poses])
+            block = self.block(pattern, poses, corrections[:, poses])
+            if whole:
+                self._only = block
+            yield pattern, block
 
     def block(self, pattern: Pattern, poses: Poses, corrections: Array) -> Block:
         """Some poses of a pattern with corrections (k, b) of theirs."""
@@ -294,6 +304,8 @@ def _far(block: Block) -> NDArray[np.intp]:
     usable = np.isfinite(sd) & (sd > 0.0)
     shares = np.where(usable, block.corrections / np.where(usable, sd, 1.0), 0.0)
     cost = np.square(shares).sum(axis=0)
+    if cost.max() <= _ASTRAY:  # whatever the middle one is
+        return np.empty(0, dtype=np.intp)
     far = np.flatnonzero(~(cost <= _ASTRAY * max(float(np.median(cost)), 1.0)))
     return np.asarray(far[np.argsort(-cost[far], kind="stable")[:_ANEW]])
 

@@ -414,6 +414,12 @@ class RecordEntry(Model):
     """Who measured what, when and with what: for result.json, the report and the record."""
 
     laboratory: str | None = Field(default=None, description="Laboratory, with its address.")
+    country: str | None = Field(
+        default=None, description="Country of the laboratory: two letters of ISO 3166-1."
+    )
+    performed_at: (
+        Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"] | None
+    ) = Field(default=None, description="Whose place it was where the machine was calibrated.")
     place: str | None = Field(default=None, description="Where the machine was calibrated.")
     number: str | None = Field(
         default=None,

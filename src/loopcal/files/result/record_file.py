@@ -1,8 +1,8 @@
 """The files behind a record, the seal of its page, and the check of both.
 
-A page names its inputs with their SHA-256 in a block of JSON. Its own SHA-256 stands in it too: it
-is that of the page with 64 zeros in the place of the hash. Whoever alters a page can seal it anew;
-a signature protects from that, the hash from mistakes.
+A page, or the XML of a certificate, names its inputs with their SHA-256 in a block of JSON. Its own
+SHA-256 stands in it too: it is that of the page with 64 zeros in the place of the hash. Whoever
+alters a page can seal it anew; a signature protects from that, the hash from mistakes.
 """
 
 from __future__ import annotations
@@ -24,8 +24,15 @@ from loopcal.files.toml.place import Place
 OPEN = "0" * 64
 """In the place of the hash of a page while that is computed."""
 MOST_BYTES = 20_000_000
-_SEAL = re.compile(r'<meta name="loopcal-record" content="([0-9a-f]{64})">')
-_MANIFEST = re.compile(r'<script type="application/json" id="manifest">(.*?)</script>', re.DOTALL)
+_SEAL = re.compile(
+    r'(?:<meta name="loopcal-record" content|<record xmlns="urn:loopcal:record" sha256)'
+    r'="([0-9a-f]{64})">'
+)
+_MANIFEST = re.compile(
+    r'<script type="application/json" id="manifest">(.*?)</script>'
+    r'|<record xmlns="urn:loopcal:record" sha256="[0-9a-f]{64}">(.*?)</record>',
+    re.DOTALL,
+)
 _OF_RESULT = {
     "result.json": "result",
     "mechanism.toml": "calibrated machine",
@@ -148,7 +155,7 @@ def sealed(page: str) -> str:
 
 
 def check_record(path: str | Path) -> RecordCheck:
-    """Check a page that `loopcal record` wrote, and the files that it names.
+    """Check a page or XML that `loopcal record` wrote, and the files that it names.
 
     Raises InputError for a file that is no such page.
     """
@@ -157,7 +164,9 @@ def check_record(path: str | Path) -> RecordCheck:
     text = content[: MOST_BYTES + 1].decode("utf-8", "replace")
     seal, files = _SEAL.search(text), _MANIFEST.search(text)
     try:
-        entries = [RecordFile(**entry) for entry in json.loads(files[1])] if files else None
+        entries = (
+            [RecordFile(**entry) for entry in json.loads(files[1] or files[2])] if files else None
+        )
     except (ValueError, TypeError):
         entries = None
     if seal is None or entries is None:
@@ -165,7 +174,7 @@ def check_record(path: str | Path) -> RecordCheck:
             "this is no record that loopcal wrote, or its list of files is damaged",
             code="wrong-file-type",
             place=str(path),
-            remedy="name a record.html of `loopcal record`",
+            remedy="name a record.html or record.xml of `loopcal record`",
         )
     opened = content.replace(seal[1].encode(), OPEN.encode())
     states = {_label(e, entries): _state(e, path.absolute().parent) for e in entries}

@@ -1,7 +1,8 @@
-"""Joints whose readings have a scale of their own: a gear ratio, a linear encoder's pitch."""
+"""Readings with a scale of their own: a gear ratio, an encoder's pitch, a wire's drum."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,14 +17,17 @@ SD = 1e-3
 
 @dataclass(frozen=True)
 class Scale:
-    """Readings with a scale error: theta' = theta (1 + JOINT_scale), turning or sliding."""
+    """Readings with a scale error: theta' = theta (1 + JOINT_scale), turning or sliding.
+
+    Lengths that an instrument reads have one where `joints` names them: wire (1 + wire_scale).
+    """
 
     joints: Joints = ("*",)
     name: Name = "scale"
 
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
-        """JOINT_scale of each joint."""
-        names = [f"{joint}_scale" for joint in joints(mechanism, self.joints)]
+        """NAME_scale of each joint or length."""
+        names = [f"{name}_scale" for name in _scaled(mechanism, self.joints)]
         return {name: Parameter(name, 0.0, "1", SD) for name in names}
 
     def known(self, mechanism: Mechanism) -> dict[str, str]:
@@ -32,5 +36,14 @@ class Scale:
 
     def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
         """The readings scaled."""
-        found = joints(mechanism, self.joints)
-        return {joint: x[joint] * (1.0 + p[f"{joint}_scale"]) for joint in found}
+        found = _scaled(mechanism, self.joints)
+        return {name: x[name] * (1.0 + p[f"{name}_scale"]) for name in found}
+
+
+def _scaled(mechanism: Mechanism, patterns: Sequence[str]) -> list[str]:
+    """Joints by names or globs, and lengths that instruments read by their names."""
+    lengths = {q for family in mechanism.families for q in family.readings}
+    lengths &= {q for q, unit in mechanism.quantities.items() if unit == "m"}
+    named = [name for name in patterns if name in lengths]
+    others = [name for name in patterns if name not in lengths]
+    return [*(joints(mechanism, others) if others else []), *dict.fromkeys(named)]
