@@ -24,14 +24,15 @@ def standing_exact(
     """The uncertainty with the readings (k, N) of joints that never move taken as exact.
 
     What they are off by is the same in all poses, and parameters take it up. Not those of
-    instruments, whose readings follow from the machine; nor where a loop would be left without
-    any reading that is uncertain.
+    instruments, whose readings follow from the machine, nor what is no reading (an error of the
+    machine model, taken as 0); nor where a loop would be left without any that is uncertain.
     """
     names, loops = mechanism.tape.quantities, mechanism.tape.depends_on()
     seen = {q for family in mechanism.families for q in family.readings}
+    seen |= {*mechanism.implied, *mechanism.disturbances}
     inside = {i for block in uncertainty.blocks for i in block.indices}
     sd = uncertainty.sd
-    uncertain = (sd > 0.0).all(axis=1)
+    uncertain = [bool((row > 0.0).all()) for row in sd]
     still = [
         i
         for i, name in enumerate(names)
