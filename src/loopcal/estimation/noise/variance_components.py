@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -229,6 +230,7 @@ def upper_bound(
     beyond = 0.5 * (1.0 - level)
     others = estimate.ratios
 
+    @cache  # the search for the root asks for both of its ends again
     def excess(logarithm: float) -> float:
         nonlocal others
         ratio = math.exp(logarithm)
