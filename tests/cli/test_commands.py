@@ -11,6 +11,8 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -377,6 +379,19 @@ def test_what_is_waited_for_gets_a_line_of_its_own(monkeypatch: pytest.MonkeyPat
     shown, blank, line = stream.getvalue().split("\r")[1:]
     assert (shown, blank.strip()) == ("1 of 10 folds", "")
     assert line == "loopcal: waiting for running pieces to finish\n"
+
+
+def test_the_fit_is_shown_at_once_while_it_is_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+    ticking(monkeypatch, 0.1)
+    stream = Terminal(True)
+    fit: Any = SimpleNamespace(accuracy_after=SimpleNamespace(rms=0.000194, unit="m"))
+    with Progress(stream) as progress:
+        progress.fitted(fit)
+        progress.due = 0.0
+        progress.pieces("folds", 1, 10)
+    first, second = stream.getvalue().split("\r")[1:3]
+    assert first == "fitted: error 0.194 mm rms; judging"
+    assert second.strip() == "fitted: error 0.194 mm rms; 1 of 10 folds"
 
 
 def test_counted_work_says_what_time_is_left(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -90,6 +90,7 @@ class Listeners:
 
     sharing: Callable[[Executor], None] | None = None
     progress: Progress | None = None
+    fitted: Callable[[Result], None] | None = None
     pieces: Pieces | None = None
     notice: Callable[[str], None] | None = None
     warn: Callable[[str], None] | None = None
@@ -279,7 +280,13 @@ class _Run:
             poses = loaded.dataset.poses
             scheme = Scheme(**validation_arguments(self.project, self.validation, poses))
         shared = self._shared("fits")
-        return _Done(choose(case, scheme, **shared, iterated=self.listeners.progress).calibrated)
+        chosen = choose(case, scheme, **shared, iterated=self.listeners.progress).calibrated
+        self._fitted(chosen)
+        return _Done(chosen)
+
+    def _fitted(self, result: Result) -> None:
+        if self.listeners.fitted is not None:
+            self.listeners.fitted(result)
 
     def _calibrated(self, loaded: LoadedData) -> _Done:
         if self.fit.method.choice:
@@ -291,6 +298,7 @@ class _Run:
             fit=self.fit,
             progress=self.listeners.progress,
         )
+        self._fitted(result)
         if self.validation is None:
             return _Done(result)
         if not result.status.converged:
