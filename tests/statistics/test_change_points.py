@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 import loopcal as lc
 from loopcal.chi_squared import tail
+from loopcal.document.change_points import Change, ChangePoint
 from loopcal.statistics.change_points import _log_tail
+from loopcal.statistics.moved_by import sized
 from tests.estimation.test_real_data import RIGHT, left_arm, measured
 from tests.reference.simulated import MA1400_RANGES, ma1400
 from tests.refusals import refused
@@ -258,3 +260,23 @@ def test_readings_without_noise_hide_no_change_and_no_outlier(slope: float, meth
     result = lc.calibrate(line, data, noise=lc.Noise({"q": 1e-4, "y": 1e-4}), method=method)
     assert lc.find_shifts(result).found == ()
     assert lc.find_outliers(result).found == ()
+
+
+def test_the_size_of_a_change_is_how_far_it_moves_the_end_point() -> None:
+    """Of a target its slip; of a joint the angle times the distance from its axis; of a reading
+    itself."""
+    data = read(joints(30, 1), 1)
+    result = fitted(data)
+    base = [result.value[name] for name in ("x0", "y0")]
+    radius = np.hypot(data["x"] - base[0], data["y"] - base[1])
+    expected = {
+        ("x6B", 1e-3, "m"): 1e-3,
+        ("y", -2e-4, "m"): 2e-4,
+        ("theta_1", 1e-4, "rad"): 1e-4 * np.sqrt(np.square(radius).mean()),
+    }
+    for (name, size, unit), moves in expected.items():
+        change = {name: Change(size, 1e-5, unit)}
+        point = ChangePoint("step", "9", "8", 9, "target", change, 30.0, 1e-5)
+        found = sized(result, point)
+        assert found.unit == "m"
+        assert found.moves == pytest.approx(moves, rel=0.01)
