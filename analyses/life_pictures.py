@@ -1,4 +1,5 @@
-"""Make the pictures of a machine's life in the how-to pages: what changed, history, fleet.
+"""Make the pictures of a machine's life in the how-to pages: what changed, update,
+history, fleet.
 
     python -m analyses.life_pictures
 
@@ -38,6 +39,17 @@ def changed() -> str:
     return verification_html(lc.verify(result, day), "six-axis arm")
 
 
+def updated(folder: Path) -> str:
+    """An arm whose calibration by 45 poses is updated by 15, with an allowance for its joints."""
+    rng, drawn = np.random.default_rng(2), arm(sagging=False)
+    first = measured(drawn, "rigid", joints(rng, 45), 3)
+    result = lc.calibrate(drawn, first, noise=NOISE, method="implicit-loop")
+    day = measured(drawn, "rigid", joints(rng, 15), 4)
+    found = lc.update(result, day, drift={"offset_4": 2e-4, "offset_5": 2e-4})
+    lc.write_result(found, folder, report=True)
+    return (folder / "report.html").read_text("utf-8")
+
+
 def history(folder: Path) -> str:
     """Eight calibrations: a length drifts, and a collision shortens a link."""
     rng, walk = np.random.default_rng(4), 0.0
@@ -75,10 +87,11 @@ def fleet() -> str:
 
 
 def main() -> None:
-    """Write changed.png, history.png and fleet.png."""
+    """Write changed.png, updated.png, history.png and fleet.png."""
     with tempfile.TemporaryDirectory() as folder, chromium() as browser:
         pages = {
             "changed": (changed(), "#l-angles"),
+            "updated": (updated(Path(folder) / "updated"), "#r1-sds_angles"),
             "history": (history(Path(folder) / "arm.history"), "#h-lengths"),
             "fleet": (fleet(), "#l-spread"),
         }

@@ -12,7 +12,7 @@ Data sets of 15 groups count a tenth of the draws.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,8 +23,8 @@ from loopcal.measurements.attained import AttainedPoses
 from loopcal.pose_performance.accuracy import Group, Means, fitted_base
 from loopcal.pose_performance.instrument import Figures, MeasuringErrors, tracker_of
 from loopcal.pose_performance.intervals import Estimate, NormalScatter
+from loopcal.pose_performance.parts import ConditionPerformance
 from loopcal.pose_performance.performance import pose_performance
-from loopcal.pose_performance.result import Performance
 
 Array = NDArray[np.float64]
 CORNERS = np.array([(0, 0, 0), (1, 1, 1), (-1, 1, 1), (-1, -1, -1), (1, -1, -1)], dtype=float)
@@ -149,9 +149,8 @@ def _truth(case: Case, attained: AttainedPoses, true: Array, turned: Array) -> d
     return found
 
 
-def figures(done: Performance) -> Iterator[tuple[str, Estimate]]:
+def figures(part: ConditionPerformance) -> Iterator[tuple[str, Estimate]]:
     """Name and estimate of every figure."""
-    part = done.conditions[0]
     for pose in part.poses:
         yield f"AP {pose.name}", pose.accuracy
         if pose.accuracy_fitted is not None:
@@ -180,10 +179,52 @@ def coverage(case: Case, draws: int, first: int = 0) -> dict[str, float]:
     errors = ERRORS if case.common else MeasuringErrors()
     for seed in range(first, first + draws):
         attained, truth = measured(case, seed)
-        for name, estimate in figures(pose_performance(attained, errors)):
-            if name in truth and estimate.low is not None and estimate.high is not None:
-                kind = next(k for k in KINDS if name.startswith(f"{k} "))
-                held.setdefault(kind, []).append(estimate.low <= truth[name] <= estimate.high)
+        _judge(held, pose_performance(attained, errors).conditions[0], truth)
+    return {kind: float(np.mean(its)) for kind, its in held.items()}
+
+
+def _judge(
+    held: dict[str, list[bool]], part: ConditionPerformance, truth: Mapping[str, float]
+) -> None:
+    """Whether each interval of a condition holds the truth, noted by kind of figure."""
+    for name, estimate in figures(part):
+        if name in truth and estimate.low is not None and estimate.high is not None:
+            kind = next(k for k in KINDS if name.startswith(f"{k} "))
+            held.setdefault(kind, []).append(estimate.low <= truth[name] <= estimate.high)
+
+
+CONDITIONS = {
+    ("5", "50"): Case(),
+    ("5", "100"): Case(shape=(4e-5, 3e-5, 2e-5)),
+    ("10", "50"): Case(offset=6e-4),
+    ("10", "100"): Case(shape=(6e-5, 6e-5, 6e-5), offset=8e-4),
+}
+"""Payload [kg] and speed [%]: a robot that is worse with both, all in one table."""
+
+
+def condition_coverage(draws: int) -> dict[str, float]:
+    """Share of intervals that hold the truth of their own payload and speed, by kind of figure."""
+    held: dict[str, list[bool]] = {}
+    for seed in range(draws):
+        made = [measured(c, len(CONDITIONS) * seed + i) for i, c in enumerate(CONDITIONS.values())]
+        tables = [attained for attained, _ in made]
+        whole = AttainedPoses(
+            "simulated",
+            tuple(v for t in tables for v in t.pose),
+            tuple(v for t in tables for v in t.cycle),
+            np.vstack([t.commanded for t in tables]),
+            np.vstack([t.measured for t in tables]),
+            direction=tuple(d for t in tables for d in t.direction or ()),
+            conditions={
+                column: tuple(
+                    key[i] for key, t in zip(CONDITIONS, tables, strict=True) for _ in t.pose
+                )
+                for i, column in enumerate(("payload", "speed"))
+            },
+        )
+        done = pose_performance(whole, ERRORS)
+        for part, (_, truth) in zip(done.conditions, made, strict=True):
+            _judge(held, part, truth)
     return {kind: float(np.mean(its)) for kind, its in held.items()}
 
 
@@ -224,6 +265,9 @@ def main() -> None:
         found = coverage(case, draws // 10)
         shown = "  ".join(f"{k} {found[k]:.3f}" for k in KINDS if k in found)
         print(f"{name:22}", shown, flush=True)
+    found = condition_coverage(draws // 40)
+    shown = "  ".join(f"{k} {found[k]:.3f}" for k in KINDS if k in found)
+    print(f"{'payloads and speeds':22}", shown, flush=True)
     for cycles in (4, 10, 30):
         for common in (False, True):
             found = distance_coverage(cycles, draws, common=common)

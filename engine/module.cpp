@@ -331,6 +331,7 @@ private:
 }  // namespace
 
 NB_MODULE(_compiled, m) {
+    nb::set_leak_warnings(false);  // a process that ends leaves what it has to the system
     // Raised, here and in loopcal/expressions/choice.py, with every change of a signature or of what it means.
     m.attr("INTERFACE") = 1;
     m.doc() = "The compiled engine: tapes over blocks of poses, see loopcal.expressions.compiled.";

@@ -11,6 +11,8 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -288,8 +290,13 @@ def test_no_heavy_library_is_loaded_without_need(folder: Path) -> None:
         "aside = 'report.page statistics.models statistics.intervals '\n"
         "aside += 'workflow.checking workflow.streams simulation.simulate statistics.causes '\n"
         "aside += 'estimation.stream.merit mechanisms.effects.registry files.machines.chains '\n"
+        "aside += 'estimation.solve.newton mechanisms.effects.drift '\n"
+        "aside += 'measurements.joining document.notebook_html '\n"
+        "aside += 'files.project.new_project files.machines.serial files.machines.motoman '\n"
         "aside += 'mechanisms.parallel.registry files.machines.declared_function'\n"
-        "heavy = {'scipy', 'jinja2', *(f'loopcal.{name}' for name in aside.split())}\n"
+        "heavy = {'scipy', 'jinja2', 'html', 'multiprocessing', 'concurrent.futures.process'}\n"
+        "heavy |= {f'loopcal.{name}' for name in aside.split()}\n"
+        "assert len([name for name in sys.modules if name.startswith('loopcal.')]) <= 290\n"
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
         "from loopcal.files.toml.model import Model\n"
         "def below(model): return [model, *(m for c in model.__subclasses__() for m in below(c))]\n"
@@ -372,6 +379,19 @@ def test_what_is_waited_for_gets_a_line_of_its_own(monkeypatch: pytest.MonkeyPat
     shown, blank, line = stream.getvalue().split("\r")[1:]
     assert (shown, blank.strip()) == ("1 of 10 folds", "")
     assert line == "loopcal: waiting for running pieces to finish\n"
+
+
+def test_the_fit_is_shown_at_once_while_it_is_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+    ticking(monkeypatch, 0.1)
+    stream = Terminal(True)
+    fit: Any = SimpleNamespace(accuracy_after=SimpleNamespace(rms=0.000194, unit="m"))
+    with Progress(stream) as progress:
+        progress.fitted(fit)
+        progress.due = 0.0
+        progress.pieces("folds", 1, 10)
+    first, second = stream.getvalue().split("\r")[1:3]
+    assert first == "fitted: error 0.194 mm rms; judging"
+    assert second.strip() == "fitted: error 0.194 mm rms; 1 of 10 folds"
 
 
 def test_counted_work_says_what_time_is_left(monkeypatch: pytest.MonkeyPatch) -> None:

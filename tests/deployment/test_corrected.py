@@ -15,7 +15,9 @@ from loopcal.deployment.inverse import solve
 from loopcal.deployment.rigid import between, of_quaternion, turn_of, turned
 from loopcal.deployment.tool import tool_of
 from loopcal.files.machines.mechanism_file import mechanism_from_data
-from loopcal.mechanisms.serial import serial_machine
+from loopcal.mechanisms.motoman import motoman_joints
+from loopcal.mechanisms.placement import ChainPlacement, rigid
+from loopcal.mechanisms.serial import places_itself, serial_machine
 from tests.refusals import refused
 
 NAMES = [f"q{i}" for i in range(1, 7)]
@@ -251,3 +253,24 @@ def test_an_arm_that_its_own_transitions_place_sags_as_it_was_calibrated() -> No
     nominal = arms_of(arm, values, tool_of(arm, values, "nominal")).tool
     assert nominal.of_machine[0] == pytest.approx(now, abs=1e-12)
     assert nominal.of_controller[0] == values["x6B"]
+
+
+def test_transitions_seen_by_two_instruments_without_station_find_their_base() -> None:
+    """Where the whole machine was seen elsewhere, its controller still has it in its own base."""
+    single = mechanism_from_data({"type": "motoman-ma1400"}, "a file")
+    drawn = {p.name: p.nominal for p in single.parameters}
+    T = rigid(turned(np.array([0.1, -0.2, 0.7])), np.array([1.0, 2.0, 0.3]))
+    assert isinstance(single.placement, ChainPlacement)
+    placed = single.placement.moved(drawn, T[:3, :3], T[:3, 3])
+    joints = [{"name": j.name, "form": j.form, "direction": j.direction} for j in motoman_joints()]
+    second = {"name": "second", "readings": ["x2", "y2", "z2"], "target": ["a_x", "a_y", "a_z"]}
+    first = {"readings": ["x", "y", "z"], "target": ["x6B", "y6B", "z6B"]}
+    seen = [{"type": "point", "station": False, **one} for one in (first, second)]
+    data = {"type": "serial", "joint": joints, "fix_redundant": False, "instrument": seen}
+    arm = mechanism_from_data(data, "two").with_nominal(placed)
+    assert places_itself(arm)
+    values = {p.name: p.nominal for p in arm.parameters} | drawn
+    arms = arms_of(arm, values, tool_of(arm, values), home=dict.fromkeys(single.quantities, 0.2))
+    assert arms.machine.base == pytest.approx(T, abs=1e-9)
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 6))
+    assert arms.machine(q) == pytest.approx(arms.controller(q), abs=1e-9)

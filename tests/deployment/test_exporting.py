@@ -14,6 +14,7 @@ from loopcal.deployment.refit import Goal, refit, separable
 from loopcal.deployment.seen_points import seen_points, traced
 from loopcal.mechanisms.chain import product
 from loopcal.statistics.predictor import predictor
+from tests.refusals import refused
 
 QUARTER = 0.5 * np.pi
 FORMS = ("dh", "hayati", "dh", "dh", "dh", "dh")
@@ -71,6 +72,17 @@ def test_zeros_alone_are_worth_everything_where_only_zeros_are_wrong(rigid):
     for name, true in ZEROS.items():
         zero = found[f"q{name[-1]}"]
         assert abs(zero.offset - true) < 2.0 * zero.u95
+
+
+def test_zeros_that_make_an_arm_worse_are_warned_of(rigid, monkeypatch):
+    machine = of(rigid)
+    assert not any("worse" in words for words in lc.export(rigid, to="zeros").warnings)
+    zeros, nominal = machine.of("zeros and tool"), machine.of("nominal")
+    swapped = (replace(zeros, model="nominal"), replace(nominal, model="zeros and tool"))
+    worse = replace(machine, accuracy=(*swapped, *machine.accuracy[2:]))
+    monkeypatch.setattr("loopcal.workflow.exporting.exported", lambda *_, **__: worse)
+    assert any("worse at the measured poses" in w for w in lc.export(rigid, to="zeros").warnings)
+    assert not any("worse" in words for words in lc.export(rigid, to="dh").warnings)
 
 
 def test_the_exported_geometry_of_a_rigid_arm_is_the_calibrated_one(rigid):
@@ -213,6 +225,8 @@ def test_transitions_hold_their_base_themselves():
     chain = machine.chain.along_z
     np.testing.assert_allclose(axes["geometry"].T, chain.joints[0].before, atol=1e-12)
     assert "zeros and tool" in axes
+    with refused("unsupported", "origins"):  # and not: name a URDF
+        lc.export(result, to="urdf")
 
 
 def test_poses_before_a_slip_are_compared_as_after_it():

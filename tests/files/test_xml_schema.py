@@ -68,6 +68,21 @@ def test_entities_of_a_schema_read_no_file(tmp_path: Path) -> None:
             check_against('<secret xmlns="urn:outer"/>', tmp_path / path)
 
 
+def test_a_document_type_as_that_of_xml_signatures_is_read(tmp_path: Path) -> None:
+    """Its own entities are, but neither its address nor entities without end."""
+    head = '<!DOCTYPE schema PUBLIC "-//W3C//DTD" "http://schema.invalid/XMLSchema.dtd" [{}]>'
+    own = head.format("<!ATTLIST schema xmlns:ds CDATA #FIXED 'urn:ds'><!ENTITY % p ''>")
+    (tmp_path / "outer.xsd").write_text(outer("inner.xsd"))
+    (tmp_path / "inner.xsd").write_text(own + INNER)
+    check_against(xml("1.5"), tmp_path / "outer.xsd")
+    more = "".join(f"<!ENTITY a{i + 1} '{f'&a{i};' * 50}'>" for i in range(8))
+    endless = head.format(f"<!ENTITY a0 '{'x' * 1000}'>{more}")
+    note = "<xs:annotation><xs:documentation>&a8;</xs:documentation></xs:annotation></xs:schema>"
+    (tmp_path / "inner.xsd").write_text(endless + INNER.replace("</xs:schema>", note))
+    with refused("wrong-file-type", "inner.xsd"):
+        check_against(xml("1.5"), tmp_path / "outer.xsd")
+
+
 @pytest.mark.parametrize(
     "text", ["", "no XML", "<other/>", f"<xs:schema {XS}><xs:element/></xs:schema>"]
 )

@@ -13,7 +13,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import ive
 
-from loopcal.files.machines.mechanism_file import read_mechanism
+import loopcal as lc
+from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 from loopcal.files.machines.urdf import urdf_machine
 from loopcal.mechanisms.chain import Step, product
@@ -28,7 +29,7 @@ from loopcal.mechanisms.instruments.spherical import spherical
 from loopcal.mechanisms.machine import Instrument, Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import with_model_error
-from loopcal.mechanisms.motoman import motoman_ma1400
+from loopcal.mechanisms.motoman import motoman_joints, motoman_ma1400
 from loopcal.mechanisms.parallel.linear_delta import linear_delta
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
 from loopcal.mechanisms.parallel.three_rrr import three_rrr
@@ -475,3 +476,31 @@ def test_features_without_weight_are_left_out() -> None:
         found = harmonics(scales)
         assert 0 < len(found) <= FEATURES
         assert sum(h.amplitude**2 for h in found) == pytest.approx(1.0)
+
+
+def test_an_arm_of_transitions_sags_alike_seen_by_one_instrument_or_by_two() -> None:
+    """Gravity is stated in the arm's own base, which its transitions place."""
+    joints = [{"name": j.name, "form": j.form, "direction": j.direction} for j in motoman_joints()]
+    second = {"name": "second", "readings": ["x2", "y2", "z2"], "target": ["a_x", "a_y", "a_z"]}
+    first = {"readings": ["x", "y", "z"], "target": ["x6B", "y6B", "z6B"]}
+    seen = [{"type": "point", "station": False, **one} for one in (first, second)]
+    data = {"type": "serial", "joint": joints, "fix_redundant": False, "instrument": seen}
+    single = mechanism_from_data({"type": "motoman-ma1400"}, "one")
+    drawn = {p.name: p.nominal for p in single.parameters}
+    rng = np.random.default_rng(0)
+    q = {joint["name"]: rng.uniform(-1.0, 1.0, 10) for joint in joints}
+    arms = [structured(m) for m in (single, mechanism_from_data(data, "two").with_nominal(drawn))]
+    more = [n for n in arms[0].parameters.names if n not in drawn]
+    truth = dict(zip(more, 1e-3 * rng.standard_normal(len(more)), strict=True))
+    made = [
+        lc.simulate(
+            arm,
+            q,
+            noise={"*": 0.0},
+            seed=0,
+            truth={p.name: p.nominal for p in arm.parameters} | truth,
+        )
+        for arm in arms
+    ]
+    for axis in "xyz":
+        assert made[1].dataset[axis] == pytest.approx(made[0].dataset[axis], abs=1e-12)

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from analyses.pose_performance import CASES, coverage, distance_coverage
+from analyses.pose_performance import CASES, condition_coverage, coverage, distance_coverage
 from loopcal.measurements.attained import AttainedPoses
 from loopcal.pose_performance.accuracy import Group, Means, fitted_base, frame_effect
 from loopcal.pose_performance.instrument import Figures, MeasuringErrors, tracker_of
 from loopcal.pose_performance.intervals import NormalScatter, length_interval, repeatability
 from loopcal.pose_performance.performance import pose_performance
+from loopcal.pose_performance.summary import overview
 from tests.refusals import refused
 
 CROSS = 1e-3 * np.array([[0.13, 0, 0], [0.07, 0, 0], [0.1, 0.04, 0], [0.1, -0.04, 0]])
@@ -246,6 +247,30 @@ def test_conditions_are_kept_apart() -> None:
     assert [pose.pose for part in found for pose in part.poses] == ["P1", "P2"]
 
 
+def test_figures_of_each_payload_and_speed_by_hand() -> None:
+    """Four conditions: offsets k times those of the cross, so AP and RP are k times its own."""
+    sizes = {("5", "50"): 1.0, ("5", "100"): 2.0, ("10", "50"): 3.0, ("10", "100"): 4.0}
+    table = attained(*(k * CROSS for k in sizes.values()))
+    pose = ("P1",) * 16
+    asked = np.zeros((16, 3))
+    keys = [key for key in sizes for _ in CROSS]
+    conditions = {"payload [kg]": tuple(k for k, _ in keys), "speed [%]": tuple(k for _, k in keys)}
+    moved = replace(table, pose=pose, commanded=asked, measured=table.measured - table.commanded)
+    done = pose_performance(replace(moved, conditions=conditions))
+    rp = 1e-3 * (0.035 + 3 * math.sqrt(4 * 0.005**2 / 3))
+    for part, ((payload, speed), k) in zip(done.conditions, sizes.items(), strict=True):
+        assert part.condition == {"payload [kg]": payload, "speed [%]": speed}
+        ap, _, repeated = part.largest.figures
+        assert ap is not None
+        assert repeated is not None
+        assert (ap.value, repeated.value) == pytest.approx((k * 1e-4, k * rp))
+    head, *rows = overview(done.conditions)
+    assert head[:3] == ("payload [kg]", "speed [%]", "poses")
+    assert [row[:2] for row in rows] == list(sizes)
+    assert overview(done.conditions[:1]) == []
+    assert "largest AP [mm]" in str(done)
+
+
 def test_a_wrong_unit_is_refused() -> None:
     table = attained(CROSS, CROSS, CROSS)
     with refused("implausible-unit", "1000 times"):
@@ -269,6 +294,10 @@ def test_intervals_hold_the_truth(name: str) -> None:
     """`python -m analyses.pose_performance` has more cases and draws."""
     found = coverage(CASES[name], 6)
     assert min(found.values()) > 0.88
+
+
+def test_intervals_hold_the_truth_at_each_payload_and_speed() -> None:
+    assert min(condition_coverage(4).values()) > 0.88
 
 
 def test_intervals_of_distances_hold_the_truth() -> None:

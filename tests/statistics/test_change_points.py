@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -264,7 +265,7 @@ def test_readings_without_noise_hide_no_change_and_no_outlier(slope: float, meth
 
 def test_the_size_of_a_change_is_how_far_it_moves_the_end_point() -> None:
     """Of a target its slip; of a joint the angle times the distance from its axis; of a reading
-    itself."""
+    itself; of all less than what noise makes of it."""
     data = read(joints(30, 1), 1)
     result = fitted(data)
     base = [result.value[name] for name in ("x0", "y0")]
@@ -276,7 +277,16 @@ def test_the_size_of_a_change_is_how_far_it_moves_the_end_point() -> None:
     }
     for (name, size, unit), moves in expected.items():
         change = {name: Change(size, 1e-5, unit)}
-        point = ChangePoint("step", "9", "8", 9, "target", change, 30.0, 1e-5)
+        point = ChangePoint("step", "9", "8", 9, "target", change, 1e6, 1e-5)
         found = sized(result, point)
         assert found.unit == "m"
         assert found.moves == pytest.approx(moves, rel=0.01)
+        unsure = sized(result, replace(point, gain=4.0)).moves
+        assert unsure == pytest.approx(np.sqrt(0.75) * found.moves)
+
+
+def test_a_pose_in_which_no_loop_holds_is_passed_over() -> None:
+    data = read(joints(60, 1), 2)
+    blank = {q: np.where(np.arange(60) == 7, np.nan, data[q]) for q in "xyz"}
+    whole, part = (lc.find_shifts(fitted(its)) for its in (data, data.with_readings(blank)))
+    assert whole.found == part.found == ()

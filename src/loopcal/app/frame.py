@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from nicegui import ui
+from nicegui import background_tasks, run, ui
 
 from loopcal.app import words
 from loopcal.app.session import Session
@@ -39,6 +39,7 @@ SHOWN: Mapping[str, Callable[[View], None]] = {
     "deploy": deploy.show,
     "history": history.show,
 }
+LINKED = "/linked.js"
 TIP = 'anchor="center right" self="center left"'
 SAID = 1_500
 """Characters of what a failed run said that are shown at once; the end of it."""
@@ -68,7 +69,10 @@ body.body--dark .q-footer.run { background: #24282e; color: #e6e6e6; }
 body .tip { background: #333; color: #fff; font-size: 0.85rem; max-width: 22rem; }
 .q-page { overflow-wrap: anywhere; } .q-checkbox { max-width: 100%; }
 .q-uploader__list { min-height: 1.5rem; padding: 4px 8px; }
-.command { max-width: 100%; } .q-table td { white-space: normal; overflow-wrap: anywhere; }
+.linked :is(.selectionlayer, .outline-controllers) { display: none; }
+.linked .select-outline { pointer-events: none !important; }
+.command { max-width: 100%; } .command pre { padding-right: 2.5rem; }
+.q-table td { white-space: normal; overflow-wrap: anywhere; }
 .step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }
 .q-btn { min-height: 44px; text-transform: none; }
 .q-btn:focus-visible { outline: 3px solid #0072b2; outline-offset: 2px; }
@@ -82,9 +86,11 @@ body .tip { background: #333; color: #fff; font-size: 0.85rem; max-width: 22rem;
 """
 
 
-def build(session: Session) -> None:
+async def build(session: Session) -> None:
     """One page on the folder."""
+    await run.io_bound(session.load)
     ui.add_css(STYLE)
+    ui.add_head_html(f'<script src="{LINKED}"></script>')
     ui.colors(primary="#0b5cad")
     view = View(session)
     known = {"version": session.version, "finished": session.finished}
@@ -95,6 +101,10 @@ def build(session: Session) -> None:
         ui.label("loopcal").classes("text-h6")
         ui.label(str(session.folder.path.name)).classes("text-body2")
         ui.space()
+        with ui.row().classes("items-center no-wrap") as waiting:
+            ui.spinner(color="white")
+            ui.label(words.READING)
+        waiting.set_visibility(False)
         ui.dark_mode(value=None)
     drawer = (
         ui.left_drawer(value=True).classes("q-pa-sm").props("width=200 breakpoint=700 bordered")
@@ -110,12 +120,24 @@ def build(session: Session) -> None:
 
     @ui.refreshable
     def running() -> None:
-        run = session.worker.run
-        foot.set_value(run is not None or session.folder.log().unfinished() is not None)
+        its = session.worker.run
+        foot.set_value(its is not None or session.folder.log().unfinished() is not None)
         foot.props(f"data-finished={session.finished}")
         alive[:] = [_run(session)]
 
+    async def draw_once_read() -> None:
+        await run.io_bound(session.load)
+        if not page.is_deleted:
+            with page:
+                waiting.set_visibility(False)
+                draw()
+
     def draw() -> None:
+        if not session.ready:
+            if not waiting.visible:
+                waiting.set_visibility(True)
+                background_tasks.create(draw_once_read())
+            return
         known.update(version=session.version, finished=session.finished)
         for step in steps(session.state()):
             lights[step.key].show(step, chosen=step.key == view.step)
@@ -127,6 +149,8 @@ def build(session: Session) -> None:
         draw()
 
     def look() -> None:
+        if waiting.visible:
+            return
         if session.version != known["version"]:
             own = session.going or session.finished != known["finished"]
             draw()
@@ -139,7 +163,7 @@ def build(session: Session) -> None:
     view.refresh = draw
     with drawer:
         lights = {step.key: _Light(step, show) for step in steps(session.state())}
-    with ui.column().classes("w-full q-pa-md"):
+    with ui.column().classes("w-full q-pa-md") as page:
         content()
     with ui.footer(elevated=True).classes("run") as foot:
         running()
@@ -200,7 +224,7 @@ def _run(session: Session) -> Callable[[], Any]:
         if run.code is None:
             ui.spinner(size="sm")
             progress, left = ui.label(words.RUNNING), ui.label()
-            ui.button("Cancel", on_click=session.worker.cancel).props("outline")
+            ui.button(words.CANCEL, on_click=session.worker.cancel).props("outline")
         elif run.cancelled:
             ui.label(words.CANCELLED)
         elif run.code < 0:
@@ -213,8 +237,8 @@ def _run(session: Session) -> Callable[[], Any]:
         if run.code is not None and run.text:
             with ui.dialog() as output, ui.card().classes("w-full").style("max-width: 70rem"):
                 text_block(run.text)
-                ui.button("Close", on_click=output.close)
-            ui.button("Output", on_click=output.open).props("flat")
+                ui.button(words.CLOSE, on_click=output.close)
+            ui.button(words.OUTPUT, on_click=output.open).props("flat")
     if run.code not in (None, 0) and not run.cancelled:
         text_block(run.text[max(run.text.rfind("loopcal: "), 0) :][-SAID:])
 

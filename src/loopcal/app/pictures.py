@@ -22,8 +22,10 @@ from loopcal.statistics.shifted import ids_are_numbers
 Array = NDArray[np.float64]
 MOST = 2_000
 """Points of one figure; of more the largest and a sample of the rest."""
-CHOSEN, REST = "#d55e00", "#0072b2"
+CHOSEN, REST, DIM = "#d55e00", "#0072b2", "rgba(0,114,178,0.35)"
 TRANSPARENT = "rgba(0,0,0,0)"
+Framed = tuple[Array, Array]
+"""What the axes of a flat figure show: (N,) each."""
 SIZE = "distance"
 """The error of a pose as one number: the length of its differences."""
 _GRID = "rgba(128,128,128,0.3)"
@@ -107,7 +109,7 @@ class Errors:
 
     shown: name -> (N,) in `unit`, the size first; numbers: (N,) of the poses, their ids where
     these rise; drawn: positions of the poses that are drawn; steps: numbers from which on
-    something is modelled as moved.
+    something is modelled as moved; selected: positions of the poses that are marked.
     """
 
     source: Source
@@ -116,9 +118,12 @@ class Errors:
     numbers: Array
     drawn: NDArray[np.int64]
     steps: tuple[float, ...] = ()
+    selected: Sequence[int] = ()
 
     @classmethod
-    def of(cls, source: Source, steps: Sequence[float] = ()) -> Errors | None:
+    def of(
+        cls, source: Source, steps: Sequence[float] = (), selected: Sequence[int] = ()
+    ) -> Errors | None:
         """None for a result without outputs."""
         table, accuracy = source.table, source.document.accuracy
         if accuracy is None or not table.differences_after:
@@ -133,7 +138,8 @@ class Errors:
         order = np.arange(1.0, len(table.poses) + 1.0)
         if ids_are_numbers(table.poses):
             order = np.array([float(pose) for pose in table.poses])
-        return cls(source, shown, unit_shown(accuracy.unit), order, kept, tuple(steps))
+        unit = unit_shown(accuracy.unit)
+        return cls(source, shown, unit, order, kept, tuple(steps), selected)
 
     @property
     def size(self) -> Array:
@@ -163,12 +169,29 @@ class Errors:
 
     def over_joint(self, name: str, what: str = SIZE) -> dict[str, Any]:
         """The error over one joint."""
+        x, y = self.joint(name)[self.drawn], self.shown[what][self.drawn]
+        title = f"{name} [{unit_shown(self._unit(name))}]"
+        return self._flat([self._points("scatter", x=x, y=y)], title, what, 220)
+
+    def joint(self, name: str) -> Array:
+        """(N,) readings of a joint, in the unit shown."""
+        return self.source.table.readings[name] / factor(self._unit(name))
+
+    def framed(self, of: Framed, frame: Mapping[str, Sequence[float]]) -> list[int] | None:
+        """Positions of all poses in a frame of a flat figure, also of those that are not drawn;
+        None where all are drawn."""
+        if len(self.drawn) == len(self.size):
+            return None
+        inside = np.ones(len(self.size), dtype=bool)
+        for values, key in zip(of, "xy", strict=True):
+            low, high = sorted(float(v) for v in frame[key])
+            inside &= (low <= values) & (values <= high)
+        return np.flatnonzero(inside).tolist()
+
+    def _unit(self, name: str) -> str:
         known = self.source.document.mechanism
         assert known is not None
-        own = {**known.quantities, **known.known}.get(name, "1")
-        x = self.source.table.readings[name][self.drawn] / factor(own)
-        trace = self._points("scatter", x=x, y=self.shown[what][self.drawn])
-        return self._flat([trace], f"{name} [{unit_shown(own)}]", what, 220)
+        return {**known.quantities, **known.known}.get(name, "1")
 
     def in_space(self) -> dict[str, Any] | None:
         """Measured points coloured by the size of the error."""
@@ -184,24 +207,31 @@ class Errors:
             "size": 4 if solid else 7,
             "colorbar": {"title": {"text": f"[{self.unit}]"}, "thickness": 12},
         }
+        if not solid:
+            trace["unselected"] = {"marker": {"opacity": 0.35}}
+            trace.pop("selected")
         titles = [f"{name} [m]" for name in outputs]
         if solid:
             more: dict[str, Any] = {"scene": _space(titles)}
         else:
             more = {f"{k}axis": axis(t) for k, t in zip("xy", titles, strict=True)}
         return {
-            "data": [trace, _ring(solid)],
+            "data": [trace, self._ring(trace)],
             "layout": look(420, showlegend=False, uirevision="space", **more),
             "config": _SPATIAL,
         }
 
-    def space_of(self, positions: Sequence[int]) -> dict[str, list[Any]]:
-        """Coordinates of the selected poses, for the ring around them in space."""
-        table = self.source.table
-        return {
-            k: [numbers(table.readings[n][list(positions)])]
-            for k, n in zip("xyz", self._outputs(), strict=False)
-        }
+    def _ring(self, trace: Mapping[str, Any]) -> dict[str, Any]:
+        """The trace that rings the selected poses in space."""
+        here = self._marked()
+        ring = {"color": TRANSPARENT, "size": 10, "line": {"color": CHOSEN, "width": 3}}
+        at = {k: [trace[k][i] for i in here] for k in "xyz" if k in trace}
+        own = {"type": trace["type"], "mode": "markers", "marker": ring, "hoverinfo": "skip"}
+        return {**own, **at}
+
+    def _marked(self) -> list[int]:
+        """Which of the drawn poses are selected."""
+        return np.flatnonzero(np.isin(self.drawn, list(self.selected))).tolist()
 
     def rms(self, positions: Sequence[int]) -> float:
         """Of the size at some poses."""
@@ -233,8 +263,9 @@ class Errors:
             for p, v in zip(ids, self.size[self.drawn], strict=True)
         ]
         marks: dict[str, Any] = {
-            "selected": {"marker": {"color": CHOSEN, "size": 8}},
-            "unselected": {"marker": {"opacity": 0.35}},
+            "selected": {"marker": {"color": CHOSEN}},
+            "unselected": {"marker": {"color": DIM, "opacity": 1.0}},
+            **({"selectedpoints": self._marked()} if self.selected else {}),
         }
         return {
             "type": kind,
@@ -262,11 +293,3 @@ def _space(titles: Sequence[str], camera: Any = None) -> dict[str, Any]:
     }
     axes = {f"{k}axis": {"title": {"text": t}, **lines} for k, t in zip("xyz", titles, strict=True)}
     return {"aspectmode": "data", **axes, **({} if camera is None else {"camera": camera})}
-
-
-def _ring(solid: bool) -> dict[str, Any]:
-    """The trace that rings the selected poses."""
-    ring = {"color": TRANSPARENT, "size": 10, "line": {"color": CHOSEN, "width": 3}}
-    none: dict[str, Any] = {"x": [], "y": []} | ({"z": []} if solid else {})
-    kind = "scatter3d" if solid else "scatter"
-    return {"type": kind, "mode": "markers", "marker": ring, "hoverinfo": "skip", **none}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ def serve(
             code="missing-dependency",
             remedy="pip install loopcal[app]",
         ) from None
-    from loopcal.app.frame import build
+    from loopcal.app.frame import LINKED, build
     from loopcal.app.sending import sent, shown
     from loopcal.app.session import Session
     from loopcal.files.paths import INSIDE
@@ -55,12 +56,12 @@ def serve(
     asked = "" if rules.token is None else f"/?token={rules.token}"
     shown_host = f"[{host}]" if ":" in host else host
     lock = FolderLock(path, f"http://{shown_host}:{number}")
-    session.state()  # reads what is there before the first page asks
     app.add_middleware(Guard, rules=rules)
     tell(f"http://{shown_host}:{number}{asked}")
+    app.add_static_file(local_file=Path(__file__).with_name("linked.js"), url_path=LINKED)
     app.add_api_route("/file/{name:path}", lambda name: sent(session, name))
     app.add_api_route("/page/{name:path}", lambda name: shown(session, name))
-    ui.page("/", title=f"loopcal: {path.name}", response_timeout=60.0)(lambda: build(session))
+    ui.page("/", title=f"loopcal: {path.name}", response_timeout=60.0)(partial(build, session))
     app.on_shutdown(session.worker.cancel)
     ui.run(
         host=host,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from loopcal.app.action import Action
@@ -12,6 +13,7 @@ from loopcal.app.worker import Command, Run, Worker
 from loopcal.document.change_points import ChangePoints
 from loopcal.errors import InputError, LoopcalError
 from loopcal.files.machines.python_function import load_function
+from loopcal.files.project.data_entries import DataSpec
 from loopcal.files.project.edits import with_changes, with_shift, with_value, without_poses
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project, read_project
@@ -43,7 +45,8 @@ class Session:
         self.finished = 0
         self._noted: Run | None = None
         self._source: tuple[int, Source | None, str] | None = None
-        self._loaded: tuple[int, LoadedData | None, str] | None = None
+        self._loaded: tuple[object, LoadedData | None, str] | None = None
+        self._reading = Lock()
         self._read: tuple[str, Project | None, str] | None = None
 
     @property
@@ -99,19 +102,39 @@ class Session:
             except LoopcalError as error:
                 self._read = text, None, str(error)
 
+    @property
+    def ready(self) -> bool:
+        """Whether result and readings are known as they stand on the disk. Where they are not,
+        `load` takes long for large files."""
+        result = None if self._source is None else self._source[0]
+        readings = None if self._loaded is None else self._loaded[0]
+        known = self.project() is None or readings == self._readings_at()
+        return known and result == self._result_at()
+
+    def load(self) -> None:
+        """Read result and readings."""
+        with self._reading:
+            self.source()
+            self.readings()
+
     def source(self) -> Source | None:
         """The result on the disk; None where there is none or it cannot be read."""
-        path = self.folder.result / RESULT
-        name = f"{self.folder.result.name}/{RESULT}"
-        at = next((f.modified for f in self.folder.listed() if f.name == name), None)
+        at = self._result_at()
         if at is None:
+            self._source = None
             return None
         if self._source is None or self._source[0] != at:
             try:
-                self._source = at, read_source(path), ""
+                self._source = at, read_source(self.folder.result / RESULT), ""
             except LoopcalError as error:
                 self._source = at, None, str(error)
         return self._source[1]
+
+    def _result_at(self) -> int | None:
+        return self._times().get(f"{self.folder.result.name}/{RESULT}")
+
+    def _times(self) -> dict[str, int]:
+        return {file.name: file.modified for file in self.folder.listed()}
 
     def state(self) -> State:
         """What the lights of the steps follow from."""
@@ -139,8 +162,8 @@ class Session:
         if source is None or project is None:
             return False
         changed = _that_count(project.inputs) != _that_count(source.document.inputs)
-        files = () if project.data is None else (project.data, *project.data.joins)
-        return changed or any(times.get(spec.file, 0) > result for spec in files)
+        files = () if project.data is None else _files(project.data)
+        return changed or any(times.get(file, 0) > result for file in files)
 
     def robot(self) -> tuple[str | None, str | None]:
         """How the robot of a project to come is described: a kind, and a file or type."""
@@ -158,13 +181,19 @@ class Session:
         project = self.project()
         if project is None:
             return None
-        key = hash((self.folder.text(), tuple(self.folder.listed())))
+        key = self._readings_at()
         if self._loaded is None or self._loaded[0] != key:
             try:
                 self._loaded = key, load_sample(project), ""
             except LoopcalError as error:
                 self._loaded = key, None, str(error)
         return self._loaded[1]
+
+    def _readings_at(self) -> object:
+        """Another value whenever the readings may have changed."""
+        project, times = self.project(), self._times()
+        files = () if project is None or project.data is None else _files(project.data)
+        return self.folder.text(), tuple(times.get(file) for file in files)
 
     def unread(self) -> str:
         """Why the readings cannot be read; empty where they can."""
@@ -244,6 +273,10 @@ class Session:
     def _write(self, text: str, what: str, reason: str) -> None:
         self.read(text)  # raises where it would not be read
         self.folder.change(text, what, reason)
+
+
+def _files(data: DataSpec) -> tuple[str, ...]:
+    return tuple(spec.file for spec in (data, *data.joins))
 
 
 def _that_count(inputs: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,9 +11,11 @@ from loopcal.app import words
 from loopcal.app.guard import LARGEST
 from loopcal.app.view import View
 
+FILES = "document.querySelector('#{box} input[type=file]')"
+
 
 def uploader(view: View, label: str, then: Callable[[str], Any] | None = None) -> None:
-    """A place to drop files, and a button for it; then: called with the name of each file."""
+    """A place to drop files, and a button to choose them; then: called with the name of each."""
 
     async def taken(event: Any) -> None:
         content = await event.file.read()
@@ -25,11 +27,15 @@ def uploader(view: View, label: str, then: Callable[[str], Any] | None = None) -
 
         view.act(take)
 
-    ui.upload(
+    box = ui.upload(
         label=label,
         multiple=True,
         auto_upload=True,
         max_file_size=LARGEST,
         on_upload=taken,
         on_rejected=lambda: ui.notify(words.TOO_LARGE, type="negative"),
-    ).classes("w-full").props("flat bordered")
+    )
+    box.classes("w-full").props("flat bordered")
+    button = ui.button(words.CHOOSE_FILES, icon="upload_file").props("outline")
+    button.props(f'aria-label="{label}: {words.CHOOSE_FILES}"')
+    button.on("click", js_handler=f"() => {FILES.format(box=box.html_id)}.click()")

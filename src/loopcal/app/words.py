@@ -1,4 +1,4 @@
-"""Every text of the app that is more than a label, in one place."""
+"""Every text of the app, in one place."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ NO_OUTPUTS = "The result has no outputs that could be compared with readings."
 STALE = "The project has changed since this result. Fit again to see the effect."
 NO_REGION = "The result states no working region, so loopcal cannot predict over it."
 RUNNING = "running"
+READING = "Reading the files ..."
 LEFT = "about {seconds} s left"
 CANCELLED = "cancelled; nothing was written"
 CHANGED = "Another page or program has changed the folder. This page shows it now."
@@ -51,7 +52,11 @@ REASONS = {
     "shifted": ("reflector slipped", "reflector replaced", "instrument moved", "base moved"),
 }
 SELECTED = "{count:,} of {all:,} poses selected"
-NONE_SELECTED = "No pose is selected. Drag over points of a figure, or click one."
+NONE_SELECTED = "No pose is selected. Drag over points of a figure, click one, or name the ends."
+ENDS = ("From pose", "To pose")
+SELECT = "Select"
+NO_SUCH_POSE = "The result has no pose {pose}."
+CHOOSE_FILES = "Choose files"
 TOO_LARGE = "The file is larger than an upload may be."
 ROBOT_FIRST = "Describe the robot first, in the step Robot."
 STATE_IT = "Links and sheet, where several fit"
@@ -123,3 +128,95 @@ CRITERIA = {
 }
 AS_STATED = "as the project states"
 FOLDS = {"": AS_STATED, "5": "5 parts", "10": "10 parts"}
+
+# Labels, headings and buttons.
+CHECK = "Check"
+DROP_READINGS = "Drop the files of readings here"
+FILES_READINGS = "Files of readings"
+RECOGNISE = "Recognise"
+COLUMNS_HEAD = "Columns"
+BASE_LINK = "Link that does not move"
+TIP_LINK = "Link that carries the target"
+SHEET_OR_VARIABLE = "Sheet or variable of the file"
+RECOGNISE_READINGS = "Recognise the readings"
+FILES_PROJECT = "Files of the project"
+EXPORT = "Export"
+PREVIEW = "Preview"
+CORRECT_PROGRAM = "Correct a program"
+DROP_PROGRAM = "Drop a program, or a table of targets, here"
+CORRECT_IT = "Correct"
+RECORD_HEAD = "Record"
+WRITE_RECORD = "Write the record"
+FORMAT = "Format"
+PREVIEW_EXPORT = "Preview the export"
+WRITE = "Write"
+PROGRAM_OR_TARGETS = "Program or table of targets"
+TOOL_PROGRAM = "Tool of the program"
+PROGRAM_FRAME = "Frame: x, y, z [mm], rz, ry, rx [deg]"
+OPEN_RECORD = "Open the record"
+YOUR_OWN_FILE = "Your own file"
+ZERO_OFFSETS_JOINTS = "Zero offsets of joints"
+ORIENTATIONS = "Orientations"
+FOUND_BY_LOOPCAL = "Found by loopcal"
+STATE_CHANGES = "Put these changes into the project"
+SELECTED_POSES = "Selected poses"
+FIT_AGAIN = "Fit again"
+EXCLUDE = "Exclude"
+SELECT_NONE = "Select none"
+SELECT_THESE_POSES = "Select these poses"
+DETAILS = "Details"
+CALIBRATE = "Calibrate"
+SIDE_BY_SIDE = "Methods side by side"
+ANOTHER_METHOD = "Another method"
+TRY_IT = "Try it"
+PARAMETERS = "Parameters"
+METHOD = "Method"
+VALIDATE_ON = "Validate on"
+CALIBRATE_OTHERWISE = "Calibrate by another method"
+OPEN_WHOLE_REPORT = "Open the whole report"
+DONE_HERE = "Done in this folder"
+MACHINE_OVER_TIME = "The machine over time"
+ADD_THIS_EVENT = "Add this event"
+OPEN_PAGE_HISTORY = "Open the page of the history"
+ADD_THIS_RESULT = "Add this result"
+ADD_HISTORY = "Add to the history"
+CHOOSE_POSES = "Choose poses"
+POSES_TO_MEASURE = "Poses to measure"
+BEST_FOR = "Best for"
+MEASURED_ALREADY = "Measured already"
+CHOOSE_AMONG = "Choose among"
+PROGRAM_POSES = "Program of the poses"
+OPEN_PAGE_PLAN = "Open the page of the plan"
+DH_TABLE = "Denavit-Hartenberg table"
+TYPE = "Type"
+REMOVE_PROJECT = "Remove the project"
+PREDICTED_SD = "Predicted sd over the working region"
+ANOTHER_DAY = "Verify on another day"
+DROP_ANOTHER_DAY = "Drop readings of another day here"
+READINGS = "Readings"
+VERIFY_IT = "Verify"
+PREDICT_ONE_POSE = "Predict one pose"
+CLOSE = "Close"
+CANCEL = "Cancel"
+OUTPUT = "Output"
+EXCLUDE_BAD = ("Exclude 1 pose", "Exclude {count} poses")
+EXCLUDED = "Excluded: pose {poses}"
+UNDO = "Undo: {what}"
+SELECT_FROM = "Select from pose {pose} on"
+BY_METHOD = "Method: {label}"
+DOWNLOAD = "Download {name}"
+DROP_ROBOT = "Drop the {kind} here"
+VALIDATED = "Validated on {words}."
+STATED = {
+    "laboratory": "Laboratory, with its address",
+    "customer": "Customer",
+    "machine": "Machine: make and model",
+    "serial": "Serial number of the machine",
+    "instrument": "Instrument: make and model",
+    "instrument_serial": "Serial number of the instrument",
+    "traceability": "Calibration of the instrument",
+    "date": "Day of the measurement",
+    "operator": "Operator",
+    "temperature": "Temperature",
+}
+TOOLS = {"calibrated": "calibrated", "nominal": "nominal"}

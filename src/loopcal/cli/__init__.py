@@ -18,9 +18,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # What is loaded stays, and a calibration leaves no reference cycles: collecting garbage as
     # often as usual takes a tenth of a short run and finds none.
     gc.set_threshold(300_000)
-    # As the process ends, Python looks for cycles several times: once does.
+    # As the process ends, Python looks for cycles among all that was loaded, several times: a tenth
+    # of a short run as well. What is frozen is left to the system.
     atexit.register(gc.freeze)
-    atexit.register(gc.collect)  # before the former: the last function registered comes first
     try:
         from loopcal.cli import run
 

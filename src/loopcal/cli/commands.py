@@ -119,6 +119,7 @@ def calibrate(
             listeners=Listeners(
                 sharing=try_cluster,
                 progress=progress,
+                fitted=progress.fitted,
                 pieces=progress.pieces,
                 notice=log,
                 warn=lambda words: log(f"warning: {words}"),

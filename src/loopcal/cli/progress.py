@@ -6,9 +6,13 @@ import sys
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Self, TextIO
+from typing import TYPE_CHECKING, Self, TextIO
 
 from loopcal.cli.output import escaped, log
+from loopcal.presentation.shown import with_unit
+
+if TYPE_CHECKING:
+    from loopcal.estimation.result import Result
 
 AFTER, ON_TERMINAL, ELSEWHERE = 2.0, 0.2, 10.0
 """Seconds until the first line, and between lines."""
@@ -65,6 +69,9 @@ class _Line:
 class Progress(_Line):
     """Called by the solver at every iteration."""
 
+    known = ""
+    """The accuracy of the fit, once it is there."""
+
     def __call__(self, iteration: int, chi_squared: float, decrease: float) -> None:
         """Show iteration, chi-squared and its predicted decrease, if it is time to."""
         self.show(
@@ -76,7 +83,16 @@ class Progress(_Line):
 
     def pieces(self, what: str, done: int, total: int) -> None:
         """Show how many of the folds, or of other pieces, are done, if it is time to."""
-        self.show(lambda _: f"{done} of {total} {what}")
+        self.show(lambda _: f"{self.known}{done} of {total} {what}")
+
+    def fitted(self, result: Result) -> None:
+        """Show the accuracy of the fit while it is judged; on a terminal at once."""
+        found = result.accuracy_after
+        if found is not None:
+            self.known = f"fitted: error {with_unit(found.rms, found.unit)} rms; "
+        if self.terminal:
+            self.due = 0.0
+        self.show(lambda _: f"{self.known}judging")
 
 
 class Counted(_Line):

@@ -16,6 +16,7 @@ from loopcal.deployment.arm_pose import ArmPose
 from loopcal.deployment.rigid import of_yaw_pitch_roll
 from loopcal.deployment.tool import Tool
 from loopcal.errors import InputError, listed
+from loopcal.estimation.problem.alignment import align
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
 from loopcal.expressions.vectors import vector
@@ -24,7 +25,8 @@ from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.limits import Limit, joint_limits
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.placement import ChainPlacement, rigid
+from loopcal.mechanisms.placement import rigid
+from loopcal.mechanisms.serial import places_itself
 from loopcal.mechanisms.station import Station
 from loopcal.mechanisms.structure.structured import EFFECT
 
@@ -32,6 +34,8 @@ Array = NDArray[np.float64]
 _BODY = {"body_o": (0.0, 0.0, 0.0), "body_x": (1.0, 0.0, 0.0), "body_y": (0.0, 1.0, 0.0)}
 _TOOL = "body_tool"
 _PLACES = 60
+_REACH = {"rad": 1.0, "m": 0.1}
+"""Around home, readings at which a base is sought."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +61,14 @@ def arms_of(
     tool: Tool,
     controller: Mechanism | None = None,
     at: Mapping[str, float] | None = None,
+    home: Mapping[str, float] | None = None,
 ) -> Arms:
     """The arms of a calibrated mechanism and its controller.
 
     nominal: values [SI] of the controller's parameters, those of the drawing, unless a `controller`
     is given, an arm with the same joints; at: constants of the programme such as temperatures, name
-    -> value [SI]. Raises InputError for a machine that is no arm of joints, for a controller with
-    other joints, and for constants that are not stated.
+    -> value [SI]; home: joint readings [SI] amid the measured poses. Raises InputError for what is
+    no arm of joints, for a controller with other joints, and for constants that are not stated.
     """
     joints = arm_joints(calibrated)
     if controller is not None and arm_joints(controller).keys() != joints.keys():
@@ -76,8 +81,9 @@ def arms_of(
     machine, stiff = _machine(calibrated, tool, joints, at or {})
     tool = tool.moved_to(stiff.tool_on_body())
     of_controller = _controller(controller, calibrated, nominal, tool, tuple(joints))
-    if isinstance(calibrated.placement, ChainPlacement):
-        machine = _based(machine, of_controller)
+    if places_itself(calibrated):
+        middle = np.array([(home or {}).get(q, 0.0) for q in joints])
+        machine = _based(machine, of_controller, joints, middle)
     limits = joint_limits(calibrated) if controller is None else joint_limits(controller)
     return Arms(machine, of_controller, joints, limits or joint_limits(calibrated), tool)
 
@@ -143,19 +149,19 @@ def _constants(mechanism: Mechanism, tape: Tape, at: Mapping[str, float]) -> dic
     return {name: stated.get(name, 0.0) for name in names}
 
 
-def _based(machine: ArmPose, controller: ArmPose) -> ArmPose:
+def _based(
+    machine: ArmPose, controller: ArmPose, joints: Mapping[str, str], home: Array
+) -> ArmPose:
     """The machine in the base that its controller has: the chain alone does not say where it is.
 
-    The base lies where the controller's tool points come nearest to the machine's (Kabsch 1976).
+    The base lies where the controller's tool points come nearest to the machine's, at readings
+    around those of the measured poses.
     """
-    rng = np.random.default_rng(0)
-    q = rng.uniform(-1.0, 1.0, (_PLACES, len(machine.joints)))
-    seen, drawn = (arm(q)[:, :3, 3] for arm in (machine, controller))
-    U, _, V = np.linalg.svd((drawn - drawn.mean(axis=0)).T @ (seen - seen.mean(axis=0)))
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ V))])
-    R = (U @ flip @ V).T
-    base = rigid(R, seen.mean(axis=0) - R @ drawn.mean(axis=0))
-    return replace(machine, base=base)
+    reach = np.array([_REACH[unit] for unit in joints.values()])
+    q = home + reach * np.random.default_rng(0).uniform(-1.0, 1.0, (_PLACES, len(joints)))
+    seen, drawn = (arm(q)[:, :3, 3].T for arm in (machine, controller))
+    found = align(drawn, seen)
+    return replace(machine, base=rigid(found.rotation, found.shift))
 
 
 def _controller(

@@ -29,8 +29,9 @@ from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.origins import LinkJoint
 from loopcal.mechanisms.outputs import points
-from loopcal.mechanisms.placement import ChainPlacement, rigid
+from loopcal.mechanisms.placement import rigid
 from loopcal.mechanisms.rest import rest_chain
+from loopcal.mechanisms.serial import places_itself
 from loopcal.mechanisms.station import Station
 from loopcal.mechanisms.structure.structured import EFFECT
 from loopcal.small_samples import t_quantile
@@ -132,7 +133,7 @@ class _Full:
             machine = _looked_at(machine)
             known = replace(known, mechanism=machine)
             seen = seen_points(machine)
-        elif isinstance(machine.placement, ChainPlacement):
+        elif places_itself(machine):
             floating = Station("base:")
         seen = tuple(replace(one, steps=(*floating.steps, *one.steps)) for one in seen)
         names = machine.tape.quantities
@@ -329,7 +330,7 @@ def _frames(mechanism: Mechanism, values: Mapping[str, float], model: str) -> tu
             found.setdefault(f"base in {name}", Placed("base", name, T, True, model))
             back = rigid(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])
             found.setdefault(f"{name} in base", Placed(name, "base", back, True, model))
-    if isinstance(mechanism.placement, ChainPlacement):
+    if places_itself(mechanism):
         ahead = Station("base:").steps if "base:_x" in values else ()
         first = rest_chain((*ahead, *mechanism.chain), values).along_z.joints[0]
         name = f"axis of {first.name} (z)"

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from loopcal.document.fit import ParameterEntry
-from loopcal.document.notebook_html import parameters_html
 from loopcal.document.tables import parameter_table
 from loopcal.document.validity import validity
 from loopcal.errors import InputError, nearest
@@ -81,4 +80,6 @@ class ParameterTable(Mapping[str, ParameterEntry]):
         return str(self)
 
     def _repr_html_(self) -> str:
+        from loopcal.document.notebook_html import parameters_html
+
         return parameters_html(self.entries)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopcal.document.aliases import aliased
-from loopcal.document.notebook_html import result_html
 from loopcal.document.offers import Plots, offered
 from loopcal.document.parameter_table import ParameterTable
 from loopcal.document.plain import plain
@@ -80,6 +79,8 @@ class Views:
         return document if document.verdict else replace(document, verdict=self.verdict)
 
     def _repr_html_(self) -> str:
+        from loopcal.document.notebook_html import result_html
+
         return result_html(self._judged)
 
     if not TYPE_CHECKING:  # a type checker shall still find misspelt names

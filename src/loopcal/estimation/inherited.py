@@ -12,6 +12,8 @@ from loopcal.document.terms import TermEntry
 from loopcal.small_samples import LearntCovariance
 
 Array = NDArray[np.float64]
+UPDATED = "implicit loop, updated"
+"""Label of the method, in the result of an update."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,19 +6,10 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    Future,
-    ProcessPoolExecutor,
-    ThreadPoolExecutor,
-    wait,
-)
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError, UsageError
 from loopcal.execution.executor import (
@@ -33,6 +24,9 @@ from loopcal.execution.executor import (
     done,
 )
 from loopcal.expressions.choice import cores, engine_threads, use_threads
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
 
 MOST_WORKERS = 1024
 
@@ -130,6 +124,9 @@ class Processes(_Local):
             with InProcess().crew(work, shared) as here:
                 yield here
             return
+        from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
+        from multiprocessing import get_context
+
         spawning = get_context("spawn")
         ending, alive = spawning.Pipe(duplex=False)
         given = ending, work, shared, self._share

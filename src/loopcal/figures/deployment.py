@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from loopcal.figures.bars import Bars, bar_layout
 from loopcal.figures.figure import (
     AFTER,
     BEFORE,
@@ -23,17 +24,7 @@ def model_bars(models: Sequence[str], rms: Array, most: Array) -> Figure | None:
     """Rms and largest error [mm] at the calibration poses of each model that can be entered."""
     if not np.isfinite(rms).any():
         return None
-    parts = (("rms", rms, AFTER), ("largest", most, BEFORE))
-    data = [
-        {
-            "type": "bar",
-            "name": name,
-            "x": names(models),
-            "y": numbers(values),
-            "marker": {"color": shade},
-        }
-        for name, values, shade in parts
-    ]
+    series = (Bars("rms", AFTER, rms.tolist()), Bars("largest", BEFORE, most.tolist()))
     told = ", ".join(f"{m} {v:.3g} mm" for m, v in zip(models, rms, strict=True))
     return Figure(
         "models",
@@ -41,13 +32,8 @@ def model_bars(models: Sequence[str], rms: Array, most: Array) -> Figure | None:
         "Distance between computed and measured point at the calibration poses. Nominal: the "
         "drawing, placed as well as can be. Geometry: what exported files hold.",
         f"Rms error of each model: {told}.",
-        tuple(data),
-        layout(
-            300,
-            barmode="group",
-            xaxis=axis("", type="category"),
-            yaxis=axis("distance [mm]", rangemode="tozero"),
-        ),
+        tuple(bars.trace(models) for bars in series),
+        bar_layout(300, "distance [mm]"),
     )
 
 

@@ -81,6 +81,41 @@ def changes(key: str, unit: str, candidates: Sequence[Reach]) -> Figure | None:
     )
 
 
+def narrowed(
+    key: str, unit: str, parameters: Sequence[str], before: Array, after: Array
+) -> Figure | None:
+    """Sds of parameters (n,) of one unit before an update and after it; None without any."""
+    if not len(parameters):
+        return None
+    order = np.argsort(-before)
+    labels = names([parameters[i] for i in order])
+    data = [
+        {
+            "type": "bar",
+            "orientation": "h",
+            "name": name,
+            "y": labels,
+            "x": numbers(sds[order]),
+            "marker": {"color": colour},
+        }
+        for name, sds, colour in (("before", before, BEFORE), ("updated", after, AFTER))
+    ]
+    return Figure(
+        key,
+        f"Sds in {unit} before and after the update",
+        "Before: of the earlier calibration, with the stated drift. The less an sd falls, the less "
+        "the new poses say of this parameter.",
+        f"Sds of {len(parameters)} parameters before and after an update.",
+        tuple(data),
+        layout(
+            110 + 30 * len(parameters),
+            barmode="group",
+            xaxis=axis(f"sd [{shown_text(unit)}]", type="log"),
+            yaxis=axis("", autorange="reversed"),
+        ),
+    )
+
+
 def spread(parameters: Sequence[str], machines: Mapping[str, Array], unusual: set[str]) -> Figure:
     """Deviations of machines (n,) from the others, as normal deviates."""
     colour = colours(machines)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from loopcal.figures.bars import Bars, bar_layout
 from loopcal.figures.figure import (
     AFTER,
     BEFORE,
@@ -17,7 +18,6 @@ from loopcal.figures.figure import (
     axis,
     colours,
     layout,
-    names,
     numbers,
     shown_text,
 )
@@ -26,54 +26,32 @@ COLUMNS = 3
 """Panels side by side."""
 
 
-@dataclass(frozen=True)
-class Bars:
-    """One figure of every pose [mm] with the ends of its interval, None where unknown."""
-
-    name: str
-    values: Sequence[float]
-    low: Sequence[float | None]
-    high: Sequence[float | None]
+SHADES = (BEFORE, AFTER, COLOURS[4])
+"""Of AP, AP after fitting the base, and RP."""
 
 
 def pose_bars(poses: Sequence[str], series: Sequence[Bars]) -> Figure:
     """AP before and after fitting the base, and RP, of every pose [mm]."""
-    shades = (BEFORE, AFTER, COLOURS[4])
-    data = []
-    for bars, shade in zip(series, shades, strict=False):
-        known = [
-            (v, v if low is None else low, v if high is None else high)
-            for v, low, high in zip(bars.values, bars.low, bars.high, strict=True)
-        ]
-        data.append(
-            {
-                "type": "bar",
-                "name": bars.name,
-                "x": names(poses),
-                "y": numbers(np.array(bars.values)),
-                "marker": {"color": shade},
-                "error_y": {
-                    "type": "data",
-                    "symmetric": False,
-                    "array": numbers(np.array([high - v for v, _, high in known])),
-                    "arrayminus": numbers(np.array([v - low for v, low, _ in known])),
-                    "thickness": 1.5,
-                },
-            }
-        )
     return Figure(
         "bars",
         "Accuracy and repeatability of every pose",
         "Lines show the 95 % interval. AP after fitting holds what no shift or turn of the base "
         "frame explains.",
         f"Bars of {', '.join(bars.name for bars in series)} for {len(poses)} poses.",
-        tuple(data),
-        layout(
-            320,
-            barmode="group",
-            xaxis=axis("", type="category"),
-            yaxis=axis("mm", rangemode="tozero"),
-        ),
+        tuple(bars.trace(poses) for bars in series),
+        bar_layout(320, "mm"),
+    )
+
+
+def condition_bars(conditions: Sequence[str], series: Sequence[Bars]) -> Figure:
+    """The largest AP before and after fitting the base, and RP, at every payload and speed [mm]."""
+    return Figure(
+        "conditions",
+        "Accuracy and repeatability by condition",
+        "The largest of all poses. Lines show the 95 % interval of that pose.",
+        f"Bars of {', '.join(bars.name for bars in series)} at {len(conditions)} conditions.",
+        tuple(bars.trace(conditions) for bars in series),
+        bar_layout(320, "mm"),
     )
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
-from loopcal.files.history.folder import Entries, Entry
+from loopcal.files.history.folder import Entries, Entry, Skipped
 from loopcal.lazy import cached_property
 from loopcal.life.trends import FEWEST, Chart, chart, drift_rate
 from loopcal.presentation.shown import by_sd, chance, size, unit_shown, with_unit
@@ -81,6 +82,15 @@ class History:
         since = (until or datetime.now(UTC)) - done[-1].time
         years = max(since.total_seconds() / _YEAR, 0.0)
         return {one.name: one.rate * years**0.5 for one in self.trends if one.rate}
+
+    @classmethod
+    def from_document(cls, its: Mapping[str, Any]) -> History:
+        """From `document`."""
+        whole = (
+            Entry(**{**one, "time": datetime.fromisoformat(one["time"])}) for one in its["entries"]
+        )
+        skipped = (Skipped(**one) for one in its["skipped"])
+        return cls(Entries(Path(its["folder"]), tuple(whole), tuple(skipped)))
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI."""

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError, nearest
 from loopcal.estimation.calibrate import LEARNT, calibrate
 from loopcal.estimation.fit import Fit
-from loopcal.estimation.inherited import Inherited
+from loopcal.estimation.inherited import UPDATED, Inherited
 from loopcal.estimation.methods.method import Method
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.unknowns import Unknowns
@@ -48,8 +48,6 @@ from loopcal.statistics.verified import Verification
 Array = NDArray[np.float64]
 KINDS = ("length", "angle", "mounting", "gain", "effect")
 """Kinds of parameters that may drift."""
-LABEL = "implicit loop, updated"
-"""Of the method, in the result of an update."""
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
 _RANK = 1e-12
 _ROUNDS, _SETTLED = 12, 2e-2
@@ -164,7 +162,7 @@ def _fitted(
     before."""
     method = Method(
         name="implicit-loop",
-        label=LABEL,
+        label=UPDATED,
         description="Implicit loop: every sensor is uncertain, and an earlier calibration is the "
         "prior.",
         solve=partial(_solved, prior=prior),

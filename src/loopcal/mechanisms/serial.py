@@ -160,6 +160,17 @@ def tool_names(joints: Sequence[Joint]) -> tuple[str, str, str]:
     return ("tool_x", "tool_y", "tool_z")
 
 
+def places_itself(mechanism: Mechanism) -> bool:
+    """Whether an arm's own transitions say where it stands: it has no other joints, and none of its
+    instruments has a station."""
+    if isinstance(mechanism.placement, ChainPlacement):
+        return True
+    joints = (mechanism.description or {}).get("joints", ())
+    forms = [joint.form if isinstance(joint, Joint) else "" for joint in joints]
+    own = bool(forms) and all(form.startswith("transition") for form in forms)
+    return own and not any(family.placement for family in mechanism.families)
+
+
 def chain_steps(joints: Sequence[Joint]) -> tuple[Step, ...]:
     """All steps of an arm, from its base to the last link's frame."""
     return tuple(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from loopcal.pose_performance.intervals import Estimate
@@ -88,6 +88,24 @@ class Drift:
 
 
 @dataclass(frozen=True)
+class Largest:
+    """The poses whose AP, AP after fitting the base, and RP are the largest of a condition."""
+
+    accuracy: PosePerformance
+    fitted: PosePerformance | None
+    repeatability: PosePerformance | None
+
+    @property
+    def figures(self) -> tuple[Estimate | None, Estimate | None, Estimate | None]:
+        """AP, AP fitted and RP of these poses."""
+        return (
+            self.accuracy.accuracy,
+            None if self.fitted is None else self.fitted.accuracy_fitted,
+            None if self.repeatability is None else self.repeatability.repeatability,
+        )
+
+
+@dataclass(frozen=True)
 class ConditionPerformance:
     """All figures at one payload and speed.
 
@@ -107,3 +125,19 @@ class ConditionPerformance:
     def name(self) -> str:
         """The condition in words; empty where the table has no such columns."""
         return ", ".join(f"{key} = {value}" for key, value in self.condition.items())
+
+    @property
+    def largest(self) -> Largest:
+        """Poses with the largest AP, AP after fitting the base, and RP."""
+
+        def most(figure: Callable[[PosePerformance], Estimate | None]) -> PosePerformance | None:
+            known = [(e.value, pose) for pose in self.poses if (e := figure(pose)) is not None]
+            return max(known, key=lambda pair: pair[0])[1] if known else None
+
+        worst = most(lambda pose: pose.accuracy)
+        assert worst is not None  # a condition has poses
+        return Largest(
+            worst,
+            most(lambda pose: pose.accuracy_fitted),
+            most(lambda pose: pose.repeatability),
+        )

@@ -7,7 +7,8 @@ from typing import Any
 
 from loopcal.document.plain import plain
 from loopcal.pose_performance.parts import ConditionPerformance
-from loopcal.pose_performance.summary import condition_lines
+from loopcal.pose_performance.summary import condition_lines, overview
+from loopcal.presentation.text_table import columns
 
 METHOD = "computed after ISO 9283, no conformity is claimed"
 
@@ -36,6 +37,8 @@ class Performance:
             f"Pose performance of {self.file}: {poses} poses, {self.measurements} measurements; "
             f"{METHOD}."
         ]
+        if rows := overview(self.conditions):
+            lines += ["", *columns(rows)]
         for part in self.conditions:
             lines += ["", *condition_lines(part)]
         if self.notes:

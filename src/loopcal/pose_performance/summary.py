@@ -10,22 +10,35 @@ from loopcal.presentation.rounding import rounded_by_sd
 from loopcal.presentation.shown import NONE, in_unit, percent, unit_shown
 from loopcal.presentation.text_table import columns
 
+Rows = Sequence[tuple[str, ...]]
+
 
 def headline(part: ConditionPerformance) -> str:
     """The largest AP and RP of a condition in one sentence."""
-    worst = max(part.poses, key=lambda pose: pose.accuracy.value)
-    words = f"Largest AP {bounded(worst.accuracy, 'm')} mm at {worst.name}"
-    fitted = [pose for pose in part.poses if pose.accuracy_fitted is not None]
-    if fitted:
-        most = max(fitted, key=lambda p: p.accuracy_fitted.value if p.accuracy_fitted else 0.0)
-        assert most.accuracy_fitted is not None
-        words += f", after fitting the base {bounded(most.accuracy_fitted, 'm')} mm at {most.name}"
-    rough = [pose for pose in part.poses if pose.repeatability is not None]
-    if rough:
-        loosest = max(rough, key=lambda p: p.repeatability.value if p.repeatability else 0.0)
-        assert loosest.repeatability is not None
-        words += f". Largest RP {bounded(loosest.repeatability, 'm')} mm at {loosest.name}"
+    found = part.largest
+    accuracy, fitted, rough = found.figures
+    words = f"Largest AP {bounded(accuracy, 'm')} mm at {found.accuracy.name}"
+    if found.fitted is not None:
+        words += f", after fitting the base {bounded(fitted, 'm')} mm at {found.fitted.name}"
+    if found.repeatability is not None:
+        words += f". Largest RP {bounded(rough, 'm')} mm at {found.repeatability.name}"
     return f"{words}. Brackets hold the 95 % interval."
+
+
+def overview(parts: Sequence[ConditionPerformance]) -> Rows:
+    """The largest figures at every payload and speed, as data sheets list them; none for one."""
+    if len(parts) < 2:
+        return []
+    columns_of = list(parts[0].condition)
+    head = (*columns_of, "poses", "largest AP [mm]", "AP fitted", "RP")
+    return [head] + [
+        (
+            *(part.condition[key] for key in columns_of),
+            str(len({pose.pose for pose in part.poses})),
+            *(bounded(figure, "m") for figure in part.largest.figures),
+        )
+        for part in parts
+    ]
 
 
 def condition_lines(part: ConditionPerformance) -> Iterator[str]:
@@ -51,7 +64,6 @@ NOTHING = 1e-6
 """Intervals of less [mm, deg] are rounding."""
 MOST_ROWS = 60
 """Rows of a printed table."""
-Rows = Sequence[tuple[str, ...]]
 
 
 def tables_of(part: ConditionPerformance) -> dict[str, Rows]:

@@ -9,8 +9,8 @@ from loopcal.figures.history import Event, Line, Weighted, accuracy_chart, cours
 from loopcal.files.versions import version
 from loopcal.life.history import History, Trend
 from loopcal.presentation.shown import in_unit, unit_shown, with_unit
-from loopcal.report.page import environment, part, sha256
 from loopcal.report.tables import Table
+from loopcal.report.templates import environment, part, sha256
 
 _WIDE = 1.96
 
@@ -45,7 +45,8 @@ def history_figures(history: History) -> list[Figure]:
     events = [Event(e.time.isoformat(), e.content["words"]) for e in history.of_kind("event")]
     found = []
     for unit in dict.fromkeys(trend.unit for trend in history.trends):
-        lines = [_line(trend) for trend in history.trends if trend.unit == unit]
+        several = [one for one in history.trends if one.unit == unit and len(one.times) > 1]
+        lines = [_line(trend) for trend in several]
         key = {"m": "lengths", "rad": "angles"}.get(unit, "others")
         found.append(courses(key, unit_shown(unit), lines, events))
     measured = history.measured

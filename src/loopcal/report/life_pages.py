@@ -15,12 +15,12 @@ from loopcal.files.versions import version
 from loopcal.life.fleet import Fleet
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import by_sd, chance, in_unit, size, unit_shown
-from loopcal.report.page import environment, part, sha256
 from loopcal.report.tables import Table
+from loopcal.report.templates import environment, part, sha256
 from loopcal.statistics.changed import WhatChanged
 from loopcal.statistics.verified import Verification
 
-_UNITS = {"m": "lengths", "rad": "angles"}
+UNITS = {"m": "lengths", "rad": "angles"}
 
 
 def verification_html(found: Verification, title: str) -> str:
@@ -43,19 +43,33 @@ def verification_html(found: Verification, title: str) -> str:
 def change_figures(found: WhatChanged) -> list[Figure]:
     """What changed, and what would not have been seen: one figure for each unit."""
     units = dict.fromkeys(one.unit for one in found.candidates)
-    drawn = [changes(_UNITS.get(u, "others"), unit_shown(u), _reaches(found, u)) for u in units]
+    drawn = [changes(UNITS.get(u, "others"), unit_shown(u), _reaches(found, u)) for u in units]
     return [figure for figure in drawn if figure is not None]
 
 
 def fleet_html(found: Fleet) -> str:
     """One self-contained page: mean and spread of each parameter, and which machine is unusual."""
-    told = str(found).split("\n\n")
+    title = f"Machines of one type: {found.machine}"
+    return _page(title, [fleet_words(found)], [fleet_figure(found)], fleet_tables(found))
+
+
+def fleet_words(found: Fleet) -> str:
+    """What the next machine needs."""
+    return " ".join(str(found).split("\n\n")[-1].split())
+
+
+def fleet_figure(found: Fleet) -> Figure:
+    """Deviations of each machine."""
     deviations = {
         one.name: np.array([_normal(d.value, d.p_value) for d in one.deviations])
         for one in found.machines
     }
     unusual = {one.name for one in found.unusual}
-    figure = spread([p.name for p in found.parameters], deviations, unusual)
+    return spread([p.name for p in found.parameters], deviations, unusual)
+
+
+def fleet_tables(found: Fleet) -> list[Table]:
+    """The machines, and the parameters over them."""
     parameters = Table(
         "Parameters over the machines",
         ("parameter", "unit", "mean", "spread", "95 % interval", "prior sd", "poses"),
@@ -85,8 +99,7 @@ def fleet_html(found: Fleet) -> str:
             for one in found.machines
         ),
     )
-    words = [" ".join(told[-1].split())]
-    return _page(f"Machines of one type: {found.machine}", words, [figure], [machines, parameters])
+    return [machines, parameters]
 
 
 def _normal(value: float, p_value: float) -> float:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,20 +14,21 @@ from loopcal.document.plain import plain
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.errors import UsageError
+from loopcal.estimation.inherited import UPDATED
 from loopcal.estimation.methods.registry import method_named
 from loopcal.estimation.result import Result
 from loopcal.figures.figure import plotly_javascript
-from loopcal.presentation.wrapped import shortened
+from loopcal.files.result.deployed import OTHER_DAYS
 from loopcal.report import tables, top
 from loopcal.report.deployed import deployed_figures, deployed_tables, deployed_words
 from loopcal.report.drawn import distances, figures
-from loopcal.report.glossary import meaning
 from loopcal.report.parameters import parameter_groups
 from loopcal.report.source import Source, source_of
+from loopcal.report.templates import environment, part, sha256
 from loopcal.statistics.verdict import verdict_of
 
 if TYPE_CHECKING:
-    from jinja2 import Environment
+    from loopcal.report.other_days import OtherDays
 
 MOST = 8
 """So many results stand side by side; a browser draws some sixteen scenes in space at most."""
@@ -84,7 +82,7 @@ def page_of(result: Result, folder: str | Path) -> Callable[[ResultDocument], st
 def _result(source: Source, number: int) -> dict[str, Any]:
     """What the template says of one result."""
     document = source.document
-    verdict = document.verdict or verdict_of(document)
+    verdict, later = document.verdict or verdict_of(document), _later(source)
     before, after = (
         distances(source, d) if d else np.empty(0)
         for d in (source.table.differences_before, source.table.differences_after)
@@ -100,12 +98,15 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "record": top.record(document),
         "bars": top.accuracy_bars(document),
         "region": top.region_bars(source),
-        "figures": figures(source) | deployed_figures(source.deployed),
+        "figures": figures(source)
+        | deployed_figures(source.deployed)
+        | (dict(later.figures) if later else {}),
         "deployed": {
             "words": deployed_words(source.deployed),
             "figures": list(deployed_figures(source.deployed)),
             "tables": deployed_tables(source.deployed),
         },
+        "later": later,
         "accuracy": tables.accuracy_tables(document),
         "worst": tables.worst_table(source, before, after),
         "models": tables.model_table(document),
@@ -120,6 +121,15 @@ def _result(source: Source, number: int) -> dict[str, Any]:
         "method": method_named(document.method).description,
         "inputs": json.dumps(plain(document.inputs), indent=1, ensure_ascii=False),
     }
+
+
+def _later(source: Source) -> OtherDays | None:
+    noted = any(note.kind in OTHER_DAYS for note in source.deployed)
+    if not noted and source.document.method_label != UPDATED:
+        return None
+    from loopcal.report.other_days import other_days
+
+    return other_days(source.document, source.deployed)
 
 
 def identifiability_words(document: ResultDocument) -> list[str]:
@@ -137,31 +147,3 @@ def identifiability_words(document: ResultDocument) -> list[str]:
     learned = [entry for entry in found.data_versus_prior or () if entry.parameter in shown]
     words += [entry.words for entry in learned if entry.ratio > LITTLE]
     return words
-
-
-def sha256(text: str) -> str:
-    """For a content security policy."""
-    return base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
-
-
-@cache
-def environment() -> Environment:
-    """The templates of this package; whatever is put into them is escaped."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    made = Environment(
-        loader=PackageLoader("loopcal.report", "template"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    made.globals |= {"meaning": meaning, "shortened": shortened}
-    return made
-
-
-def part(name: str) -> str:
-    """The text of a part that is no template."""
-    templates = environment()
-    assert templates.loader is not None
-    return templates.loader.get_source(templates, name)[0]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
+from loopcal.figures.bars import Bars
 from loopcal.figures.figure import Figure, plotly_javascript
 from loopcal.figures.pose_performance import (
-    Bars,
+    SHADES,
     Cloud,
     Course,
+    condition_bars,
     drift_courses,
     pose_bars,
     scatter,
@@ -18,9 +21,9 @@ from loopcal.measurements.attained import AttainedPoses
 from loopcal.pose_performance.intervals import Estimate
 from loopcal.pose_performance.parts import ConditionPerformance
 from loopcal.pose_performance.result import METHOD, Performance
-from loopcal.pose_performance.summary import headline, tables_of
-from loopcal.report.page import environment, part, sha256
+from loopcal.pose_performance.summary import headline, overview, tables_of
 from loopcal.report.tables import Table
+from loopcal.report.templates import environment, part, sha256
 
 MM = 1e3
 MOST_PANELS = 30
@@ -38,6 +41,7 @@ def performance_html(done: Performance, attained: AttainedPoses) -> str:
             version=version(),
             method=METHOD,
             measurements=done.measurements,
+            all=_overview(done.conditions),
             conditions=[_condition(c, attained, n) for n, c in enumerate(done.conditions, 1)],
             notes=done.notes,
             style=part("style.css"),
@@ -64,22 +68,39 @@ def _condition(found: ConditionPerformance, attained: AttainedPoses, number: int
     }
 
 
+def _overview(found: Sequence[ConditionPerformance]) -> dict[str, Any] | None:
+    """All payloads and speeds side by side; None for one condition."""
+    rows = overview(found)
+    if not rows:
+        return None
+    figures = zip(*(part.largest.figures for part in found), strict=True)
+    drawn = condition_bars([part.name for part in found], _series(figures))
+    table = Table("Largest figures by condition", tuple(rows[0]), tuple(map(tuple, rows[1:])))
+    return {"id": "all", "figures": {drawn.key: drawn}, "table": table}
+
+
 def _bars(found: ConditionPerformance) -> Figure:
-    kinds: list[tuple[str, list[Estimate | None]]] = [
-        ("AP", [pose.accuracy for pose in found.poses]),
-        ("AP after fitting the base", [pose.accuracy_fitted for pose in found.poses]),
-        ("RP", [pose.repeatability for pose in found.poses]),
-    ]
-    series = [
+    figures = (
+        [pose.accuracy for pose in found.poses],
+        [pose.accuracy_fitted for pose in found.poses],
+        [pose.repeatability for pose in found.poses],
+    )
+    return pose_bars([pose.name for pose in found.poses], _series(figures))
+
+
+def _series(figures: Iterable[Sequence[Estimate | None]]) -> list[Bars]:
+    """AP, AP after fitting the base, and RP, in mm."""
+    kinds = ("AP", "AP after fitting the base", "RP")
+    return [
         Bars(
             name,
+            shade,
             [float("nan") if e is None else MM * e.value for e in estimates],
             [None if e is None or e.low is None else MM * e.low for e in estimates],
             [None if e is None or e.high is None else MM * e.high for e in estimates],
         )
-        for name, estimates in kinds
+        for name, shade, estimates in zip(kinds, SHADES, figures, strict=True)
     ]
-    return pose_bars([pose.name for pose in found.poses], series)
 
 
 def _scatter(found: ConditionPerformance, attained: AttainedPoses) -> list[Figure]:

@@ -15,8 +15,8 @@ from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.planning.planned import Plan
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import SHOWN, factor, in_unit, size, unit_shown
-from loopcal.report.page import environment, part, sha256
 from loopcal.report.tables import Table
+from loopcal.report.templates import environment, part, sha256
 from loopcal.units import from_si
 
 Array = NDArray[np.float64]

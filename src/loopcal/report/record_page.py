@@ -6,7 +6,6 @@ from loopcal.document.fit import ParameterEntry
 from loopcal.files.result.record_file import OPEN, manifest, sealed
 from loopcal.files.versions import version
 from loopcal.presentation.shown import NONE, by_sd, size, unit_shown
-from loopcal.report.page import environment, part
 from loopcal.report.record_content import (
     FIELDS,
     OPTIONAL,
@@ -17,6 +16,7 @@ from loopcal.report.record_content import (
     expanded,
 )
 from loopcal.report.tables import Table
+from loopcal.report.templates import environment, part
 from loopcal.report.top import accuracy_bars
 
 

@@ -15,8 +15,8 @@ from loopcal.figures.space import arrows
 from loopcal.files.atomic import write_files
 from loopcal.files.versions import version
 from loopcal.presentation.shown import in_unit, percent, size, unit_shown
-from loopcal.report.page import environment, part, sha256
 from loopcal.report.tables import Table
+from loopcal.report.templates import environment, part, sha256
 from loopcal.studies.example import first_draw
 from loopcal.studies.paired import Paired
 from loopcal.studies.run import StudyDone

@@ -145,23 +145,26 @@ class _Search:
 
     def run(self, most: int) -> Shifts:
         """The change points in order."""
-        steps: list[_Step] = []
+        steps, fit = list[_Step](), self.system.fitted()
         while len(steps) < most:
-            best, log_p = self._best(self._fitted(steps), steps, range(len(self.candidates)))
+            best, log_p = self._best(fit, steps, range(len(self.candidates)))
             if best is None or log_p > math.log(self.level):
                 break
-            steps.append(best)
-        sharp = [i for i in range(len(steps)) if self._sharp(steps, i)]
-        steps = [steps[i] for i in sharp]
-        found = []
-        for i, step in enumerate(steps):
-            others = [*steps[:i], *steps[i + 1 :]]
-            rest = self._fitted(others)
+            steps, fit = [best, *steps], fit.beside(self._columns(best)).again()
+        smooth = self._smooth(fit, steps)
+        for step in smooth:
+            fit = self._without(fit, steps, step)
+            steps.remove(step)
+        fit = fit.again() if smooth else fit
+        for step in tuple(steps):
             if not step.ramp:
-                steps[i] = self._best(rest, others, [step.candidate], ramps=False)[0] or step
-            found.append(self._point(rest, steps[i]))
+                rest = self._without(fit, steps, step)
+                steps.remove(step)
+                new = self._best(rest, steps, [step.candidate], ramps=False)[0] or step
+                steps, fit = [new, *steps], rest.beside(self._columns(new))
+        found = [self._point(fit, steps, step) for step in steps]
         order = self.system.order
-        fits = self._fitted(steps).p_values >= UNREMARKABLE if steps else np.zeros(0, dtype=bool)
+        fits = fit.p_values >= UNREMARKABLE if steps else np.zeros(0, dtype=bool)
         return Shifts(
             tuple(sorted(found, key=lambda point: point.number)),
             self.level,
@@ -169,16 +172,25 @@ class _Search:
             frozenset(self.problem.poses[i] for i in order[np.flatnonzero(fits)].tolist()),
         )
 
-    def _sharp(self, steps: Sequence[_Step], i: int) -> bool:
-        """Whether a step is there beside slow changes over the run, which leave only its edge."""
-        if steps[i].ramp:
-            return True
-        rest = self._fitted([*steps[:i], *steps[i + 1 :]], self.system.waves(_WAVES))
-        return self._log_p(rest, steps[i]) < math.log(_EDGE)
+    def _smooth(self, fit: Fitted, steps: Sequence[_Step]) -> list[_Step]:
+        """The steps that slow changes over the run explain, beside which only an edge counts."""
+        sudden = [step for step in steps if not step.ramp]
+        if not sudden:
+            return []
+        waved = fit.beside(np.concatenate(self.system.waves(_WAVES), axis=2))
+        rests = [(step, self._without(waved, steps, step)) for step in sudden]
+        return [s for s, rest in rests if self._log_p(rest, s, fit.spare) >= math.log(_EDGE)]
 
-    def _point(self, rest: Fitted, step: _Step) -> ChangePoint:
-        """One step beside all others, with its size."""
-        own, log_p = self.candidates[step.candidate], self._log_p(rest, step)
+    def _without(self, fit: Fitted, steps: Sequence[_Step], step: _Step) -> Fitted:
+        """A fit with these steps, without one of them."""
+        sizes = [self.candidates[one.candidate].columns.shape[2] for one in steps]
+        at = steps.index(step)
+        return fit.without(fit.further - sum(sizes[at:]), sizes[at])
+
+    def _point(self, fit: Fitted, steps: Sequence[_Step], step: _Step) -> ChangePoint:
+        """One of the steps of a fit beside all others, with its size."""
+        rest, spare = self._without(fit, steps, step), fit.spare
+        own, log_p = self.candidates[step.candidate], self._log_p(rest, step, spare)
         others = [
             i
             for i, c in enumerate(self.candidates)
@@ -197,12 +209,12 @@ class _Search:
                 name: Change(size, sd, _unit(self.problem, name))
                 for name, size, sd in zip(own.names, found.size.tolist(), sds, strict=True)
             },
-            found.gain,
+            found.before(spare),
             min(1.0, math.exp(log_p) * self.tests[step.ramp]),
             tuple(
                 ", ".join(self.candidates[i].names)
                 for i in others
-                if self._log_p(rest, replace(step, candidate=i)) - log_p < _ALIKE
+                if self._log_p(rest, replace(step, candidate=i), spare) - log_p < _ALIKE
             ),
         )
 
@@ -212,10 +224,6 @@ class _Search:
         N = len(columns)
         rows = np.arange(N) / (N - 1.0) if step.ramp else 1.0 * (np.arange(N) >= step.at)
         return rows[:, None, None] * columns
-
-    def _fitted(self, steps: Sequence[_Step], waves: Sequence[Array] = ()) -> Fitted:
-        """The system with these steps among its columns."""
-        return self.system.fitted_with([*waves, *(self._columns(step) for step in steps)])
 
     def _best(
         self,
@@ -250,9 +258,10 @@ class _Search:
         _, log_p, best = min(found, key=lambda one: one[0])
         return best, log_p
 
-    def _log_p(self, fitted: Fitted, step: _Step) -> float:
+    def _log_p(self, fitted: Fitted, step: _Step, spare: float = math.inf) -> float:
+        """spare: degrees of freedom, where the rows are scaled by a fit with the step."""
         found = fitted.step(self._columns(step))
-        return _log_tail(found.gain, found.rank)
+        return _log_tail(found.before(spare), found.rank)
 
 
 def _log_tail(gain: float, rank: int) -> float:

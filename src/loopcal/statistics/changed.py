@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -78,14 +78,18 @@ class Change:
         return "mounting" in (self.kind, *(other.kind for other in self.alike))
 
     @property
+    def where(self) -> str:
+        """What changed, in words."""
+        return f"the zero of {self.name}" if self.kind == "zero" else self.name
+
+    @property
     def words(self) -> str:
         """The change in a sentence without its end."""
         moved = by_sd(self.value, self.sd, self.unit)
         half = size(0.5 * (self.high - self.low), self.unit, 2)
         unit = unit_shown(self.unit)
         verb = "moved" if self.kind in ("zero", "mounting") else "changed"
-        name = f"the zero of {self.name}" if self.kind == "zero" else self.name
-        return f"{name} {verb} by {moved} {unit} ± {half} {unit}"
+        return f"{self.where} {verb} by {moved} {unit} ± {half} {unit}"
 
 
 @dataclass(frozen=True)
@@ -104,6 +108,22 @@ class WhatChanged:
     test: Innovation
     spread: float
     left: float | None
+
+    @classmethod
+    def from_document(cls, its: Mapping[str, Any], test: Mapping[str, Any]) -> WhatChanged:
+        """From `document`, and the document of the test of the whole."""
+        candidates = {one["name"]: Candidate(**one) for one in its["candidates"]}
+        return cls(
+            its["verdict"],
+            tuple(
+                Change(**{**one, "alike": tuple(candidates[name] for name in one["alike"])})
+                for one in its["found"]
+            ),
+            tuple(candidates.values()),
+            Innovation(**test),
+            its["spread"],
+            its["left_p_value"],
+        )
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ question: by how much it moves what the machine is calibrated for.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from loopcal.document.change_points import ChangePoint
@@ -16,7 +17,10 @@ from loopcal.estimation.result import Result
 
 def sized(result: Result, point: ChangePoint) -> ChangePoint:
     """The change with `moves`, the rms distance over the poses by which the whole of it moves the
-    outputs, computed or read; unknown without outputs, and of a stream."""
+    outputs, computed or read; unknown without outputs, and of a stream.
+
+    Less what noise alone adds to its square: a change of r parameters by chance has a gain of r.
+    """
     names = result.mechanism.compared
     if not names or result.all_poses is not None:
         return point
@@ -32,4 +36,7 @@ def sized(result: Result, point: ChangePoint) -> ChangePoint:
     before = result.differences_after
     off = {q: row - before[q] for q, row in zip(names, moved, strict=True)}
     found = accuracy(result.deviations(off))
-    return point if found is None else replace(point, moves=found.rms, unit=found.unit)
+    if found is None:
+        return point
+    real = max(1.0 - len(point.changes) / point.gain, 0.0) if point.gain else 0.0
+    return replace(point, moves=found.rms * math.sqrt(real), unit=found.unit)

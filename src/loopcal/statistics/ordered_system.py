@@ -11,7 +11,7 @@ that neither an error of the model nor one outlier passes for a step.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +39,8 @@ _ABSORBED = 1e-6
 class OrderedSystem:
     """N poses in order with up to R equations each, missing ones zero.
 
-    E: (N, R); Z: (N, R, m); D, X: (N, R, n), (N, R, k) of parameters and readings; P: (m, m) the
-    precision of z, pull: (m,) P (nominal - present); patterns: (N,) poses with the same equations;
+    E: (N, R); Z: (N, R, m); D, X: (N, R, n), (N, R, k) of parameters and readings; precision: (m,)
+    of z, pull: (m,) precision (nominal - present); patterns: (N,) poses with the same equations;
     rows: (N, R) which are there; smooth: the last so many columns of Z whose variance is learnt;
     rounding: mean square that rounding leaves in a row, below which no scatter is taken.
     """
@@ -51,7 +51,7 @@ class OrderedSystem:
     Z: Array
     D: Array
     X: Array
-    P: Array
+    precision: Array
     pull: Array
     patterns: NDArray[np.intp]
     rows: NDArray[np.bool_]
@@ -77,34 +77,34 @@ class OrderedSystem:
         phase = np.pi * (np.arange(N) + 0.5) / N
         return [np.cos(j * phase)[:, None, None] * along for j in range(1, count + 1)]
 
-    def fitted_with(self, steps: Sequence[Array]) -> Fitted:
-        """The system with further columns (N, R, d) each, scaled by what it leaves."""
-        Z = np.concatenate([*steps, self.Z], axis=2)
-        more = Z.shape[2] - self.Z.shape[2]
-        P, pull = np.pad(self.P, ((more, 0), (more, 0))), np.pad(self.pull, (more, 0))
-        left, weights, used, ratios = self.E, np.ones(len(Z)), 0.0, _RATIOS
-        for _ in range(_ROUNDS):
-            T = weights[:, None, None] * self._whitening(left, weights, used)
-            E, scaled = np.einsum("nrs,ns->nr", T, self.E), T @ Z
-            fit = _ridge(E, scaled, P, pull, self.smooth, ratios)
-            left, used = self.E - Z @ fit.z, fit.used
-            ratios = fit.ratio * _BESIDE
-            away = np.square(np.einsum("nrs,ns->nr", T, left)).sum(axis=1)
-            away = np.sqrt(away / np.maximum(self.rows.sum(axis=1), 1)) / weights
-            weights = np.sqrt(np.minimum(1.0, _HUBER / np.maximum(away, 1e-300)))
-        count = np.maximum(self.rows.sum(axis=1), 1)
-        p_values = tail(np.square(away) * count, count)
-        return Fitted(T, E - scaled @ fit.z, scaled, fit.root, p_values)
+    @cached_property
+    def equations(self) -> NDArray[np.intp]:
+        """(N,) rows of each pose, at least 1."""
+        return np.asarray(np.maximum(self.rows.sum(axis=1), 1), dtype=np.intp)
 
-    def _whitening(self, left: Array, weights: Array, used: float) -> Array:
-        """(N, R, R) S^(-1/2) of each pose, S the scatter of what is left in poses like it."""
+    def fitted(self) -> Fitted:
+        """The system scaled by what its fit leaves."""
+        alike = np.ones(len(self.E))
+        T = self.whitening(self.E, alike, float(self.rows.sum()))
+        fit = _scaled(self, self.Z, T, alike, _RATIOS)
+        for _ in range(_ROUNDS - 1):
+            fit = fit.again()
+        return fit
+
+    def whitening(self, left: Array, weights: Array, spare: float) -> Array:
+        """(N, R, R) S^(-1/2) of each pose, S the scatter of what is left in poses like it.
+
+        spare: degrees of freedom that are left.
+        """
         T = np.zeros((*left.shape, left.shape[1]))
         count = float(self.rows.sum())
-        freedom = max(count - used, 0.1 * count) / count
+        freedom = spare / count
         alone = float(np.square(weights[:, None] * left).sum() / count) / freedom
         for pattern in np.unique(self.patterns):
             here = self.patterns == pattern
             there = np.flatnonzero(self.rows[here][0])
+            if not there.size:  # poses in which no loop holds
+                continue
             S = alone * np.eye(len(there))
             poses, few = int(here.sum()), _ENOUGH * len(there)
             if poses > 2 * len(there):
@@ -122,49 +122,154 @@ class OrderedSystem:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A fit of an ordered system: T (N, R, R) scales the rows; left (N, R) and Z (N, R, m) are
-    scaled; root (m, k): H^-1 = root root^T; p_values: (N,) of what is left of each pose."""
+    """A fit of an ordered system with further columns, its rows scaled.
 
-    T: Array
-    left: Array
+    Z: (N, R, m) the columns, those of the system last; T: (N, R, R) what scales the rows; weights:
+    (N,) the poses' part in it; ratio: the variance of smooth columns over that of a row; scaled: T
+    Z; precision, pull: (m,) of z; products: (m, m) of the scaled columns.
+    """
+
+    system: OrderedSystem
     Z: Array
-    root: Array
-    p_values: Array
+    T: Array
+    weights: Array
+    ratio: float
+    scaled: Array
+    precision: Array
+    pull: Array
+    products: Array
+
+    @cached_property
+    def z(self) -> Array:
+        """(m,) where the fit ends."""
+        return self._factor.solved(self._drawn)
+
+    @cached_property
+    def _drawn(self) -> Array:
+        """(m,) H z."""
+        return np.asarray(np.tensordot(self.scaled, self.E, axes=((0, 1), (0, 1))) + self.pull)
+
+    @property
+    def further(self) -> int:
+        """Columns beside those of the system."""
+        return len(self.pull) - len(self.system.pull)
+
+    @cached_property
+    def E(self) -> Array:
+        """(N, R) scaled."""
+        return np.asarray(np.einsum("nrs,ns->nr", self.T, self.system.E))
+
+    @cached_property
+    def left(self) -> Array:
+        """(N, R) what the fit leaves, scaled."""
+        return np.asarray(self.E - self.scaled @ self.z)
+
+    @property
+    def criterion(self) -> float:
+        """The restricted likelihood of the smooth columns' variance, times -2."""
+        smooth = self.precision[len(self.pull) - self.system.smooth :]
+        return (
+            self._factor.log_determinant - float(self.z @ self._drawn) - float(np.log(smooth).sum())
+        )
+
+    @property
+    def spare(self) -> float:
+        """Degrees of freedom that are left."""
+        count = float(self.system.rows.sum())
+        used = len(self._factor.values) - float(self._factor.variances @ self.precision)
+        return max(count - used, 0.1 * count)
+
+    @property
+    def p_values(self) -> Array:
+        """(N,) of what is left of each pose."""
+        count = self.system.equations
+        return tail(np.square(self._away) * count, count)
+
+    def again(self) -> Fitted:
+        """The same columns, the rows scaled by what this fit leaves."""
+        weights = np.sqrt(np.minimum(1.0, _HUBER / np.maximum(self._away, 1e-300)))
+        left = self.system.E - self.Z @ self.z
+        T = self.system.whitening(left, weights, self.spare)
+        return _scaled(self.system, self.Z, T, weights, self.ratio * _BESIDE)
+
+    def beside(self, columns: Array) -> Fitted:
+        """The fit with further columns (N, R, d) before the others, rows scaled as they are."""
+        d = columns.shape[2]
+        C = self.T @ columns
+        U = np.tensordot(C, self.scaled, axes=((0, 1), (0, 1)))
+        Q = np.tensordot(C, C, axes=((0, 1), (0, 1)))
+        return replace(
+            self,
+            Z=np.concatenate([columns, self.Z], axis=2),
+            scaled=np.concatenate([C, self.scaled], axis=2),
+            precision=np.pad(self.precision, (d, 0)),
+            pull=np.pad(self.pull, (d, 0)),
+            products=np.block([[Q, U], [U.T, self.products]]),
+        )
+
+    def without(self, first: int, count: int) -> Fitted:
+        """The fit without some of its columns, rows scaled as they are."""
+        gone = np.s_[first : first + count]
+        return replace(
+            self,
+            Z=np.delete(self.Z, gone, axis=2),
+            scaled=np.delete(self.scaled, gone, axis=2),
+            precision=np.delete(self.precision, gone),
+            pull=np.delete(self.pull, gone),
+            products=np.delete(np.delete(self.products, gone, axis=0), gone, axis=1),
+        )
 
     def gains(self, columns: Array) -> tuple[Array, NDArray[np.intp]]:
         """The gain (N,) of a step of these columns (N, R, d) from each pose on, and its rank."""
-        C, _ = self._scaled(columns)
-        u, A, own = self._sums(*(np.cumsum(part[::-1], axis=0)[::-1] for part in self._products(C)))
-        values, vectors = np.linalg.eigh(A)
-        kept = values > _ABSORBED * np.maximum(own, 1e-300)[:, None]
+        C, _ = self._alike(columns)
+        turned = C.transpose(0, 2, 1)
+        u = np.cumsum(np.einsum("ndr,nr->nd", turned, self.left)[::-1], axis=0)[::-1]
+        Q = np.cumsum((turned @ C)[::-1], axis=0)[::-1]
+        W = turned @ self._absorbing
+        for after, row in zip(W[:0:-1], W[-2::-1], strict=True):  # sooner than np.cumsum
+            row += after
+        values, vectors = np.linalg.eigh(Q - W @ W.transpose(0, 2, 1))
+        kept = values > _ABSORBED * np.maximum(np.einsum("ndd->n", Q), 1e-300)[:, None]
         along = np.einsum("nij,ni->nj", vectors, u)
         gains = np.where(kept, np.square(along) / np.where(kept, values, 1.0), 0.0).sum(axis=1)
         return gains, kept.sum(axis=1)
 
     def step(self, columns: Array) -> Step:
         """What these columns (N, R, d) explain."""
-        C, scale = self._scaled(columns)
-        u, A, own = self._sums(*(part.sum(axis=0)[None] for part in self._products(C)))
-        values, vectors = np.linalg.eigh(A[0])
-        kept = values > _ABSORBED * max(float(own[0]), 1e-300)
+        C, scale = self._alike(columns)
+        flat = C.reshape(-1, C.shape[2])
+        u, Q = flat.T @ self.left.ravel(), flat.T @ flat
+        W = (flat.T @ self.scaled.reshape(len(flat), -1)) @ self._factor.root
+        values, vectors = np.linalg.eigh(Q - W @ W.T)
+        kept = values > _ABSORBED * max(float(np.trace(Q)), 1e-300)
         root = vectors[:, kept] / np.sqrt(values[kept])
-        along = root.T @ u[0]
+        along = root.T @ u
         root = scale[:, None] * root
         return Step(float(along @ along), int(kept.sum()), root @ along, root @ root.T)
 
-    def _scaled(self, columns: Array) -> tuple[Array, Array]:
+    @cached_property
+    def _factor(self) -> _Factor:
+        """Of the products and the precision."""
+        return _Factor.of(self.products, self.precision)
+
+    @cached_property
+    def _absorbing(self) -> Array:
+        """(N, R, k) V with Z H^-1 Z^T = V V^T."""
+        flat = self.scaled.reshape(-1, len(self.pull))  # one product, not one for each pose
+        return (flat @ self._factor.root).reshape(*self.E.shape, -1)
+
+    @cached_property
+    def _away(self) -> Array:
+        """(N,) root mean square that is left of each pose, as if it had its whole weight."""
+        squares = np.square(self.left).sum(axis=1) / self.system.equations
+        return np.asarray(np.sqrt(squares) / self.weights)
+
+    def _alike(self, columns: Array) -> tuple[Array, Array]:
+        """Scaled columns of unit length, and what made them so (d,)."""
         C = self.T @ columns
         length = np.sqrt(np.square(C).sum(axis=(0, 1)))
         scale = 1.0 / np.where(length > 0.0, length, 1.0)
         return C * scale, scale
-
-    def _products(self, C: Array) -> tuple[Array, Array, Array]:
-        turned = C.transpose(0, 2, 1)
-        return np.einsum("ndr,nr->nd", turned, self.left), turned @ C, turned @ self.Z
-
-    def _sums(self, u: Array, Q: Array, U: Array) -> tuple[Array, Array, Array]:
-        W = (U.reshape(-1, U.shape[2]) @ self.root).reshape(*U.shape[:2], -1)
-        return u, Q - W @ W.transpose(0, 2, 1), np.einsum("ndd->n", Q)
 
 
 @dataclass(frozen=True)
@@ -176,86 +281,73 @@ class Step:
     size: Array
     covariance: Array
 
-
-@dataclass(frozen=True)
-class _Ridge:
-    """z (m,), the degrees of freedom that the fit uses, the variance of smooth columns over that of
-    a row, and the factor of H, whose rows and columns are scaled."""
-
-    z: Array
-    used: float
-    ratio: float
-    factor: _Factor
-    scale: Array
-
-    @property
-    def root(self) -> Array:
-        """(m, k) with H^-1 = root root^T."""
-        return self.scale[:, None] * self.factor.root
+    def before(self, spare: float) -> float:
+        """The gain in units of the scatter without the step, where it was found in units of that
+        with it, of so many degrees of freedom."""
+        return self.gain / (1.0 + self.gain / spare)
 
 
-def _ridge(E: Array, Z: Array, P: Array, pull: Array, smooth: int, ratios: Array) -> _Ridge:
+def _scaled(system: OrderedSystem, Z: Array, T: Array, weights: Array, ratios: Array) -> Fitted:
     """The fit of unit variance; the smooth columns' variance by restricted likelihood."""
-    m = Z.shape[2]
-    flat, e = Z.reshape(-1, m), E.ravel()
-    ZZ, g = flat.T @ flat, flat.T @ e + pull
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(ZZ) + np.diag(P), 1e-300))
-    size = np.trace(ZZ[m - smooth :, m - smooth :]) / max(len(e) * smooth, 1)
-    scaled = (ZZ + P) * scale * scale[:, None]
-    best, least, at = None, np.inf, 1.0
-    for ratio in ratios.tolist() if smooth else (1.0,):
-        precision = np.zeros(m)
-        precision[m - smooth :] = max(size, 1e-300) / ratio
-        H = scaled.copy()
-        H.reshape(-1)[:: m + 1] += precision * np.square(scale)
-        factor = _Factor.of(H)
-        z = factor.solved(scale * g)
-        criterion = factor.log_determinant - float(z @ (scale * g))
-        criterion -= float(np.log(precision[m - smooth :]).sum())
-        if criterion < least:
-            best, least, at, found, added = factor, criterion, ratio, z, precision
-    assert best is not None
-    held = (np.diag(P) + added) * np.square(scale)  # P is diagonal
-    used = len(best.values) - float(best.variances @ held)
-    return _Ridge(scale * found, used, at, best, scale)
+    m, smooth = Z.shape[2], system.smooth
+    more = m - len(system.pull)
+    stated, pull = np.pad(system.precision, (more, 0)), np.pad(system.pull, (more, 0))
+    T = weights[:, None, None] * T
+    scaled = T @ Z
+    flat = scaled.reshape(-1, m)
+    fit = Fitted(system, Z, T, weights, 1.0, scaled, stated, pull, flat.T @ flat)
+    size = np.trace(fit.products[m - smooth :, m - smooth :]) / max(len(flat) * smooth, 1)
+    tried = []
+    for ratio in ratios.tolist() if smooth else ():
+        precision = stated.copy()
+        precision[m - smooth :] += max(size, 1e-300) / ratio
+        tried.append(replace(fit, ratio=ratio, precision=precision))
+    return min(tried, key=lambda one: one.criterion) if tried else fit
 
 
 @dataclass(frozen=True, eq=False)
 class _Factor:
-    """H = L L^T, or its eigenvectors where a direction is not determined.
+    """H = L L^T, its rows and columns scaled, or its eigenvectors where a direction is not
+    determined.
 
     By NumPy alone: the search for changes runs in every calibration, and is over before SciPy is
     loaded.
     """
 
     H: Array
+    scale: Array
     L: Array | None
     values: Array
     vectors: Array
 
     @classmethod
-    def of(cls, H: Array) -> _Factor:
-        none = np.zeros((0, 0))
+    def of(cls, products: Array, precision: Array) -> _Factor:
+        """Of H = products + precision."""
+        H = products.copy()
+        H.reshape(-1)[:: len(H) + 1] += precision
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+        H *= scale * scale[:, None]
         try:
             L = np.asarray(np.linalg.cholesky(H), dtype=np.float64)
             if float(np.diag(L).min()) > _ABSORBED * float(np.diag(L).max()):
-                return cls(H, L, np.diag(L), none)
+                return cls(H, scale, L, np.diag(L), np.zeros((0, 0)))
         except np.linalg.LinAlgError:
             pass
         values, vectors = np.linalg.eigh(H)
         kept = values > 1e-11 * values[-1]
-        return cls(H, None, np.sqrt(values[kept]), vectors[:, kept])
+        return cls(H, scale, None, np.sqrt(values[kept]), vectors[:, kept])
 
     @property
     def log_determinant(self) -> float:
-        return 2.0 * float(np.log(self.values).sum())
+        """Of H, along what is determined."""
+        return 2.0 * float(np.log(self.values).sum() - np.log(self.scale).sum())
 
     @cached_property
     def root(self) -> Array:
         """(m, k) with H^-1 = root root^T."""
         if self.L is None:
-            return self.vectors / self.values
-        return np.asarray(np.linalg.inv(self.L.T))
+            return np.asarray(self.scale[:, None] * (self.vectors / self.values))
+        return np.asarray(self.scale[:, None] * np.linalg.inv(self.L.T))
 
     @property
     def variances(self) -> Array:
@@ -266,7 +358,7 @@ class _Factor:
         """H^-1 g."""
         if self.L is None:
             return np.asarray(self.root @ (self.root.T @ g))
-        return np.asarray(np.linalg.solve(self.H, g))
+        return np.asarray(self.scale * np.linalg.solve(self.H, self.scale * g))
 
 
 def ordered_system(result: Result) -> OrderedSystem:
@@ -294,8 +386,6 @@ def ordered_system(result: Result) -> OrderedSystem:
     )
     order = pose_order(problem)
     Z = np.concatenate([D, B], axis=2)
-    P = np.zeros((m, m))
-    P[np.arange(n), np.arange(n)] = precision
     return OrderedSystem(
         problem,
         order,
@@ -303,7 +393,7 @@ def ordered_system(result: Result) -> OrderedSystem:
         Z[order],
         D[order],
         X[order],
-        P,
+        np.pad(precision, (0, m - n)),
         np.pad(pull, (0, m - n)),
         patterns[order],
         rows[order],

@@ -137,10 +137,10 @@ def predictive(
     drifting: the drift that its covariance allows for; run: where the poses stand in its run, None
     for another one.
     """
-    problem, learnt = held.problem, fit.learnt_noise
-    shared = None
+    problem, shared = held.problem, None
     if drifting is not None and run is not None:
         shared = SameRun.of(fit, problem, held.corrections, drifting, run)
+    learnt = () if shared is not None else fit.learnt_noise
     model = linear_model(problem, problem.start, held.corrections, [c for c, _ in learnt])
     own = 0.0
     if fit.fit.solver.exact:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.document.change_points import ChangePoint
 from loopcal.measurements.dataset import Dataset
-from loopcal.mechanisms.effects.drift import Drift, Shift
 from loopcal.mechanisms.effects.effect import with_effects
 from loopcal.mechanisms.mechanism import Mechanism
+
+if TYPE_CHECKING:
+    from loopcal.mechanisms.effects.drift import Drift, Shift
 
 COLUMN = "pose"
 
@@ -51,6 +54,10 @@ def shift_lines(data: Dataset, found: Sequence[ChangePoint]) -> str:
 
 
 def _effects(data: Dataset, found: Sequence[ChangePoint], column: str) -> list[Shift | Drift]:
+    if not found:
+        return []
+    from loopcal.mechanisms.effects.drift import Drift, Shift
+
     numbers = pose_numbers(data)
     first = {pose: float(number) for pose, number in zip(data.poses, numbers, strict=True)}
     effects: list[Shift | Drift] = []
@@ -80,6 +87,8 @@ def ids_are_numbers(poses: Sequence[str]) -> bool:
 
 
 def _table(effect: Shift | Drift) -> list[str]:
+    from loopcal.mechanisms.effects.drift import Shift
+
     shift = isinstance(effect, Shift)
     return [
         "[[mechanism.effect]]",

@@ -26,7 +26,6 @@ from loopcal.files.project.stream import ParquetStream, project_stream
 from loopcal.files.project.validation_entries import validation_arguments
 from loopcal.files.result import result_file
 from loopcal.files.result.residual_parts import NAME as RESIDUALS
-from loopcal.files.result.truth_file import read_truth
 from loopcal.files.versions import versions as known_versions
 from loopcal.lazy import cached_property
 from loopcal.measurements.checks import DataWarning
@@ -91,6 +90,7 @@ class Listeners:
 
     sharing: Callable[[Executor], None] | None = None
     progress: Progress | None = None
+    fitted: Callable[[Result], None] | None = None
     pieces: Pieces | None = None
     notice: Callable[[str], None] | None = None
     warn: Callable[[str], None] | None = None
@@ -171,6 +171,8 @@ class _Run:
         """The true parameters."""
         if self.request.truth is None:
             return None
+        from loopcal.files.result.truth_file import read_truth
+
         return read_truth(self.request.truth, self.project.mechanism)
 
     @cached_property
@@ -278,7 +280,13 @@ class _Run:
             poses = loaded.dataset.poses
             scheme = Scheme(**validation_arguments(self.project, self.validation, poses))
         shared = self._shared("fits")
-        return _Done(choose(case, scheme, **shared, iterated=self.listeners.progress).calibrated)
+        chosen = choose(case, scheme, **shared, iterated=self.listeners.progress).calibrated
+        self._fitted(chosen)
+        return _Done(chosen)
+
+    def _fitted(self, result: Result) -> None:
+        if self.listeners.fitted is not None:
+            self.listeners.fitted(result)
 
     def _calibrated(self, loaded: LoadedData) -> _Done:
         if self.fit.method.choice:
@@ -290,6 +298,7 @@ class _Run:
             fit=self.fit,
             progress=self.listeners.progress,
         )
+        self._fitted(result)
         if self.validation is None:
             return _Done(result)
         if not result.status.converged:

@@ -73,7 +73,8 @@ def correct(
         tool = [*(1e-3 * float(v) for v in tool[:3]), *np.radians(tool[3:]).tolist()]
     seated = tool_of(known.mechanism, nominal, tool)
     joints = arm_joints(known.mechanism)
-    arms = arms_of(known.mechanism, nominal, seated, _controller(controller, joints), at)
+    of_controller = _controller(controller, joints)
+    arms = arms_of(known.mechanism, nominal, seated, of_controller, at, known.typical)
     bounds, at = bounds or CorrectionBounds(), at or {}
     if not isinstance(targets, str | Path):
         return _of_table(arms, known, targets, bounds, at)

@@ -107,11 +107,16 @@ def export(
         document, mechanism, poses = given.document, given.calibrated, given.dataset
         known = predictor(given)
     machine = exported(document, mechanism, poses, known, offsets_apart=offsets == "file")
-    _check_machine(one, machine)
+    _check_machine(one, machine, source)
     its = ExportOptions(None if source is None else Path(source), vendor, dict(counts or {}))
     done = one.write(machine, its)
     files = {n: c.encode() if isinstance(c, str) else c for n, c in done.files.items()}
-    warnings = (*_verdict(document.verdict), *_cost(one, machine), *done.warnings)
+    warnings = (
+        *_verdict(document.verdict),
+        *_cost(one, machine),
+        *_worse(one, machine),
+        *done.warnings,
+    )
     placed = None if out is None else place_files(out, files, force=force)
     return Export(one.name, files, machine, (*warnings, *machine.warnings), placed)
 
@@ -130,7 +135,7 @@ def run_export(
 
 
 def _check_options(one: Format, source: Any, offsets: str, vendor: str | None) -> None:
-    """Raise InputError for options that the format does not take, or lacks."""
+    """Raise InputError for options that the format does not take."""
     if offsets not in OFFSETS:
         raise InputError(
             f"offsets is {offsets!r}", code="unknown-name", remedy="give 'origin' or 'file'"
@@ -138,12 +143,6 @@ def _check_options(one: Format, source: Any, offsets: str, vendor: str | None) -
     if vendor is not None and vendor not in VENDORS:
         raise InputError(
             f"there is no vendor {vendor!r}", code="unknown-name", remedy=nearest(vendor, VENDORS)
-        )
-    if one.source and not one.optional and source is None:
-        raise InputError(
-            f"the format {one.name!r} needs {one.source}",
-            code="missing-key",
-            remedy="name the file: --source FILE",
         )
     if source is not None and not one.source:
         raise InputError(
@@ -166,8 +165,8 @@ _LACKS = {
 }
 
 
-def _check_machine(one: Format, machine: Exported) -> None:
-    """Raise InputError for a machine that a format cannot hold."""
+def _check_machine(one: Format, machine: Exported, source: Any) -> None:
+    """Raise InputError for a machine that a format cannot hold, and for a lacking source."""
     there = {
         "parameters": True,
         "chain": machine.chain is not None,
@@ -181,6 +180,12 @@ def _check_machine(one: Format, machine: Exported) -> None:
             remedy="export 'json': all parameters by name"
             if one.needs != "origins"
             else "export 'mjcf', 'sdf', 'dh' or 'json'",
+        )
+    if one.source and not one.optional and source is None:
+        raise InputError(
+            f"the format {one.name!r} needs {one.source}",
+            code="missing-key",
+            remedy="name the file: --source FILE",
         )
 
 
@@ -209,3 +214,18 @@ def _cost(one: Format, machine: Exported) -> tuple[str, ...]:
             f"rms, the full model to {with_unit(full.measured.rms, 'm')}."
         )
     return (words,)
+
+
+def _worse(one: Format, machine: Exported) -> tuple[str, ...]:
+    """Whether zeros and tool alone would make the arm less accurate where it was measured."""
+    alone, nominal = machine.of("zeros and tool"), machine.of("nominal")
+    if one.needs != "zeros" or not alone or not nominal:
+        return ()
+    after, before = alone.measured, nominal.measured
+    if not after or not before or after.rms <= before.rms:
+        return ()
+    return (
+        f"Zeros and tool alone make the arm worse at the measured poses: "
+        f"{with_unit(after.rms, 'm')} rms, {with_unit(before.rms, 'm')} without them. "
+        "Keep the controller's zeros and correct the targets instead.",
+    )

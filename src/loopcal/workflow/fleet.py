@@ -8,14 +8,15 @@ from pathlib import Path
 
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
+from loopcal.estimation.inherited import UPDATED
 from loopcal.estimation.result import Result
 from loopcal.files.atomic import write_atomic
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.start_writer import Start, start_to_toml
+from loopcal.files.result.deployed import FLEET, note_deployed, result_path
 from loopcal.files.result.result_folder import ReadResult, read_result_folder
 from loopcal.life.fleet import Fleet, learn
 from loopcal.life.measured_machine import MeasuredMachine
-from loopcal.life.updating import LABEL
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.workflow.saved_result import SavedResult
 
@@ -54,6 +55,8 @@ def run_fleet(
 
         written.append(Path(out).with_suffix(".html"))
         write_atomic(written[-1], fleet_html(found))
+    for path in results:
+        note_deployed(result_path(path), FLEET, Path(out).stem, found.document())
     return FleetDone(found, tuple(written))
 
 
@@ -91,5 +94,5 @@ def _machine(known: Calibrated, document: ResultDocument) -> MeasuredMachine:
             code="not-converged",
             remedy="calibrate this machine again, or leave it out",
         )
-    updated = document.method_label == LABEL
+    updated = document.method_label == UPDATED
     return MeasuredMachine.of(known, document.data.used, updated=updated)

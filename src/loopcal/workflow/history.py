@@ -10,6 +10,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
 from loopcal.files.history.folder import Entry, append_entry, read_entries
+from loopcal.files.result.deployed import HISTORY, note_deployed, result_path
 from loopcal.files.result.result_folder import ReadResult, read_result_folder
 from loopcal.life.history import History, verification_words
 from loopcal.statistics.verified import Verification
@@ -57,7 +58,8 @@ def history(folder: str | Path) -> History:
 
 def add_result(folder: str | Path, result: str | Path) -> Entry:
     """Add a calibration or an update to a history."""
-    return append_entry(folder, "calibration", _calibration(read_result_folder(result)))
+    entry = append_entry(folder, "calibration", _calibration(read_result_folder(result)))
+    return _noted(entry, folder, result)
 
 
 def add_verification(
@@ -75,7 +77,14 @@ def add_verification(
         "p_value": found.innovation.p_value,
         "changes": None if changes is None else changes.document()["found"],
     }
-    return append_entry(folder, "verification", content)
+    return _noted(append_entry(folder, "verification", content), folder, result)
+
+
+def _noted(entry: Entry, folder: str | Path, result: str | Path) -> Entry:
+    """Keep the history beside the result too, for its report."""
+    told = history(folder).document()
+    note_deployed(result_path(result), HISTORY, Path(folder).name, told)
+    return entry
 
 
 def add_event(folder: str | Path, words: str) -> Entry:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import UsageError, nearest
 from loopcal.files.machines.python_function import load_function
-from loopcal.files.project.new_project import write_new_project
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.project.templates import TEMPLATES
 from loopcal.files.result import result_file
@@ -41,6 +40,8 @@ def new_project(name: str, kind: str) -> NewProject:
             code="unknown-name",
             remedy=nearest(kind, TEMPLATES),
         )
+    from loopcal.files.project.new_project import write_new_project
+
     files = write_new_project(name, kind)
     project = Path(name) / "project.toml"
     code = [path for path in files if path.suffix == ".py"]

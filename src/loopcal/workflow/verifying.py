@@ -9,6 +9,7 @@ from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.project.new_readings import read_new_readings
+from loopcal.files.result.deployed import VERIFICATION, note_deployed
 from loopcal.files.result.result_folder import read_result_folder
 from loopcal.files.result.result_poses import poses_of_result
 from loopcal.statistics.calibrated import Calibrated
@@ -59,4 +60,7 @@ def run_verification(
         from loopcal.report.life_pages import verification_html
 
         write_atomic(out, verification_html(found, read.mechanism.name))
+    name = Path(readings)
+    told = {"readings": name.name, **found.document()}
+    note_deployed(read.path, VERIFICATION, name.stem, told)
     return found

@@ -245,6 +245,22 @@ def test_an_unknown_ending_and_an_absent_file_are_refused(tmp_path: Path) -> Non
         read_program(tmp_path / "a.mod", seven)
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.mod", "robtarget p:=[[1,2,3],[1,0,0,0],[0,1e999,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];"),
+        ("a.mod", "robtarget p:=[[1,1e999,3],[1,0,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];"),
+        ("a.src", "LIN {X 1,Y 2,Z 3,A 1e999,B 0,C 0}"),
+        ("a.src", "PTP {A1 1e999,A2 2,A3 3,A4 4,A5 5,A6 6}"),
+    ],
+)
+def test_a_number_that_is_too_large_is_refused_with_its_line(
+    name: str, text: str, tmp_path: Path
+) -> None:
+    with refused("invalid-number", f"{name}, line 2"):
+        program(tmp_path, name, f"\n{text}\n".encode())
+
+
 HOSTILE = [(name, seed) for name in PROGRAMS for seed in range(35)]
 
 
@@ -256,7 +272,7 @@ def test_hostile_programs_keep_their_bytes_or_are_refused_with_a_line(
     rng = np.random.default_rng([seed, len(name)])
     data = bytearray(PROGRAMS[name])
     for _ in range(rng.integers(1, 6)):
-        at = int(rng.integers(len(data)))
+        at = int(rng.integers(max(len(data), 1)))
         kind = rng.integers(9)
         if kind == 0:
             data = data[: max(at, 1)]

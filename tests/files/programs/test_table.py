@@ -46,6 +46,15 @@ def test_bytes_outside_the_numbers_stay(end: bytes, bom: bytes) -> None:
     assert program.edited({}) == bom + end.join(rows)
 
 
+def test_degrees_in_a_column_of_radians_are_refused() -> None:
+    axes = JointAxes({"a": "rad", "z": "m"}, {})
+    for head, a in (("a", "6.2"), ("a [deg]", "60")):
+        table = text_of(f"{head},z\n{a},0.5\n".encode(), "t.csv")
+        assert read_table(table, "t.csv", axes).targets[0].joints is not None
+    with refused("implausible-unit", "t.csv, line 2", "60 rad", "'a [deg]'"):
+        read_table("a,z\n60,0.5\n", "t.csv", axes)
+
+
 def test_poses_are_written_in_their_own_way() -> None:
     turns = POSE + "tcp_rz [deg],tcp_ry [deg],tcp_rx [rad],A,Z\n500,0,300,10,20,0.5,1,2\n"
     quaternion = POSE + "tcp_qw,tcp_qx,tcp_qy,tcp_qz\n500,0,300,-0.5,0.5,-0.5,0.5\n"

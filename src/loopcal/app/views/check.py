@@ -14,5 +14,5 @@ def show(view: View) -> None:
     if view.session.project() is None:
         ui.label(view.session.objection() or words.NO_PROJECT).classes("printed")
         return
-    offer(view, "Check", lambda: ("check", view.project_name()))
+    offer(view, words.CHECK, lambda: ("check", view.project_name()))
     printed(view, "check")

@@ -27,7 +27,7 @@ ROWS = 2_000
 
 def show(view: View) -> None:
     """The step."""
-    uploader(view, "Drop the files of readings here")
+    uploader(view, words.DROP_READINGS)
     project = view.session.project()
     if project is None:
         objection = view.session.objection()
@@ -60,7 +60,7 @@ def _recognise(view: View) -> None:
     if not files:
         ui.label(words.NO_READINGS)
         return
-    heading("Files of readings")
+    heading(words.FILES_READINGS)
 
     def keep(name: str, event: Any) -> None:
         view.keep(f"read.{name}", event.value)
@@ -72,8 +72,8 @@ def _recognise(view: View) -> None:
         ui.label(words.ROBOT_FIRST).classes("care")
         return
 
-    links = [("base", "Link that does not move"), ("tip", "Link that carries the target")]
-    options = [*(links if kind == "urdf" else []), ("sheet", "Sheet or variable of the file")]
+    links = [("base", words.BASE_LINK), ("tip", words.TIP_LINK)]
+    options = [*(links if kind == "urdf" else []), ("sheet", words.SHEET_OR_VARIABLE)]
     with ui.expansion(words.STATE_IT).classes("w-full"), ui.row():
         for option, label in options:
             text(view, f"read.{option}", label)
@@ -84,7 +84,7 @@ def _recognise(view: View) -> None:
         more = [part for option, said in stated if said for part in (f"--{option}", said)]
         return ["init", *names, f"--{kind}", str(value), *more, "--out", "."]
 
-    offer(view, "Recognise", line, what="Recognise the readings")
+    offer(view, words.RECOGNISE, line, what=words.RECOGNISE_READINGS)
 
 
 def _bad(view: View, project: Project) -> None:
@@ -97,7 +97,7 @@ def _bad(view: View, project: Project) -> None:
     rows = [[c.file, str(c.row), c.pose, c.column, c.text] for c in cells]
     table(["file", "row", "pose", "column", "cell"], rows).classes("cells")
     exclude = partial(view.session.excluded, poses, "cells that are no numbers")
-    label = f"Exclude {len(poses)} pose{'s' if len(poses) > 1 else ''}"
+    label = words.EXCLUDE_BAD[len(poses) > 1].format(count=len(poses))
     ui.button(label, on_click=partial(view.act, exclude)).props("outline")
 
 
@@ -105,7 +105,7 @@ def _columns(view: View, project: Project) -> None:
     stated: dict[str, Any] = dict(project.inputs.get("data", {}).get("columns", {}))
     own = {**project.mechanism.quantities, **project.mechanism.known}
     labels = columns(project)
-    heading("Columns")
+    heading(words.COLUMNS_HEAD)
     ui.label(words.COLUMNS).classes("text-body2")
     with ui.grid(columns="auto 1fr 6rem").classes("items-center w-full"):
         for name in ("quantity", "column of the file", "unit"):
@@ -182,7 +182,7 @@ def _rows(view: View, project: Project, loaded: LoadedData, plot: Any) -> None:
     )
     left = project.inputs.get("data", {}).get("exclude", [])
     if left:
-        ui.label(f"Excluded: pose {', '.join(map(str, left))}").classes("text-body2")
+        ui.label(words.EXCLUDED.format(poses=", ".join(map(str, left)))).classes("text-body2")
 
 
 def _row(data: Dataset, i: int, names: list[str], units: dict[str, str]) -> dict[str, Any]:

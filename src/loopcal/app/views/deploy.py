@@ -17,19 +17,6 @@ from loopcal.files.exports.registry import EXPORTS
 from loopcal.files.project.project_folder import PREVIEW
 
 PROGRAMS = (".csv", ".tsv", ".txt", ".src", ".dat", ".ls", ".mod", ".jbi", ".script", ".xlsx")
-TOOLS = {"calibrated": "calibrated", "nominal": "nominal"}
-STATED = {
-    "laboratory": "Laboratory, with its address",
-    "customer": "Customer",
-    "machine": "Machine: make and model",
-    "serial": "Serial number of the machine",
-    "instrument": "Instrument: make and model",
-    "instrument_serial": "Serial number of the instrument",
-    "traceability": "Calibration of the instrument",
-    "date": "Day of the measurement",
-    "operator": "Operator",
-    "temperature": "Temperature",
-}
 LONGEST = 400
 """Lines of a difference that are shown."""
 
@@ -44,26 +31,26 @@ def show(view: View) -> None:
     _export(view)
     _correct(view)
     _record(view)
-    heading("Files of the project")
+    heading(words.FILES_PROJECT)
     for file in view.session.folder.listed():
         download(file.name, f"{file.name} ({_bytes(file.size)})")
 
 
 def _export(view: View) -> None:
     folder = view.session.folder
-    heading("Export")
+    heading(words.EXPORT)
     own = ["", *_named(view, (".urdf", ".xml", ".conf", ".yaml"))]
     with ui.row().classes("items-end"):
-        choice(view, "export.to", "Format", _formats(view), on_change_too=view.refresh)
+        choice(view, "export.to", words.FORMAT, _formats(view), on_change_too=view.refresh)
         one = EXPORTS[str(view.kept["export.to"])]
         if one.source:
-            choice(view, "export.source", "Your own file", own if one.optional else own[1:])
+            choice(view, "export.source", words.YOUR_OWN_FILE, own if one.optional else own[1:])
         if one.needs == "origins":
             places = {"origin": "into the origins", "file": "into offsets.csv"}
-            choice(view, "export.offsets", "Zero offsets of joints", places)
+            choice(view, "export.offsets", words.ZERO_OFFSETS_JOINTS, places)
         if one.name == "frames":
             vendors = {k: words.VENDORS[k] for k in ("", *VENDORS)}
-            choice(view, "export.vendor", "Orientations", vendors)
+            choice(view, "export.vendor", words.ORIENTATIONS, vendors)
 
     def line(*more: str) -> Sequence[str]:
         asked = ["export", folder.result.name, "--to", one.name]
@@ -77,7 +64,7 @@ def _export(view: View) -> None:
 
     ui.label(words.EXPORT_FIRST).classes("text-body2")
     preview = f"{PREVIEW}/{one.name}"
-    offer(view, "Preview", lambda: line("--force", "--out", preview), what="Preview the export")
+    offer(view, words.PREVIEW, lambda: line("--force", "--out", preview), what=words.PREVIEW_EXPORT)
     ran = view.session.last.get("export")
     if ran is not None and ran.code == 0 and preview in ran.action.words:
         printed(view, "export")
@@ -86,7 +73,7 @@ def _export(view: View) -> None:
             there = f"{folder.result.name}/export/{name}"
             old = there if folder.content(there) is not None else before
             _difference(view, old, f"{preview}/{name}", name)
-        offer(view, "Write", lambda: line("--force"), what="Export")
+        offer(view, words.WRITE, lambda: line("--force"), what=words.EXPORT)
     written = [f.name for f in folder.listed() if f.name.startswith(f"{folder.result.name}/export")]
     for name in written:
         download(name)
@@ -101,16 +88,16 @@ def _formats(view: View) -> dict[str, str]:
 
 
 def _correct(view: View) -> None:
-    heading("Correct a program")
+    heading(words.CORRECT_PROGRAM)
     ui.label(words.CORRECT).classes("text-body2")
-    uploader(view, "Drop a program, or a table of targets, here")
+    uploader(view, words.DROP_PROGRAM)
     files = _named(view, PROGRAMS)
     if not files:
         return
     with ui.row().classes("items-end"):
-        choice(view, "correct.file", "Program or table of targets", files)
-        choice(view, "correct.tool", "Tool of the program", TOOLS)
-        text(view, "correct.frame", "Frame: x, y, z [mm], rz, ry, rx [deg]")
+        choice(view, "correct.file", words.PROGRAM_OR_TARGETS, files)
+        choice(view, "correct.tool", words.TOOL_PROGRAM, words.TOOLS)
+        text(view, "correct.frame", words.PROGRAM_FRAME)
         text(view, "pulses", words.PULSES)
 
     def target() -> str:
@@ -125,7 +112,7 @@ def _correct(view: View) -> None:
             asked += [f"--frame={view.kept['correct.frame'].replace(' ', '')}"]
         return [*asked, *pulses(view), "--force"]
 
-    offer(view, "Correct", line)
+    offer(view, words.CORRECT_IT, line)
     printed(view, "correct")
     if view.session.folder.content(target()) is not None:
         _difference(view, str(view.kept["correct.file"]), target(), target())
@@ -134,12 +121,12 @@ def _correct(view: View) -> None:
 
 def _record(view: View) -> None:
     session = view.session
-    heading("Record")
+    heading(words.RECORD_HEAD)
     ui.label(words.RECORD).classes("text-body2")
     project = session.project()
     stated = {} if project is None else project.inputs.get("record") or {}
     with ui.element("div").classes("tiles"):
-        for key, label in STATED.items():
+        for key, label in words.STATED.items():
             box = ui.input(label, value=str(stated.get(key) or "")).classes("w-full")
 
             def keep(key: str = key, box: object = box) -> None:
@@ -149,9 +136,9 @@ def _record(view: View) -> None:
 
             box.on("blur", keep)
     result = session.folder.result.name
-    offer(view, "Write the record", lambda: ("record", result, "--project", view.project_name()))
+    offer(view, words.WRITE_RECORD, lambda: ("record", result, "--project", view.project_name()))
     if session.folder.content(f"{result}/record.html") is not None:
-        page(f"{result}/record.html", "Open the record")
+        page(f"{result}/record.html", words.OPEN_RECORD)
 
 
 def _difference(view: View, before: str, after: str, name: str) -> None:

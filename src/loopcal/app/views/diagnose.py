@@ -6,58 +6,55 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
 from nicegui import ui
 
 from loopcal.app import words
 from loopcal.app.controls import reason
-from loopcal.app.pictures import SIZE, Errors
+from loopcal.app.pictures import SIZE, Errors, Framed
 from loopcal.app.view import View, heading, table
 from loopcal.app.views.fit import offer_fit
 from loopcal.document.change_points import ChangePoints
 from loopcal.document.result_document import ResultDocument
 from loopcal.report.tables import outlier_table
 
-POSES = "(event) => emit((event?.points ?? []).map((point) => point.customdata))"
-"""Of an event of plotly only the positions travel, not the figure."""
+TAKE = "(event) => linked.take(event, emit)"
+"""The page marks what an event of plotly selects (linked.js); its positions and range travel."""
+NONE = "() => linked.none(emit)"
 LISTED = 200
 """Rows of the table of selected poses."""
 
 
 class _Linked:
-    """The figures of one page; plots: with the trace whose points can be selected."""
+    """The figures of one page, and the panel of what is selected in them."""
 
     def __init__(self, view: View, errors: Errors) -> None:
         self.view, self.errors = view, errors
-        self.plots: list[Any] = []
-        self.space: Any = None
-        self.where = {int(i): n for n, i in enumerate(errors.drawn)}
-        self.selection = ui.refreshable(lambda: _selected(self))
+        self.panel = ui.refreshable(lambda: _selected(self))
 
-    def plot(self, drawn: dict[str, Any], label: str) -> None:
-        """Draw a figure that takes part."""
-        plot = ui.plotly(drawn).classes("w-full").props(f'aria-label="{label}"')
+    def plot(self, drawn: dict[str, Any], label: str, of: Framed | None = None) -> None:
+        """Draw a figure that takes part; of: what its axes show, where a frame can be drawn."""
+        plot = ui.plotly(drawn).classes("w-full linked").props(f'aria-label="{label}"')
+
+        def taken(event: Any) -> None:
+            positions, frame = [int(i) for i in event.args[0]], event.args[1]
+            whole = None if of is None or frame is None else self.errors.framed(of, frame)
+            self.keep(positions if whole is None else whole)
+
         for event in ("plotly_selected", "plotly_click"):
-            plot.on(event, lambda e: self.select([int(i) for i in e.args or ()]), js_handler=POSES)
-        plot.on("plotly_deselect", lambda: self.select([]), js_handler="() => emit()")
-        if drawn["data"][0]["type"] == "scatter3d":
-            self.space = plot
-        else:
-            self.plots.append(plot)
+            plot.on(event, taken, js_handler=TAKE)
+        plot.on("plotly_deselect", lambda: self.keep([]), js_handler=NONE)
+
+    def keep(self, positions: Sequence[int]) -> None:
+        """Remember the poses that the figures mark already."""
+        self.view.selected[:] = sorted(set(positions))
+        self.panel.refresh()
 
     def select(self, positions: Sequence[int]) -> None:
         """Select these poses in every figure."""
-        self.view.selected[:] = sorted(set(positions))
-        self.draw()
-
-    def draw(self) -> None:
-        """Show the selection: only marks travel to the browser, not the figures."""
-        chosen = [self.where[i] for i in self.view.selected if i in self.where]
-        for plot in self.plots:
-            marks: list[Any] = [chosen] if self.view.selected else [None]
-            plot.run_plot_method("restyle", {"selectedpoints": marks}, [0])
-        if self.space is not None:
-            self.space.run_plot_method("restyle", self.errors.space_of(self.view.selected), [1])
-        self.selection.refresh()
+        drawn = np.intersect1d(self.errors.drawn, list(positions))
+        ui.run_javascript(f"linked.select({drawn.tolist()})")
+        self.keep(positions)
 
 
 def show(view: View) -> None:
@@ -66,11 +63,11 @@ def show(view: View) -> None:
     if source is None:
         ui.label(words.NO_RESULT)
         return
-    errors = Errors.of(source, view.session.steps())
+    view.select_among(source.table.poses)
+    errors = Errors.of(source, view.session.steps(), view.selected)
     if errors is None:
         ui.label(words.NO_OUTPUTS)
         return
-    view.select_among(source.table.poses)
     if view.session.state().stale:
         ui.label(words.STALE).classes("care")
     if len(errors.drawn) < len(errors.size):
@@ -82,22 +79,23 @@ def show(view: View) -> None:
         with ui.column().classes("figures"):
             shown = ui.toggle(list(errors.shown), value=what, on_change=partial(_show, view))
             shown.props('no-caps aria-label="error shown"')
-            linked.plot(errors.over_poses(what), "error over the poses")
+            over = errors.numbers, errors.shown[what]
+            linked.plot(errors.over_poses(what), "error over the poses", over)
             space = errors.in_space()
             if space is not None:
                 linked.plot(space, "error in space")
             with ui.element("div").classes("tiles"):
                 for name in errors.joints:
-                    linked.plot(errors.over_joint(name, what), f"error over {name}")
+                    over = errors.joint(name), errors.shown[what]
+                    linked.plot(errors.over_joint(name, what), f"error over {name}", over)
         with ui.column().classes("acts"):
-            linked.selection()
-            ui.button("Select none", on_click=partial(linked.select, [])).props("outline")
+            _from_to(linked)
+            linked.panel()
+            ui.button(words.SELECT_NONE, on_click=partial(linked.select, [])).props("outline")
             _undo(view)
-            heading("Fit again")
+            heading(words.FIT_AGAIN)
             offer_fit(view)
             _found(view, source.document, linked)
-    if view.selected:
-        linked.draw()
 
 
 def _show(view: View, event: Any) -> None:
@@ -108,7 +106,7 @@ def _show(view: View, event: Any) -> None:
 def _undo(view: View) -> None:
     edits = view.session.folder.log().edits()
     if edits:
-        label = f"Undo: {edits[-1].what[:60]}"
+        label = words.UNDO.format(what=edits[-1].what[:60])
         undo = partial(view.act, view.session.folder.undo)
         ui.button(label, on_click=undo, icon="undo").props("outline")
 
@@ -120,14 +118,14 @@ def _found(view: View, document: ResultDocument, linked: _Linked) -> None:
     outliers = outlier_table(document)
     if not found and outliers is None:
         return
-    heading("Found by loopcal")
+    heading(words.FOUND_BY_LOOPCAL)
     poses = linked.errors.source.table.poses
     for point in found:
         words_ = str(point)
         ui.label(f"{words_[0].upper()}{words_[1:]}.").classes("text-body2")
         if point.shape == "step" and point.pose in poses:
             positions = list(range(poses.index(point.pose), len(poses)))
-            label = f"Select from pose {point.pose} on"
+            label = words.SELECT_FROM.format(pose=point.pose)
             ui.button(label, on_click=partial(linked.select, positions)).props("flat")
     if changes is not None and changes.toml:
         _state(view, changes)
@@ -135,15 +133,37 @@ def _found(view: View, document: ResultDocument, linked: _Linked) -> None:
         odd = [poses.index(str(row[0])) for row in outliers.rows if str(row[0]) in poses]
         ui.label(f"{outliers.caption}: pose {', '.join(str(row[0]) for row in outliers.rows[:12])}")
         if odd:
-            ui.button("Select these poses", on_click=partial(linked.select, odd)).props("flat")
-        with ui.expansion("Details").classes("w-full"):
+            ui.button(words.SELECT_THESE_POSES, on_click=partial(linked.select, odd)).props("flat")
+        with ui.expansion(words.DETAILS).classes("w-full"):
             table(outliers.head, outliers.rows)
 
 
 def _state(view: View, changes: ChangePoints) -> None:
     state = partial(view.session.modelled, changes, "found by loopcal")
-    button = ui.button("Put these changes into the project", on_click=partial(view.act, state))
+    button = ui.button(words.STATE_CHANGES, on_click=partial(view.act, state))
     button.props("outline")
+
+
+def _from_to(linked: _Linked) -> None:
+    """The brush by keyboard: a run of poses by the ids of its ends."""
+    poses = linked.errors.source.table.poses
+    at = {pose: i for i, pose in enumerate(poses)}
+    with ui.row().classes("items-center no-wrap w-full"):
+        named = zip(words.ENDS, (poses[0], poses[-1]), strict=True)
+        ends = [ui.input(label, value=pose).classes("col") for label, pose in named]
+
+        def select() -> None:
+            given = [str(end.value).strip() for end in ends]
+            unknown = [pose for pose in given if pose not in at]
+            if unknown:
+                ui.notify(words.NO_SUCH_POSE.format(pose=unknown[0]), type="negative")
+                return
+            first, last = sorted(at[pose] for pose in given)
+            linked.select(range(first, last + 1))
+
+        for end in ends:
+            end.on("keydown.enter", select)
+        ui.button(words.SELECT, on_click=select).props("outline")
 
 
 def _ends(linked: _Linked) -> None:
@@ -166,7 +186,7 @@ def _ends(linked: _Linked) -> None:
 def _selected(linked: _Linked) -> None:
     """The selected poses, and what can be done with them."""
     view, errors = linked.view, linked.errors
-    heading("Selected poses")
+    heading(words.SELECTED_POSES)
     if not view.selected:
         ui.label(words.NONE_SELECTED)
         return
@@ -188,7 +208,7 @@ def _selected(linked: _Linked) -> None:
         ui.button(f"{label} moved here", on_click=partial(do, act, "shifted")).props("unelevated")
     reason(view, "excluded", words.REASONS["excluded"])
     exclude = partial(view.session.excluded, poses)
-    ui.button("Exclude", on_click=partial(do, exclude, "excluded")).props("unelevated")
+    ui.button(words.EXCLUDE, on_click=partial(do, exclude, "excluded")).props("unelevated")
     rows = [
         [p, *(f"{values[i]:.3g}" for values in errors.shown.values())]
         for p, i in zip(poses[:LISTED], view.selected, strict=False)

@@ -40,7 +40,7 @@ def show(view: View) -> None:
         document = source.document
         _verdict(document)
         with ui.row():
-            page(f"{view.session.folder.result.name}/report.html", "Open the whole report")
+            page(f"{view.session.folder.result.name}/report.html", words.OPEN_WHOLE_REPORT)
         for its in accuracy_tables(document):
             heading(its.caption)
             table(its.head, its.rows)
@@ -48,17 +48,17 @@ def show(view: View) -> None:
         if models is not None:
             heading(models.caption)
             table(models.head, models.rows)
-        heading("Parameters")
+        heading(words.PARAMETERS)
         table(("parameter", "nominal", "calibrated", "change", "sd", "unit"), _rows(document))
     _side_by_side(view)
 
 
-def offer_fit(view: View, label: str = "Calibrate") -> None:
+def offer_fit(view: View, label: str = words.CALIBRATE) -> None:
     """The button that calibrates, with method and validation; one choice for all steps."""
     with ui.row().classes("items-end"):
         named = {name: _labelled(name) for name in METHODS}
-        choice(view, "fit.method", "Method", {"": words.AS_STATED, **named})
-        choice(view, "fit.folds", "Validate on", words.FOLDS)
+        choice(view, "fit.method", words.METHOD, {"": words.AS_STATED, **named})
+        choice(view, "fit.folds", words.VALIDATE_ON, words.FOLDS)
 
     def line() -> Sequence[str]:
         asked = ["calibrate", view.project_name()]
@@ -67,7 +67,7 @@ def offer_fit(view: View, label: str = "Calibrate") -> None:
                 asked += [option, str(view.kept[name])]
         return asked
 
-    offer(view, label, line, what="Calibrate")
+    offer(view, label, line, what=words.CALIBRATE)
 
 
 def _tolerance(view: View) -> None:
@@ -102,7 +102,7 @@ def _verdict(document: ResultDocument) -> None:
                 ui.label(answer.mark).classes(MARKS[answer.mark])
                 ui.label(f"{answer.words} {answer.next or ''}")
     if document.method_label:
-        ui.label(f"Method: {document.method_label}")
+        ui.label(words.BY_METHOD.format(label=document.method_label))
 
 
 def _rows(document: ResultDocument) -> list[list[str]]:
@@ -122,10 +122,10 @@ def _rows(document: ResultDocument) -> list[list[str]]:
 def _side_by_side(view: View) -> None:
     """Methods tried beside each other, each in a folder of its own."""
     session = view.session
-    heading("Methods side by side")
+    heading(words.SIDE_BY_SIDE)
     ui.label(words.COMPARED).classes("text-body2")
     single = [name for name in METHODS if not method_named(name).choice]
-    choice(view, "fit.beside", "Another method", {name: _labelled(name) for name in single})
+    choice(view, "fit.beside", words.ANOTHER_METHOD, {name: _labelled(name) for name in single})
 
     def line() -> Sequence[str]:
         method = str(view.kept["fit.beside"])
@@ -133,7 +133,7 @@ def _side_by_side(view: View) -> None:
         asked = ("calibrate", view.project_name(), "--method", method, "--folds", "10")
         return (*asked, "--no-report", "--out", beside)
 
-    offer(view, "Try it", line, what="Calibrate by another method")
+    offer(view, words.TRY_IT, line, what=words.CALIBRATE_OTHERWISE)
     folders = [session.folder.result, *session.folder.tried]
     rows = [row for row in map(_tried, folders) if row is not None]
     if len(rows) > 1:

@@ -24,10 +24,10 @@ def show(view: View) -> None:
 def _done(view: View) -> None:
     """The log of the folder."""
     log = view.session.folder.log()
-    heading("Done in this folder")
+    heading(words.DONE_HERE)
     if log.edits():
         last = log.edits()[-1]
-        undo = ui.button(f"Undo: {last.what}", icon="undo").props("outline")
+        undo = ui.button(words.UNDO.format(what=last.what), icon="undo").props("outline")
         undo.on_click(lambda: view.act(view.session.folder.undo))
     if log.broken:
         lines = ", ".join(map(str, log.broken))
@@ -50,18 +50,18 @@ def _done(view: View) -> None:
 
 def _machine(view: View) -> None:
     """The history of the machine: what was added, and how it changed."""
-    heading("The machine over time")
+    heading(words.MACHINE_OVER_TIME)
     ui.label(words.MACHINE).classes("text-body2")
     if view.session.source() is not None:
         result = view.session.folder.result.name
         line = ("history", FOLDER, "--add", result)
-        offer(view, "Add this result", lambda: line, what="Add to the history")
+        offer(view, words.ADD_THIS_RESULT, lambda: line, what=words.ADD_HISTORY)
     text(view, "history.event", words.EVENT)
 
     def event() -> list[str]:
         return ["history", FOLDER, "--event", str(view.kept["history.event"]).strip()]
 
-    offer(view, "Add this event", event, what="Add to the history")
+    offer(view, words.ADD_THIS_EVENT, event, what=words.ADD_HISTORY)
     try:
         found = History(read_entries(view.session.folder.path / FOLDER))
         its = history_table(found)
@@ -71,7 +71,7 @@ def _machine(view: View) -> None:
         ui.label(told)
         return
     table(its.head, its.rows)
-    page(f"{FOLDER}.html", "Open the page of the history")
+    page(f"{FOLDER}.html", words.OPEN_PAGE_HISTORY)
     for one in drawn:
         figure(one)
 

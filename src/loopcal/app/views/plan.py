@@ -31,11 +31,11 @@ def show(view: View) -> None:
     if view.session.source() is not None:
         known[view.session.folder.result.name] = "those of the result"
     with ui.row().classes("items-end"):
-        number(view, "plan.poses", "Poses to measure", 30, min=1, max=1000, step=1)
-        choice(view, "plan.criterion", "Best for", words.CRITERIA)
-        choice(view, "plan.existing", "Measured already", {**known, **tables})
-        choice(view, "plan.candidates", "Choose among", {OLD: "random poses", **tables})
-        choice(view, "plan.program", "Program of the poses", words.PROGRAMS)
+        number(view, "plan.poses", words.POSES_TO_MEASURE, 30, min=1, max=1000, step=1)
+        choice(view, "plan.criterion", words.BEST_FOR, words.CRITERIA)
+        choice(view, "plan.existing", words.MEASURED_ALREADY, {**known, **tables})
+        choice(view, "plan.candidates", words.CHOOSE_AMONG, {OLD: "random poses", **tables})
+        choice(view, "plan.program", words.PROGRAM_POSES, words.PROGRAMS)
         text(view, "pulses", words.PULSES)
 
     def line() -> Sequence[str]:
@@ -49,7 +49,7 @@ def show(view: View) -> None:
             asked += ["--program", program, "--force", *pulses(view)]
         return asked
 
-    offer(view, "Choose poses", line)
+    offer(view, words.CHOOSE_POSES, line)
     _planned(view, project)
 
 
@@ -67,11 +67,11 @@ def _planned(view: View, project: Project) -> None:
         told.append(f"largest {with_unit(last['largest'], found['unit'])}")
         ui.label(", ".join(told))
     with ui.row():
-        download(f"{folder.plan.name}/plan.csv", "Download plan.csv")
-        page(f"{folder.plan.name}/plan.html", "Open the page of the plan")
+        download(f"{folder.plan.name}/plan.csv", words.DOWNLOAD.format(name="plan.csv"))
+        page(f"{folder.plan.name}/plan.html", words.OPEN_PAGE_PLAN)
         for name in folder.inside_of(folder.plan.name):
             if name.endswith(tuple(filter(None, words.PROGRAMS))):
-                download(f"{folder.plan.name}/{name}", f"Download {name}")
+                download(f"{folder.plan.name}/{name}", words.DOWNLOAD.format(name=name))
     _drawn(project, [pose["readings"] for pose in poses])
     units = {**project.mechanism.quantities, **project.mechanism.known}
     names = [name for name in poses[0]["readings"] if name in units] if poses else []

@@ -17,7 +17,7 @@ from loopcal.presentation.shown import in_unit, unit_shown
 
 TYPES = ("motoman-ma1400",)
 """Machines whose dimensions loopcal knows."""
-KINDS = {"urdf": "URDF", "dh": "Denavit-Hartenberg table", "machine": "Type"}
+KINDS = {"urdf": "URDF", "dh": words.DH_TABLE, "machine": words.TYPE}
 ENDS = {"urdf": (".urdf", ".xml"), "dh": (".csv", ".tsv", ".txt", ".xlsx")}
 
 
@@ -52,7 +52,7 @@ def _choose(view: View) -> None:
         options = list(TYPES)
     else:
         chosen = partial(view.session.choose_robot, shown)
-        uploader(view, f"Drop the {KINDS[shown]} here", chosen)
+        uploader(view, words.DROP_ROBOT.format(kind=KINDS[shown]), chosen)
         options = [
             f.name
             for f in view.session.folder.listed()
@@ -113,4 +113,4 @@ def _remove(view: View) -> None:
     """Begin anew with the same files."""
     ui.label(words.CHANGE_ROBOT).classes("text-body2 q-mt-md")
     remove = partial(view.act, partial(view.session.folder.remove, "another robot or other data"))
-    ui.button("Remove the project", on_click=remove, icon="delete").props("outline color=negative")
+    ui.button(words.REMOVE_PROJECT, on_click=remove, icon="delete").props("outline color=negative")

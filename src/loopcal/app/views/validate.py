@@ -37,8 +37,8 @@ def show(view: View) -> None:
             ui.label(bar.words)
     validation = source.document.validation
     if validation is not None:
-        ui.label(f"Validated on {validation.words}.").classes("text-body2")
-    heading("Predicted sd over the working region")
+        ui.label(words.VALIDATED.format(words=validation.words)).classes("text-body2")
+    heading(words.PREDICTED_SD)
     place = ui.column().classes("w-full")
     with place:
         waiting = ui.spinner(size="lg")
@@ -75,7 +75,7 @@ class _Pose:
         self.sliders: dict[str, Any] = {}
         self.words: dict[str, Any] = {}
         self.quiet = False
-        heading("Predict one pose")
+        heading(words.PREDICT_ONE_POSE)
         with ui.element("div").classes("beside"):
             with ui.column().classes("figures"):
                 drawn = machine_figure(self.mechanism, self.joints)
@@ -143,14 +143,14 @@ def _region(source: Source, probe: Probe, found: Map) -> None:
 
 def _another_day(view: View) -> None:
     """Readings of another day, beside what the result predicts for them."""
-    heading("Verify on another day")
+    heading(words.ANOTHER_DAY)
     ui.label(words.VERIFY).classes("text-body2")
-    uploader(view, "Drop readings of another day here")
+    uploader(view, words.DROP_ANOTHER_DAY)
     files = [f.name for f in view.session.folder.listed() if "/" not in f.name]
     tables = [name for name in files if name.endswith(ENDS)]
     if not tables:
         return
     result = view.session.folder.result.name
-    choice(view, "verify.file", "Readings", tables)
-    offer(view, "Verify", lambda: ("verify", result, str(view.kept["verify.file"])))
+    choice(view, "verify.file", words.READINGS, tables)
+    offer(view, words.VERIFY_IT, lambda: ("verify", result, str(view.kept["verify.file"])))
     printed(view, "verify")

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,12 +28,14 @@ from loopcal.estimation.faults.misfit import (
     undrawn,
     unread,
 )
-from loopcal.estimation.faults.repairs import Repair, repairs
 from loopcal.estimation.problem.alignment import can_be_placed, seen_points
 from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import Family
 from loopcal.presentation.shown import size, unit_shown
+
+if TYPE_CHECKING:
+    from loopcal.estimation.faults.repairs import Repair
 
 Array = NDArray[np.float64]
 NEAR = 0.01
@@ -210,6 +213,8 @@ class _Tried:
 
 def _tried(problem: Problem) -> _Tried:
     """As many repairs as time allows: of exchanged columns, whose pairs are many, what is left."""
+    from loopcal.estimation.faults.repairs import repairs
+
     every = list(repairs(problem))
     most = MOST_UNREAD if unread(problem) else MOST_READ
     order = sorted(range(len(every)), key=lambda i: every[i].code == "exchanged")

@@ -9,14 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.noise.linear_model import LinearModel, linear_model
 from loopcal.estimation.noise.linear_model import fit as fit_at
-from loopcal.estimation.noise.terms import EstimatedTerm, curvature_sds, judged_terms
 from loopcal.estimation.noise.variance_components import (
     Component,
     Estimate,
@@ -36,6 +35,9 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.solution import Solution
 from loopcal.lazy import cached_property
 from loopcal.measurements.noise import CovarianceBlock, ReadingUncertainty
+
+if TYPE_CHECKING:
+    from loopcal.estimation.noise.terms import EstimatedTerm
 
 Array = NDArray[np.float64]
 
@@ -150,12 +152,18 @@ class NoiseEstimate:
     def terms(self) -> tuple[EstimatedTerm, ...]:
         """What the calibration says of each term."""
         learnt = self.variances.terms
-        return () if learnt is None else judged_terms(learnt)
+        if learnt is None:
+            return ()
+        from loopcal.estimation.noise.terms import judged_terms
+
+        return judged_terms(learnt)
 
     def _by_sums(self) -> tuple[EstimatedSd, ...]:
         """What the sums of all poses say of the factor common to all noise."""
         learnt = self.variances.terms
         assert learnt is not None
+        from loopcal.estimation.noise.terms import curvature_sds
+
         sd = 0.5 * float(curvature_sds(learnt)[0])
         return tuple(
             EstimatedSd(c.name, c.quantities, ratio, ratio * sd, None, None, None)

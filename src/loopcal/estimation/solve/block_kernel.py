@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.solve.block import Block, BlockNoise
-from loopcal.estimation.solve.gauss_newton import close_by_gauss_newton
+from loopcal.estimation.solve.gauss_newton import UNMEASURED_SCALE, close_by_gauss_newton
 from loopcal.estimation.solve.kernel import Whitened
-from loopcal.estimation.solve.newton import UNMEASURED_SCALE
 from loopcal.estimation.solve.reduced import Closed, Reduced
 from loopcal.estimation.solve.scratch import scratch
 from loopcal.estimation.solve.searching import search

@@ -17,6 +17,8 @@ MOST_CLOSINGS = 16
 """Newton, who knows the curvature, takes over what is not closed after so many iterations."""
 NEGLIGIBLE = 1e-6
 """A step of so many sds leaves a next one that only rounding sees."""
+UNMEASURED_SCALE = 1e-3
+"""What counts as one sd for the step of an unmeasured quantity: 1 mm or 1 mrad."""
 
 
 def close_by_gauss_newton(

@@ -20,14 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.solve.block import Block, BlockNoise
+from loopcal.estimation.solve.gauss_newton import UNMEASURED_SCALE
 from loopcal.estimation.solve.reduced import Closed
 from loopcal.expressions.derivative import lagrangian_gradient
 from loopcal.expressions.engine import Engine, engine_for
 from loopcal.expressions.tape import Tape
 
 Array = NDArray[np.float64]
-UNMEASURED_SCALE = 1e-3
-"""What counts as one sd for the step of an unmeasured quantity: 1 mm or 1 mrad."""
 _MOST, _HALVINGS = 60, 25
 _SHORTEST = 0.75 * 0.5 ** (_HALVINGS - 1)
 """A length below has been halved as often as allowed."""

@@ -56,6 +56,16 @@ class Weights:
     T: Array
     c: Array
 
+    def reduced(self, values: LoopValues, block: Block) -> Whitened:
+        """The rows T (c - f) of a block at its readings."""
+        T, c = self.T[:, :, block.poses], self.c[:, block.poses]
+        D, (m, b) = values.by_parameter, values.f.shape
+        T, c = T[:, :m], c[:m]
+        rows = scratch("rows", len(D) + 1, len(T), b)
+        np.einsum("rmb,nmb->nrb", T, D, out=rows[:-1])
+        np.einsum("rmb,mb->rb", T, c - values.f, out=rows[-1])
+        return Whitened(rows, np.zeros((len(T), 0, b)), block.corrections, np.zeros(b, dtype=bool))
+
 
 def solve_reweighted(
     problem: Problem,
@@ -147,19 +157,10 @@ class _Reweighted(Sweeper):
     def __init__(
         self, problem: Problem, weights: Weights, rounding: float | None, loss: Loss | None
     ) -> None:
+        self.weights = weights
         # the likelihood's rounding: c, which is no rounding, stays out
         super().__init__(problem, loss=loss, rounding=rounding)
-        self.weights = weights
         self.corrects = False
 
     def _made(self, engine: Engine) -> BlockKernel:
-        return NumpyKernel(engine, self._weighted)
-
-    def _weighted(self, values: LoopValues, block: Block) -> Whitened:
-        T, c = self.weights.T[:, :, block.poses], self.weights.c[:, block.poses]
-        D, (m, b) = values.by_parameter, values.f.shape
-        T, c = T[:, :m], c[:m]
-        rows = scratch("rows", len(D) + 1, len(T), b)
-        np.einsum("rmb,nmb->nrb", T, D, out=rows[:-1])
-        np.einsum("rmb,mb->rb", T, c - values.f, out=rows[-1])
-        return Whitened(rows, np.zeros((len(T), 0, b)), block.corrections, np.zeros(b, dtype=bool))
+        return NumpyKernel(engine, self.weights.reduced)

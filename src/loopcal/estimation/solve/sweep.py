@@ -23,7 +23,6 @@ from loopcal.estimation.solve.gauss_newton import NEGLIGIBLE
 from loopcal.estimation.solve.kernel import unweighted, whiten
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import NAMED, NONE_FAILED, Evaluation, Failed
-from loopcal.estimation.solve.newton import close_by_newton
 from loopcal.estimation.solve.reduced import Closed, Reduced
 from loopcal.estimation.solve.reduction import Accumulator
 from loopcal.expressions.engine import Engine, engine_for
@@ -188,6 +187,8 @@ class Sweeper:
             read = np.zeros(part.corrections.shape)
             read[list(pattern.unmeasured)] = part.corrections[list(pattern.unmeasured)]
             tape = self.problem.tape(pattern)
+            from loopcal.estimation.solve.newton import close_by_newton
+
             closed = close_by_newton(tape, parameters, part.at(read), NEGLIGIBLE)
             before = self.misfit(pattern, part)
             after = self.misfit(pattern, part.at(closed.corrections))
@@ -257,6 +258,8 @@ class Sweeper:
         self.evaluations += closed.evaluations
         if not closed.failed:
             return closed
+        from loopcal.estimation.solve.newton import close_by_newton
+
         some = np.flatnonzero(closed.open)
         near, tape = block.at(closed.corrections).of(some), self.problem.tape(pattern)
         found = close_by_newton(tape, self.parameters, near, min(tolerance, 1e-3))

@@ -12,7 +12,7 @@ _HOME = {
     "serial": "serial",
     "urdf": "chains",
     "exponentials": "chains",
-    "motoman-ma1400": "serial",
+    "motoman-ma1400": "motoman",
 }
 """By type, the module here whose `TYPES` holds it; all others are parallel machines."""
 

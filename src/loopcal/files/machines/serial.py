@@ -11,13 +11,12 @@ from pydantic import Discriminator, Field, Tag
 from loopcal.errors import InputError
 from loopcal.files.machines.entries import given, table
 from loopcal.files.machines.instruments import Instruments
-from loopcal.files.machines.machine_type import ArmModel, ChainModel, MachineType, looked_at
+from loopcal.files.machines.machine_type import ChainModel, MachineType, looked_at
 from loopcal.files.machines.mechanism_parts import Amount, Value
 from loopcal.files.machines.parameter_entries import in_si
 from loopcal.files.toml.model import Model
 from loopcal.files.toml.place import Place
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.motoman import motoman_ma1400
 from loopcal.mechanisms.serial import (
     NAME,
     Joint,
@@ -107,11 +106,6 @@ class Serial(ChainModel):
     instrument: Instruments | None = None
 
 
-def motoman(model: Any, units: Mapping[str, str], place: Place) -> Mechanism:
-    """The arm of a table of the type "motoman-ma1400"."""
-    return motoman_ma1400(**given(motoman_ma1400, model, units, place))
-
-
 def serial(model: Serial, units: Mapping[str, str], place: Place) -> Mechanism:
     """The arm of a table of the type "serial".
 
@@ -199,5 +193,4 @@ def _refuse_repeated(joints: list[str], point: list[str], place: Place) -> None:
 
 TYPES = {
     "serial": MachineType(Serial, serial),
-    "motoman-ma1400": MachineType(table(motoman_ma1400, "Machine", ArmModel), motoman),
 }

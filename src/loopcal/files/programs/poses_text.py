@@ -15,7 +15,9 @@ Array = NDArray[np.float64]
 
 
 def pose_of_turns(numbers: Sequence[float]) -> Array:
-    """(4, 4) of x, y, z [mm] and rz, ry, rx [deg]: Tx Ty Tz Rz Ry Rx."""
+    """(4, 4) of x, y, z [mm] and rz, ry, rx [deg]: Tx Ty Tz Rz Ry Rx; NaN of infinite numbers."""
+    if not all(map(math.isfinite, numbers)):
+        return np.full((4, 4), np.nan)
     rz, ry, rx = map(math.radians, numbers[3:6])
     cz, sz, cy, sy, cx, sx = (f(a) for a in (rz, ry, rx) for f in (math.cos, math.sin))
     z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])

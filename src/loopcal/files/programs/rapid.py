@@ -8,12 +8,14 @@ reference manual, RAPID Instructions, Functions and Data types, `confdata`.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.errors import InputError
 from loopcal.files.programs.copying import NOT_ALONE, movable
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.poses_text import pose_of_quaternion, quaternion_of_pose
@@ -140,7 +142,14 @@ def _target(
         return ProgramTarget(own, line, False, numbers, q, None, step, literal=whole)
     numbers = (*first, *numbers_of(literal[2], literal.start(2)))
     values = [number.value for number in numbers]
-    config = [int(float(v)) for v in literal[3].split(",")]
+    config = [float(v) for v in literal[3].split(",")]
+    if not all(map(math.isfinite, config)):
+        raise InputError(
+            f"the configuration of {own} has a number that is too large",
+            code="invalid-number",
+            place=f"{name}, line {line}",
+            remedy="correct the number",
+        )
     step = _steps(numbers)
     return ProgramTarget(
         own,
@@ -150,7 +159,7 @@ def _target(
         None,
         pose_of_quaternion(values, f"{name}, line {line}"),
         np.array([*(1e-3 * step[:3]), *[2.0 * 10.0**-_FINE] * 3]),
-        dict(zip(("cf1", "cf4", "cf6", "cfx"), config, strict=True)),
+        dict(zip(("cf1", "cf4", "cf6", "cfx"), map(int, config), strict=True)),
         Span(*literal.span()),
     )
 

@@ -33,6 +33,8 @@ _QUATERNION = (*_TURNS[:3], "tcp_qw", "tcp_qx", "tcp_qy", "tcp_qz")
 _HEADING = re.compile(r"\s*([^\[\]]*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*")
 _FINE = 1e-9
 """Last digits that are written at least [SI]."""
+_MOST_TURNS = 4
+"""Turns of a joint that a table may ask for in radians; wrists turn twice or thrice."""
 _MOVES = {"linear": True, "l": True, "movel": True, "joint": False, "j": False, "movej": False}
 
 
@@ -207,6 +209,7 @@ class _Reading:
         own = [self.joints[j] for j in self.axes.joints if j in self.joints]
         seeds = [at(cell) for cell in own]
         q = np.array([n.value * c.factor for n, c in zip(seeds, own, strict=True)])
+        self._plausible(seeds, own, f"{self.name}, line {row.number}")
         places = [at(cell) for cell in self.places]
         straight = False
         if self.move is not None:
@@ -236,6 +239,19 @@ class _Reading:
             label=label,
         )
         return target, straight
+
+    def _plausible(self, seeds: Sequence[Number], own: Sequence[_Cell], place: str) -> None:
+        """Refuse degrees in a column of radians: no joint turns so often."""
+        there = [joint for joint in self.axes.joints if joint in self.joints]
+        for joint, seed, cell in zip(there, seeds, own, strict=True):
+            turns = abs(seed.value) / (2.0 * np.pi)
+            if cell.unit == "rad" and turns > _MOST_TURNS:
+                raise InputError(
+                    f"the joint {joint!r} is at {seed.text.strip()} rad, {turns:.0f} turns",
+                    code="implausible-unit",
+                    place=place,
+                    remedy=f"if these are degrees, head the column '{joint} [deg]'",
+                )
 
     def _pose(self, places: Sequence[Number], place: str) -> Array:
         values = [n.value * c.factor for n, c in zip(places, self.places, strict=True)]

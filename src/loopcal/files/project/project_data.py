@@ -19,7 +19,6 @@ from loopcal.files.tables.readers import column_labels, read_dataset, read_poses
 from loopcal.files.toml.place import Place
 from loopcal.measurements.checks import DataWarning, check_dataset
 from loopcal.measurements.dataset import Dataset
-from loopcal.measurements.joining import join
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.outputs import measured_points
 
@@ -115,6 +114,8 @@ def _read(
         parts.append(part.with_readings(zeros))
     instruments = {q for f in project.mechanism.families if f.form != "closure" for q in f.readings}
     its_own = set(project.mechanism.quantities) - instruments
+    from loopcal.measurements.joining import join
+
     joined = join(parts, [not its_own.isdisjoint(part.readings) for part in parts])
     refuse_unread(
         set(joined.dataset.readings), project.mechanism, project.noise, place.at("columns")

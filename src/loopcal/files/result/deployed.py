@@ -1,4 +1,5 @@
-"""What was made of a result, kept in its folder `deployed`: exports, corrected programs, plans.
+"""What was made of a result, kept in its folder `deployed`: exports, corrected programs, plans, and
+what was found of it on other days.
 
 A note names the result.json that it was made from by its SHA-256, so that notes of an earlier
 calibration in the same folder do not count for a later one.
@@ -21,11 +22,12 @@ from loopcal.files.tables.raw import sha256_of
 
 FOLDER = "deployed"
 EXPORT, CORRECTION, PLAN = "export", "correction", "plan"
+VERIFICATION, HISTORY, FLEET = OTHER_DAYS = "verification", "history", "fleet"
 
 
 @dataclass(frozen=True)
 class Deployed:
-    """kind: EXPORT, CORRECTION or PLAN; document: what the command prints with --json."""
+    """kind: one of the above; document: what the command prints with --json."""
 
     kind: str
     document: Mapping[str, Any]

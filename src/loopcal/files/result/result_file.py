@@ -16,7 +16,6 @@ from loopcal.estimation.result import Result
 from loopcal.files.atomic import write_files
 from loopcal.files.json_reader import read_json
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
-from loopcal.files.result.matrices import refuse_other_shapes
 from loopcal.files.result.pose_table import residuals_csv
 from loopcal.files.toml.place import Place
 
@@ -80,6 +79,8 @@ def read_result(path: str | Path) -> ResultDocument:
         document = _adapter().validate_json(json.dumps(content).encode())
     except ValidationError as error:
         raise _told(error, content, Place(str(path))) from None
+    from loopcal.files.result.matrices import refuse_other_shapes
+
     refuse_other_shapes(document, Place(str(path)), _REMEDY)
     return document
 

@@ -21,7 +21,7 @@ from loopcal.mechanisms.limits import joint_limits
 from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, matching
-from loopcal.mechanisms.placement import ChainPlacement
+from loopcal.mechanisms.serial import places_itself
 from loopcal.mechanisms.structure.sag import Column, Sag
 from loopcal.mechanisms.structure.smooth import FEATURES, Smooth
 from loopcal.mechanisms.terms import Term
@@ -200,7 +200,7 @@ def _in_space(mechanism: Mechanism) -> Sag | None:
     if not chain:
         return None
     ahead = 0
-    if isinstance(mechanism.placement, ChainPlacement):
+    if places_itself(mechanism):
         ahead = next(i for i, step in enumerate(chain) if step.joint)
     lengths = {p.name for p in mechanism.parameters if p.unit == "m"}
     # the coordinates of the first thing that is mounted on the body

@@ -1,0 +1,90 @@
+"""How long the app takes from a brush in one figure to the selection in all of them.
+
+    python -m benchmarks.app_brush FOLDER [--brushes 10]
+
+FOLDER holds a project with a result. A hand drags over the figure of errors in Chromium, each time
+over other poses. A brush begins with the event of plotly that ends it, and is over in the frame in
+which every figure, the ring in space and the number of poses show the selection. It needs Chromium,
+playwright and NiceGUI (`make partners`).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from tests.app.pointing import Hand
+from tests.app.serving import serving
+from tests.browser import chromium
+
+WATCH = """
+() => {
+  const plots = [...document.querySelectorAll('.js-plotly-plot')];
+  const flat = plots.filter(p => p.data[0].type !== 'scatter3d');
+  const solid = plots.filter(p => p.data[0].type === 'scatter3d');
+  const bright = p => [...p.querySelectorAll('.trace:first-child path.point')]
+    .filter(e => e.style.fill === 'rgb(213, 94, 0)').length;
+  window.took = null;
+  flat[0].once('plotly_selected', event => {
+    const begun = performance.now(), count = event.points.length;
+    const marks = {
+      figures: () => flat.every(p => bright(p) === count),
+      space: () => solid.every(p => p.data[1].x.length === count),
+      panel: () => told() !== before,
+    };
+    const told = () => [...document.querySelectorAll('.q-page .text-subtitle1')]
+      .map(e => e.innerText).find(t => t.includes('poses selected')) ?? '';
+    const before = told();
+    const took = {};
+    const look = () => {
+      for (const [name, shown] of Object.entries(marks))
+        if (!(name in took) && shown()) took[name] = performance.now() - begun;
+      if (Object.keys(took).length === 3) window.took = took;
+      else requestAnimationFrame(look);
+    };
+    requestAnimationFrame(look);
+  });
+}
+"""
+
+
+def brushes(folder: Path, count: int) -> list[dict[str, float]]:
+    """Milliseconds of each brush until figures, space and panel show it."""
+    with serving(folder) as served, chromium() as browser:
+        page: Any = browser.new_page(viewport={"width": 1440, "height": 900})
+        page.set_default_timeout(60_000)
+        page.goto(served.address)
+        hand = Hand(page, folder)
+        hand.step("Diagnose")
+        page.get_by_label("error over the poses", exact=True).locator(".nsewdrag").first.wait_for()
+        page.wait_for_timeout(3000)
+        low, high = page.evaluate(
+            "document.querySelector('.js-plotly-plot')._fullLayout.xaxis.range"
+        )
+        found = []
+        for i in range(count):
+            page.evaluate(WATCH)
+            begin = low + (high - low) * (0.1 + 0.5 * i / count)
+            hand.brush("error over the poses", begin, begin + (0.2 + 0.01 * i) * (high - low))
+            page.wait_for_function("window.took !== null")
+            found.append(page.evaluate("window.took"))
+        page.close()
+        return found
+
+
+def main() -> None:
+    """Print the median, the least and the largest."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--brushes", type=int, default=10)
+    asked = parser.parse_args()
+    took = brushes(asked.folder, asked.brushes)
+    for name in ("figures", "space", "panel"):
+        its = [one[name] for one in took]
+        print(f"{name}: median {median(its):.0f} ms, {min(its):.0f} to {max(its):.0f} ms")
+
+
+if __name__ == "__main__":
+    main()

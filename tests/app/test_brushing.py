@@ -1,0 +1,68 @@
+"""One selection in all figures: by brushing, by naming ends, of more than is drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from loopcal.app.pictures import SIZE, Errors
+from loopcal.report.source import read_source
+from tests.app.pointing import Hand
+from tests.app.serving import Served
+
+MARKED = """
+() => [...document.querySelectorAll('.linked.js-plotly-plot')].map(figure => {
+  const some = figure.data[0].selectedpoints?.length ?? 0;
+  const drawn = [...figure.querySelectorAll('.trace:first-child path.point')];
+  const colour = drawn.filter(e => e.style.fill === 'rgb(213, 94, 0)').length;
+  return figure.data.length > 1 ? figure.data[1].x.length : Math.max(some, colour);
+})
+"""
+"""Poses that each figure marks; in space, rings."""
+
+
+def test_every_brush_marks_all_figures_also_inside_the_frame_of_the_last(
+    served: Served, browser: Any
+) -> None:
+    page = browser.new_page(viewport={"width": 1440, "height": 900})
+    page.set_default_timeout(60_000)  # a busy machine takes its time
+    page.goto(served.address)
+    hand = Hand(page)
+    hand.step("Diagnose")
+    for begin, end in ((0.5, 20.5), (5.5, 12.5), (8.5, 30.5)):
+        hand.brush("error over the poses", begin, end)
+        count = round(end - begin)
+        hand.sees(f"{count} of 49 poses selected")
+        page.wait_for_function(f"({MARKED})().every(marked => marked === {count})")
+    for label, pose in (("From pose", 3), ("To pose", 6)):
+        ids = page.get_by_label(label).input_value().rstrip("0123456789")
+        page.get_by_label(label).fill(f"{ids}{pose}")
+    page.get_by_label("To pose").press("Enter")
+    hand.sees("4 of 49 poses selected")
+    page.wait_for_function(f"({MARKED})().every(marked => marked === 4)")
+    page.set_viewport_size({"width": 1000, "height": 800})  # plotly draws every figure again
+    page.wait_for_function(f"({MARKED})().every(marked => marked === 4)")
+    page.get_by_label("To pose").fill("none")
+    page.get_by_label("To pose").press("Enter")
+    hand.sees("The result has no pose none")
+    hand.sees("4 of 49 poses selected")
+    page.close()
+
+
+def test_a_frame_selects_also_the_poses_that_are_not_drawn(
+    hostile: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = read_source(hostile / "project-result")
+    whole = Errors.of(source)
+    assert whole is not None
+    frame = {"x": [10.5, 20.5], "y": [0.0, float(whole.size.max())]}
+    assert whole.framed((whole.numbers, whole.size), frame) is None  # plotly has named them all
+    monkeypatch.setattr("loopcal.app.pictures.MOST", 12)
+    few = Errors.of(source, selected=range(5, 49))
+    assert few is not None
+    assert len(few.drawn) <= 12
+    assert few.framed((few.numbers, few.shown[SIZE]), frame) == list(range(10, 20))
+    (trace,) = few.over_poses()["data"]
+    assert [few.drawn[i] for i in trace["selectedpoints"]] == [i for i in few.drawn if i >= 5]

@@ -1,0 +1,57 @@
+"""The ordered equations of a fit: what a step explains, beside columns that come and go."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from loopcal.statistics.ordered_system import Fitted, ordered_system
+from tests.statistics.test_change_points import fitted, joints, read
+
+TARGET = ("x6B", "y6B", "z6B")
+
+
+@pytest.fixture(scope="module")
+def fit() -> Fitted:
+    return ordered_system(fitted(read(joints(40, 1), 1))).fitted()
+
+
+def target(fit: Fitted, at: int) -> np.ndarray:
+    """The columns of a target that moves at a position."""
+    columns = fit.system.columns(TARGET)
+    return (np.arange(len(columns)) >= at)[:, None, None] * columns
+
+
+def squares(fit: Fitted) -> float:
+    """What the fit makes least."""
+    nominal = fit.pull / np.where(fit.precision > 0.0, fit.precision, 1.0)
+    return float(np.square(fit.left).sum() + fit.precision @ np.square(fit.z - nominal))
+
+
+def test_the_gain_from_every_pose_on_is_that_of_a_step_there(fit: Fitted) -> None:
+    gains, ranks = fit.gains(fit.system.columns(TARGET))
+    for at in (5, 17, 33):
+        alone = fit.step(target(fit, at))
+        assert gains[at] == pytest.approx(alone.gain, rel=1e-9)
+        assert ranks[at] == alone.rank
+
+
+def test_a_gain_is_what_the_squares_fall_by_with_everything_fitted_anew(fit: Fitted) -> None:
+    columns = target(fit, 17)
+    with_step = fit.beside(columns)
+    assert squares(fit) - squares(with_step) == pytest.approx(fit.step(columns).gain, rel=1e-6)
+    np.testing.assert_allclose(with_step.z[:3], fit.step(columns).size, rtol=1e-6, atol=1e-12)
+
+
+def test_columns_that_join_and_leave_again_change_nothing(fit: Fitted) -> None:
+    again = fit.beside(target(fit, 17)).beside(target(fit, 9)).without(3, 3).without(0, 3)
+    np.testing.assert_allclose(again.z, fit.z, rtol=1e-9)
+    np.testing.assert_allclose(again.left, fit.left, rtol=0.0, atol=1e-9)
+
+
+def test_a_scatter_with_the_step_is_turned_into_that_without(fit: Fitted) -> None:
+    """Of n rows alike, with s left of squares by the step and g more without: n g / (s + g)."""
+    left, gain, rows = 80.0, 20.0, 100.0
+    with_step = gain / (left / rows)
+    found = type(fit.step(target(fit, 9)))(with_step, 3, np.zeros(3), np.eye(3))
+    assert found.before(rows) == pytest.approx(gain / ((left + gain) / rows))
