@@ -106,10 +106,12 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
     solution = result.solution
     with one_blas_thread():
         known = predictor(result)
-        # both take as long; the document is kept with the result
-        searched, _ = gathered(own_threads(), _asked, result, (_searched, _documented))
-        assert searched is not None
-        outliers, shifts = searched.outliers, searched.shifts
+        # side by side: the result keeps what they find
+        asked: tuple[Callable[[Result], object], ...] = (find_outliers, _shifts, _documented)
+        gathered(own_threads(), _asked, result, asked)
+        outliers, shifts = find_outliers(result), _shifts(result)
+        if outliers.columns:
+            shifts = NOT_SEARCHED
         told = result.document.change_points or ChangePoints((), shifts.level, 0)
         modelled, discarded = told.found, result.document.outliers or ()
         new = tuple(sized(result, p) for p in shifts.found if apart(p, modelled))
@@ -138,22 +140,14 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Searched:
-    """What does not fit, and what changed during the run."""
-
-    outliers: Outliers
-    shifts: Shifts
+def _asked(result: Result, what: Callable[[Result], object]) -> None:
+    what(result)
 
 
-def _asked(result: Result, what: Callable[[Result], _Searched | None]) -> _Searched | None:
-    return what(result)
-
-
-def _searched(result: Result) -> _Searched:
-    outliers = find_outliers(result)
-    able = result.status.converged and not outliers.columns
-    return _Searched(outliers, find_shifts(result) if able else NOT_SEARCHED)
+def _shifts(result: Result) -> Shifts:
+    """What changed during the run, where no column is at fault."""
+    able = result.status.converged and not result.faults
+    return find_shifts(result) if able else NOT_SEARCHED
 
 
 def _documented(result: Result) -> None:
