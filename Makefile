@@ -157,10 +157,10 @@ sanitize: ## the engine's tests, and a minute of random tapes, under sanitizers 
 fuzz: $(STAMP) ## ten minutes of random tapes through both engines
 	$(BIN)/python -m analyses.fuzz_engine --minutes 10
 
-benchmark: $(STAMP) ## times and memory beside other programs, as far as those can be had
+benchmark: $(STAMP) ## times and memory beside other programs, as far as those can be had; ARGUMENTS=--document writes the page
 	@$(call try,$(RIVALS),it is left out)
 	@command -v octave-cli >/dev/null || echo "GNU Octave: absent; it is left out"
-	$(BIN)/python benchmarks/run.py
+	$(BIN)/python benchmarks/run.py $(ARGUMENTS)
 
 clean: ## remove everything that make has made
 	rm -rf .venv .venv-* .cache .hypothesis build dist results
