@@ -19,6 +19,7 @@ from loopcal.statistics.candidates import nominal_case
 from loopcal.statistics.case import Case
 from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, apart, find_shifts
 from loopcal.statistics.identifiability import WhatDataSay, calibration_index, what_data_say
+from loopcal.statistics.moved_by import sized
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.observability import data_spectrum, observability
 from loopcal.statistics.optima import other_optima
@@ -113,7 +114,7 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
             shifts = NOT_SEARCHED
         told = result.document.change_points or ChangePoints((), shifts.level, 0)
         modelled, discarded = told.found, result.document.outliers or ()
-        new = tuple(p for p in shifts.found if apart(p, modelled))
+        new = tuple(sized(result, p) for p in shifts.found if apart(p, modelled))
         toml = told.toml + shift_lines(result.dataset, new)
         shifts = replace(shifts, found=tuple(sorted((*modelled, *new), key=lambda p: p.number)))
         remaining = tuple(o for o in outliers.found if o.pose not in shifts.explained)
