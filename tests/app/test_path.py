@@ -167,6 +167,7 @@ def test_the_workspace_set_below_half_a_millimetre_without_typing(
     validation = result_of(hand.folder)["validation"]
     assert validation["words"].startswith("10 folds")
     assert validation["accuracy"]["rms"] < 0.5e-3
+    assert_the_command_line_gives_the_same(hand)
 
 
 def test_a_draw_wire_set(hand: Hand, tmp_path: Path, shared_data: Callable[[str], Path]) -> None:
@@ -182,3 +183,4 @@ def test_a_draw_wire_set(hand: Hand, tmp_path: Path, shared_data: Callable[[str]
     found = result_of(hand.folder)
     held_out = found["validation"]["accuracy"]["rms"]
     assert held_out < found["accuracy"]["before"]["rms"] < 0.5e-3
+    assert_the_command_line_gives_the_same(hand)
