@@ -219,7 +219,7 @@ def _run(session: Session) -> Callable[[], Any]:
     progress = left = None
     with ui.row().classes("items-center w-full q-gutter-sm"):
         ui.label(run.action.what).classes("text-subtitle2")
-        ui.code(run.action.command, language="bash").classes("text-caption gt-sm")
+        ui.code(run.action.command, language="bash").classes("text-caption gt-sm command")
         ui.space()
         if run.code is None:
             ui.spinner(size="sm")
