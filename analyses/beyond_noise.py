@@ -111,7 +111,7 @@ CASES: dict[str, Callable[[Rng], Seen]] = {
     "compare, sag, whole workspace": lambda rng: compared(1.0, 80, rng),
     "compare, sag, two corners": lambda rng: compared(0.35, 60, rng),
 }
-HEAD = f"{'':32} {'draws':>5} {'held %':>7} {'+-':>4} {'told %':>7}"
+HEAD = f"{'':32} {'draws':>5} {'held %':>7} {'+-':>4} {'named %':>8}"
 
 
 def line(name: str, draws: list[Seen]) -> str:
@@ -119,7 +119,7 @@ def line(name: str, draws: list[Seen]) -> str:
     shares = 100.0 * np.array([draw.held for draw in draws])
     error = shares.std(ddof=1) / np.sqrt(len(draws))
     told = [draw.told for draw in draws if draw.told is not None]
-    share = f"{100.0 * np.mean(told):7.0f}" if told else "      -"
+    share = f"{100.0 * np.mean(told):8.0f}" if told else "       -"
     return f"{name:32} {len(draws):5d} {shares.mean():7.1f} {error:4.1f} {share}"
 
 

@@ -54,6 +54,16 @@ def _backlash(arm: Arm, rng: Rng) -> Arm:
     return replace(arm, backlash=4e-4)
 
 
+def _worn_all_over(arm: Arm, rng: Rng) -> Arm:
+    """A light arm that bends, with gears and backlash of its own."""
+    bent = replace(_gears(arm, rng), yielding=2e-5, bending=6e-6)
+    return replace(bent, backlash=2e-4)
+
+
+def _bending(arm: Arm, rng: Rng) -> Arm:
+    return replace(arm, yielding=2e-5, bending=6e-6)
+
+
 def _expanding(arm: Arm, rng: Rng) -> Arm:
     return replace(arm, expansion=2.4e-5)
 
@@ -88,6 +98,17 @@ def _moved(run: Run, rng: Rng) -> None:
 
 def _rezeroed(run: Run, rng: Rng) -> None:
     run.zero[_row(run, rng) :] += 3e-3
+
+
+def _rezeroed_twice(run: Run, rng: Rng) -> None:
+    third = len(run.zero) // 3
+    run.zero[third:] += 3e-3
+    run.zero[2 * third :] -= 2e-3
+
+
+def _creeping(run: Run, rng: Rng) -> None:
+    """A drift of a third of what is predicted anyway."""
+    run.drift += np.linspace(0.0, 2e-5, len(run.drift))[:, None] * _direction(rng)
 
 
 def _remastered(run: Run, rng: Rng) -> None:
@@ -193,6 +214,8 @@ CLEAN = (
     Kind("six axes, 300 poses, no sd stated", World(poses=300, stated=None), True),
     Kind("six axes along a path", _PATH, True),
     Kind("six axes, sds learnt", World(learnt=True, stated=3.0), True),
+    Kind("six axes, 20 poses", World(poses=20), True),
+    Kind("UR", World("ur", poses=60), True),
     Kind("seven axes", World("seven", poses=100), True),
     Kind("SCARA", World("scara"), True),
     Kind("planar arm, 40 poses", World("planar", poses=40), True),
@@ -276,6 +299,17 @@ FAULTY = (
         World(poses=350, worn=_sag, stated=None),
         cause="gravity",
     ),
+    Kind("UR, sag", World("ur", poses=80, worn=_bending), cause="gravity"),
+    Kind(
+        "UR, sag, gears and backlash, no sd stated",
+        World("ur", poses=120, worn=_worn_all_over, stated=None),
+        cause="gravity|gear|unexplained",
+    ),
+    Kind(
+        "small region, sag, three reflectors",
+        World("irb", "three reflectors", poses=60, share=0.25, worn=_bending),
+        cause=NEAR,
+    ),
     Kind("gears", replace(_LONG, worn=_gears), cause="gear|harmonic"),
     Kind(
         "backlash",
@@ -296,6 +330,12 @@ FAULTY = (
         placed=True,
     ),
     Kind("wire zero shifted", replace(_WIRE, event=_rezeroed), cause="from pose .* zero"),
+    Kind(
+        "wire zero shifted twice, sag",
+        World("irb", "wire", poses=120, sd=2e-4, worn=_bending, event=_rezeroed_twice),
+        cause="from pose .* zero",
+    ),
+    Kind("a drift too small to matter", World(poses=300, event=_creeping), placed=True),
     Kind(
         "joint mastered anew",
         replace(_LONG, event=_remastered),

@@ -188,11 +188,35 @@ SCARA = Arm(
     ),
     tool_mass=1.0,
 )
+UR = Arm(
+    (
+        Link(d=0.1625, alpha=np.pi / 2, mass=4.0),
+        Link(a=-0.425, beta=0.0, mass=8.0),
+        Link(a=-0.3922, beta=0.0, mass=3.0),
+        Link(d=0.1333, alpha=np.pi / 2, mass=1.5),
+        Link(d=0.0997, alpha=-np.pi / 2, mass=1.5),
+        Link(d=0.0996, mass=0.5),
+    ),
+    tool_mass=3.0,
+)
+IRB = Arm(
+    (
+        Link(d=0.29, alpha=-np.pi / 2, mass=8.0),
+        Link(a=0.27, offset=-np.pi / 2, beta=0.0, mass=6.0),
+        Link(a=0.07, alpha=-np.pi / 2, mass=4.0),
+        Link(d=0.302, alpha=np.pi / 2, mass=2.0),
+        Link(alpha=-np.pi / 2, mass=1.0),
+        Link(d=0.072, mass=0.3),
+    ),
+    tool_mass=1.0,
+)
 PLANAR = Arm((Link(a=0.8), Link(a=0.6)))
 BOXES: dict[str, Array] = {
     "six": np.array([[-2.6, 2.6], [-1.0, 1.2], [-1.2, 1.0], [-2.6, 2.6], [-1.8, 1.8], [-2.9, 2.9]]),
     "seven": np.array([[-2.9, 2.9], [-1.6, 1.6]] * 3 + [[-2.9, 2.9]]),
     "scara": np.array([[-2.2, 2.2], [-2.2, 2.2], [0.0, 0.2], [-3.0, 3.0]]),
+    "ur": np.array([[-2.8, 2.8], [-2.6, -0.4], [-2.2, 2.2], [-2.5, 2.5], [-2.5, 2.5], [-3.0, 3.0]]),
+    "irb": np.array([[-2.4, 2.4], [-1.2, 1.4], [-1.5, 0.9], [-2.5, 2.5], [-1.8, 1.8], [-3.0, 3.0]]),
     "planar": np.array([[-3.0, 3.0], [-2.5, 2.5]]),
 }
 

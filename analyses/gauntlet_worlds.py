@@ -32,6 +32,7 @@ MOUNTED, BUILT = 2e-3, (3e-4, 5e-4)
 """sd by which the target is mounted off the drawing [m]; by which lengths and angles are off."""
 FRESH = 200
 ARMS = {"six": truth.SIX, "seven": truth.SEVEN, "scara": truth.SCARA, "planar": truth.PLANAR}
+ARMS |= {"ur": truth.UR, "irb": truth.IRB}
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,6 +53,8 @@ def table(draws: Sequence[dict[str, Any]]) -> str:
         _rate("called sound, yet wrong", missed),
         _rate("cause named", named),
     ]
+    if failed := sorted({draw["kind"] for draw in draws if "failed" in draw}):
+        lines.append(f"ended by an error of loopcal's own: {', '.join(failed)}")
     return "\n".join(lines)
 
 

@@ -77,6 +77,18 @@ def test_the_table_counts_alarms_misses_and_names() -> None:
     assert "(95 % interval 1.3 to 98.7 %)" in text
 
 
+def test_an_error_of_its_own_counts_and_does_not_end_the_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def broken(*_: Any, **__: Any) -> None:
+        raise ZeroDivisionError("of its own")
+
+    monkeypatch.setattr("loopcal.calibrate", broken)
+    found = run(FAULT, 0)
+    assert (found["failed"], found["named"]) == ("ZeroDivisionError('of its own')", False)
+    assert f"ended by an error of loopcal's own: {FAULT}" in table([found])
+
+
 def test_a_rate_has_the_interval_of_its_number_of_draws() -> None:
     assert interval(0, 60) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 60)))
     assert interval(10, 10) == pytest.approx((0.025**0.1, 1.0))

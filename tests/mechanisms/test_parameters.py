@@ -85,6 +85,12 @@ def test_changes_make_new_parameters_and_later_entries_win() -> None:
     assert LENGTHS["l1"].prior_sd == math.inf
 
 
+def test_what_does_not_change_is_the_same_object() -> None:
+    changed = LENGTHS.with_prior({"l1": LENGTHS["l1"].prior_sd, "l2": 0.02})
+    assert changed["l1"] is LENGTHS["l1"]
+    assert changed["l2"] is not LENGTHS["l2"]
+
+
 def test_fixing_and_setting_free() -> None:
     assert LENGTHS.with_fixed(["l*"]).free == ()
     assert LENGTHS.with_fixed(["*"], fixed=False).free == ("l1", "l2", "phi1")

@@ -494,7 +494,11 @@ def test_an_arm_of_transitions_sags_alike_seen_by_one_instrument_or_by_two() -> 
     truth = dict(zip(more, 1e-3 * rng.standard_normal(len(more)), strict=True))
     made = [
         lc.simulate(
-            arm, q, noise={"*": 0.0}, truth={p.name: p.nominal for p in arm.parameters} | truth
+            arm,
+            q,
+            noise={"*": 0.0},
+            seed=0,
+            truth={p.name: p.nominal for p in arm.parameters} | truth,
         )
         for arm in arms
     ]

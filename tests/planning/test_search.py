@@ -125,6 +125,21 @@ def test_the_bound_is_the_continuous_optimum(criterion: Criterion) -> None:
     assert 0.0 < found.efficiency <= 1.0
 
 
+@pytest.mark.parametrize("criterion", ["I", "D"])
+def test_a_few_steps_come_within_a_hundredth_of_the_best_bound(
+    criterion: Criterion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw = pool(2000, 3, k=10, r=3)
+    poses = choose([draw], 20, criterion).poses
+    monkeypatch.setattr("loopcal.planning.certificate._CLOSE", 0.0)
+    found = []
+    for steps in (30, 2000):
+        monkeypatch.setattr("loopcal.planning.certificate._FEWEST", steps)
+        monkeypatch.setattr("loopcal.planning.certificate._MOST", steps)
+        found.append(certificate([draw], poses, criterion).efficiency)
+    assert found[1] - 0.01 < found[0] <= found[1] + 1e-9
+
+
 def test_nothing_chosen_twice() -> None:
     found = choose([pool(12, 5)], 12, "I")
     assert sorted(found.poses) == list(range(12))

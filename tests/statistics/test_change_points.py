@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ from numpy.typing import NDArray
 
 import loopcal as lc
 from loopcal.chi_squared import tail
+from loopcal.document.change_points import Change, ChangePoint
 from loopcal.statistics.change_points import _log_tail
+from loopcal.statistics.moved_by import sized
 from tests.estimation.test_real_data import RIGHT, left_arm, measured
 from tests.reference.simulated import MA1400_RANGES, ma1400
 from tests.refusals import refused
@@ -258,6 +261,28 @@ def test_readings_without_noise_hide_no_change_and_no_outlier(slope: float, meth
     result = lc.calibrate(line, data, noise=lc.Noise({"q": 1e-4, "y": 1e-4}), method=method)
     assert lc.find_shifts(result).found == ()
     assert lc.find_outliers(result).found == ()
+
+
+def test_the_size_of_a_change_is_how_far_it_moves_the_end_point() -> None:
+    """Of a target its slip; of a joint the angle times the distance from its axis; of a reading
+    itself; of all less than what noise makes of it."""
+    data = read(joints(30, 1), 1)
+    result = fitted(data)
+    base = [result.value[name] for name in ("x0", "y0")]
+    radius = np.hypot(data["x"] - base[0], data["y"] - base[1])
+    expected = {
+        ("x6B", 1e-3, "m"): 1e-3,
+        ("y", -2e-4, "m"): 2e-4,
+        ("theta_1", 1e-4, "rad"): 1e-4 * np.sqrt(np.square(radius).mean()),
+    }
+    for (name, size, unit), moves in expected.items():
+        change = {name: Change(size, 1e-5, unit)}
+        point = ChangePoint("step", "9", "8", 9, "target", change, 1e6, 1e-5)
+        found = sized(result, point)
+        assert found.unit == "m"
+        assert found.moves == pytest.approx(moves, rel=0.01)
+        unsure = sized(result, replace(point, gain=4.0)).moves
+        assert unsure == pytest.approx(np.sqrt(0.75) * found.moves)
 
 
 def test_a_pose_in_which_no_loop_holds_is_passed_over() -> None:

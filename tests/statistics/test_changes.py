@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import loopcal as lc
 from loopcal.files.result import result_file
+from loopcal.statistics import choice
+from loopcal.statistics.candidates import Entrant
 from loopcal.statistics.case import Case
-from loopcal.statistics.changes import NUMBER, changes
+from loopcal.statistics.changes import NUMBER, Changes, changes
 from loopcal.statistics.choice import choose
 from loopcal.statistics.folds import Scheme
 from loopcal.workflow.checking import run_prediction
@@ -45,8 +49,38 @@ def told(data: lc.Dataset) -> lc.Result:
 
 
 @pytest.fixture(scope="module")
-def result() -> lc.Result:
-    return told(slipped())
+def course() -> list[str]:
+    """What is fitted to all poses, and where what happened during the run is sought, in order."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def result(course: list[str]) -> Iterator[lc.Result]:
+    fitted, sought = choice._fitted, changes
+
+    def recorded(one: Entrant, *given: Any) -> choice.Judged:
+        course.append("structured" if one.structured else one.name)
+        return fitted(one, *given)
+
+    def recorded_changes(*given: Any) -> Changes:
+        course.append("changes")
+        return sought(*given)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(choice, "_fitted", recorded)
+        patch.setattr(choice, "changes", recorded_changes)
+        yield told(slipped())
+
+
+def test_plain_candidates_are_fitted_once_after_the_changes_are_known(
+    result: lc.Result, course: list[str]
+) -> None:
+    assert result.chosen is not None
+    sought = course.index("changes")
+    plain = [name for name in course[sought + 1 :] if name != "structured"]
+    assert set(course[:sought]) == {"structured"}
+    assert "nominal" in plain
+    assert len(set(plain)) == len(plain)
 
 
 def test_a_slip_is_modelled_and_an_outlier_discarded_and_both_are_said(result: lc.Result) -> None:

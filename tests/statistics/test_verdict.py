@@ -120,6 +120,24 @@ def test_every_finding_has_its_answer(code: str) -> None:
     assert found.grade == ("bad" if passed is False else "care")
 
 
+@pytest.mark.parametrize(("share", "code"), [(0.4, "changes-small"), (0.6, "change-points")])
+def test_a_change_counts_by_its_size_beside_the_predicted_sd(share: float, code: str) -> None:
+    """Not by its p-value, which falls with the number of poses."""
+    document = clean()
+    assert document.prediction is not None
+    assert document.prediction.region is not None
+    stated = document.prediction.region.worst
+    assert stated.sd_at_poses is not None
+    little = replace(SLIP, moves=share * stated.sd_at_poses, unit=stated.unit)
+    found = verdict_of(replace(document, change_points=ChangePoints((little,), 0.01, 120))).sound
+    assert (found.code, found.passed) == (code, None if code == "changes-small" else False)
+    assert "from pose 86 on" in found.words
+    # one that is large decides, and so does one whose size is unknown
+    for other in (replace(little, moves=stated.sd_at_poses), replace(little, moves=None)):
+        both = ChangePoints((little, other), 0.01, 120)
+        assert verdict_of(replace(document, change_points=both)).sound.code == "change-points"
+
+
 def test_a_prior_that_the_data_contradict_is_named() -> None:
     document = clean()
     entry = document.parameters[2]
@@ -144,6 +162,16 @@ def test_an_outlier_of_the_kind_that_good_data_have_is_no_finding() -> None:
     assert document.outlier_tests is not None
     assert verdict_of(document).sound.passed
     assert verdict_of(replace(document, outlier_tests=None)).sound.code == "outliers"
+
+
+def test_without_stated_sds_a_pose_with_a_long_lever_arm_is_no_outlier() -> None:
+    document = clean()
+    assert document.outlier_tests is not None
+    tests = replace(document.outlier_tests, by_residuals=True)
+    for p, sound in ((1e-5, True), (1e-9, None)):
+        judged = replace(document, outlier_tests=tests, outliers=(replace(OUTLIER, p_value=p),))
+        assert verdict_of(judged).sound.passed is sound
+    assert not verdict_of(replace(judged, outlier_tests=document.outlier_tests)).sound.passed
 
 
 def test_a_single_reading_is_remarkable_among_all_readings_of_all_poses() -> None:

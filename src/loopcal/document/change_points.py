@@ -49,6 +49,10 @@ class ChangePoint:
     """Of a gain at least so large in independent errors, corrected for the search."""
     alternatives: tuple[str, ...] = ()
     """Parameters or readings whose change would explain it about as well."""
+    moves: Size | None = None
+    """Rms distance [unit] over the poses by which all of it moves the end point; null: unknown."""
+    unit: str = ""
+    """Of moves."""
     modelled: bool = False
     """Whether the result has it as an effect, as the method "auto" gives it where it is certain."""
 

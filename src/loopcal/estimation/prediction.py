@@ -22,17 +22,23 @@ _SETTLED = 1e-9
 
 
 def predict_outputs(
-    mechanism: Mechanism, parameters: Array, readings: Array, known: Array
+    mechanism: Mechanism,
+    parameters: Array,
+    readings: Array,
+    known: Array,
+    estimated: Sequence[str] = (),
 ) -> Array:
     """The outputs (o, N) [SI] that close the loops at these parameters; NaN where none do.
 
-    parameters: (n_all,); readings: (k, N), with start values for the outputs; known: (c, N).
+    parameters: (n_all,); readings: (k, N), with start values for the outputs; known: (c, N);
+    estimated: parameters by which an engine of these loops has derivatives already: it serves here.
     """
     rows = [mechanism.tape.quantities.index(name) for name in mechanism.outputs]
     predicting = mechanism.predicting()
     loops = tuple(range(len(predicting.tape.loops)))
-    none = np.empty(0, dtype=np.intp)
-    return _closed(predicting, loops, rows, parameters, readings, known, none)[rows]
+    place = {name: i for i, name in enumerate(predicting.parameters.names)}
+    free = np.array([place[name] for name in estimated], dtype=np.intp)
+    return _closed(predicting, loops, rows, parameters, readings, known, free)[rows]
 
 
 def solving(mechanism: Mechanism, hidden: Collection[str]) -> Mechanism:

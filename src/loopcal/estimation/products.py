@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.solve.reduction import LARGE
+
 Array = NDArray[np.float64]
 
 
@@ -16,3 +18,14 @@ def rows_times(rows: Array, matrix: Array) -> Array:
     flat = rows.reshape(int(np.prod(rows.shape[:-1])), rows.shape[-1])
     found: Array = (flat @ matrix).reshape(*rows.shape[:-1], matrix.shape[1])
     return found
+
+
+def rows_times_upper(rows: Array, matrix: Array) -> Array:
+    """The same with an upper triangle (n, n), of which nothing below the diagonal is multiplied."""
+    if len(matrix) < LARGE:
+        return rows_times(rows, matrix)
+    from scipy.linalg.blas import dtrmm
+
+    flat = np.ascontiguousarray(rows).reshape(-1, len(matrix))
+    found: Array = dtrmm(1.0, np.asfortranarray(matrix), flat.T, trans_a=1)
+    return found.T.reshape(rows.shape)

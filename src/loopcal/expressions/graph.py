@@ -12,6 +12,8 @@ import math
 from loopcal.expressions.operations import evaluate_scalar
 
 Node = int
+_PLAIN, _SPECIAL = frozenset({"add", "sub", "mul", "div"}), frozenset({"constant", "neg"})
+"""Operations that are simplified beside these arguments only, but for the product of equals."""
 
 
 class Graph:
@@ -39,8 +41,18 @@ class Graph:
 
     def apply(self, name: str, *arguments: Node) -> Node:
         """The node of an operation on nodes, simplified where the result is the same number."""
+        operations = self.operations
+        if name in _PLAIN:  # nine of ten
+            a, b = arguments
+            if (
+                operations[a][0] not in _SPECIAL
+                and operations[b][0] not in _SPECIAL
+                and (a != b or name != "mul")
+            ):
+                turned = a > b and (name == "add" or name == "mul")
+                return self._intern(name, (b, a) if turned else arguments)
         values: list[float | None] = []
-        for kind, payload in [self.operations[a] for a in arguments]:
+        for kind, payload in [operations[a] for a in arguments]:
             values.append(payload[0] if kind == "constant" else None)
         if None not in values:
             folded = evaluate_scalar(name, *(v for v in values if v is not None))

@@ -60,23 +60,27 @@ def _sums(tape: Tape, varies: Sequence[bool]) -> list[Instruction]:
     uses.update(tape.outputs)
     inside: set[Position] = set()
     for position, (name, payload) in enumerate(tape.operations):
-        if name in ("add", "sub") and varies[position]:
-            products = {int(a) for a in payload}
-            if len(products) == 2 and all(
-                tape.operations[a][0] == "mul" and varies[a] and uses[a] == 1 for a in products
+        if (name == "add" or name == "sub") and varies[position]:
+            a, b = int(payload[0]), int(payload[1])
+            if (
+                a != b
+                and uses[a] == uses[b] == 1
+                and tape.operations[a][0] == tape.operations[b][0] == "mul"
+                and varies[a]
+                and varies[b]
             ):
-                inside |= products
+                inside |= {a, b}
     return list(_fused(tape, varies, inside))
 
 
 def _fused(tape: Tape, varies: Sequence[bool], inside: set[Position]) -> Iterator[Instruction]:
     other = {"sin": "cos", "cos": "sin"}
-    where = {(name, payload): i for i, (name, payload) in enumerate(tape.operations)}
+    where = {one: i for i, one in enumerate(tape.operations) if one[0] in other}
     done: set[Position] = set()
     for position, (name, payload) in enumerate(tape.operations):
-        arguments = tuple(int(a) for a in payload)
         if name in LEAVES or not varies[position] or position in inside or position in done:
             continue
+        arguments = tuple([int(a) for a in payload])
         if name in other:
             pair = {name: position, other[name]: where.get((other[name], payload))}
             done.update(p for p in pair.values() if p is not None)
@@ -120,13 +124,18 @@ def _in_rows(tape: Tape, instructions: Sequence[Instruction], ends: Sequence[int
         if name in ("quantity", "known"):
             rows[position] = int(payload[0]) + (len(tape.quantities) if name == "known" else 0)
     count = len(tape.quantities) + len(tape.known)
-    kept = {*rows, *tape.outputs}
-    last = {a: i for i, one in enumerate(instructions) for a in one.arguments}
+    # of each position: whether its row stays its own, and the last instruction that takes it
+    kept, last = bytearray(len(tape.operations)), [-1] * len(tape.operations)
+    for position in (*rows, *tape.outputs):
+        kept[position] = True
+    for i, one in enumerate(instructions):
+        for argument in one.arguments:
+            last[argument] = i
     free: list[int] = []
     results: list[tuple[int, ...]] = []
     for i, one in enumerate(instructions):
         for argument in set(one.arguments):
-            if last[argument] == i and argument in rows and argument not in kept:
+            if last[argument] == i and not kept[argument] and argument in rows:
                 free.append(rows[argument])
         own = []
         for _ in one.results:
@@ -134,9 +143,10 @@ def _in_rows(tape: Tape, instructions: Sequence[Instruction], ends: Sequence[int
                 free.append(count)
                 count += 1
             own.append(free.pop())
-        rows |= {r: row for r, row in zip(one.results, own, strict=True) if r is not None}
-        free += [
-            row for r, row in zip(one.results, own, strict=True) if r not in last and r not in kept
-        ]
+        for result, row in zip(one.results, own, strict=True):
+            if result is not None:
+                rows[result] = row
+            if result is None or (last[result] < 0 and not kept[result]):
+                free.append(row)
         results.append(tuple(own))
     return Program(tuple(instructions), tuple(ends), rows, tuple(results), count)

@@ -26,7 +26,7 @@ def rewritten(operations: Iterable[Operation], rule: Rule) -> tuple[Graph, list[
         if name in LEAVES:
             place.append(graph.leaf(name, payload[0]))
         else:
-            place.append(rule(graph, name, tuple(place[int(a)] for a in payload)))
+            place.append(rule(graph, name, tuple([place[int(a)] for a in payload])))
     return graph, place
 
 
@@ -80,10 +80,12 @@ def in_stages(tape: Tape, ends: Sequence[int]) -> Tape:
         needed = set(tape.needed_by(tape.outputs[:end])) - order.keys()
         order |= {position: len(order) + i for i, position in enumerate(sorted(needed))}
     operations = tuple(
-        (name, payload if name in LEAVES else tuple([order[int(a)] for a in payload]))
-        for name, payload in (tape.operations[position] for position in order)
+        [
+            (name, payload if name in LEAVES else tuple([order[int(a)] for a in payload]))
+            for name, payload in [tape.operations[position] for position in order]
+        ]
     )
-    return replace(tape, operations=operations, outputs=tuple(order[o] for o in tape.outputs))
+    return replace(tape, operations=operations, outputs=tuple([order[o] for o in tape.outputs]))
 
 
 def _from_tangent(graph: Graph, name: str, arguments: tuple[Node, ...]) -> Node:
@@ -104,5 +106,10 @@ def varying(operations: Iterable[Operation]) -> tuple[bool, ...]:
         if name in LEAVES:
             varies.append(name in ("quantity", "known"))
         else:
-            varies.append(any(varies[int(a)] for a in payload))
+            for a in payload:
+                if varies[int(a)]:
+                    varies.append(True)
+                    break
+            else:
+                varies.append(False)
     return tuple(varies)

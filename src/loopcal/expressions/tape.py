@@ -71,8 +71,10 @@ class Tape:
         needed = _reachable(everything, outputs)
         place = {node: position for position, node in enumerate(needed)}
         operations = tuple(
-            (name, payload if name in LEAVES else tuple([place[int(a)] for a in payload]))
-            for name, payload in (everything[node] for node in needed)
+            [
+                (name, payload if name in LEAVES else tuple([place[int(a)] for a in payload]))
+                for name, payload in [everything[node] for node in needed]
+            ]
         )
         return cls(
             tuple(quantities),

@@ -206,7 +206,7 @@ class Mechanism:
             )
         check_terms(self.terms, self.parameters)
 
-    @property
+    @cached_property
     def learnt_terms(self) -> tuple[Term, ...]:
         """The terms with a parameter that is not fixed: only their sds can be learnt."""
         free = frozenset(self.parameters.free)

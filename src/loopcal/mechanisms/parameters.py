@@ -81,12 +81,12 @@ class Parameters:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """All names, in order."""
-        return tuple(p.name for p in self.items)
+        return tuple([p.name for p in self.items])
 
-    @property
+    @cached_property
     def free(self) -> tuple[str, ...]:
         """Names of the parameters that are estimated, in order."""
-        return tuple(p.name for p in self.items if not p.fixed)
+        return tuple([p.name for p in self.items if not p.fixed])
 
     def matching(self, pattern: str) -> tuple[str, ...]:
         """Names that a name or glob stands for.
@@ -117,8 +117,14 @@ class Parameters:
         for name in changes:
             self[name]  # raises for a name that is not there
         return Parameters(
-            tuple(replace(p, **changes[p.name]) if p.name in changes else p for p in self.items)
+            tuple([_with(p, changes[p.name]) if p.name in changes else p for p in self.items])
         )
+
+
+def _with(parameter: Parameter, changes: Mapping[str, Any]) -> Parameter:
+    """The parameter with other values; itself where none differs."""
+    fields = {**vars(parameter), **changes}
+    return parameter if fields == vars(parameter) else Parameter(**fields)
 
 
 def matching(pattern: str, names: Iterable[str], what: str) -> tuple[str, ...]:

@@ -68,6 +68,7 @@ def check_terms(terms: Sequence[Term], parameters: Parameters) -> None:
     """Raise InputError for terms that share a name or a parameter, name one that is not there, mix
     units, or have members whose prior sds are not one finite number."""
     owner: dict[str, str] = {}
+    place = {p.name: i for i, p in enumerate(parameters)}
     units = {p.name: p.unit for p in parameters}
     for term in terms:
         if sum(other.name == term.name for other in terms) > 1:
@@ -97,7 +98,8 @@ def check_terms(terms: Sequence[Term], parameters: Parameters) -> None:
                 code="wrong-unit",
                 remedy="make one term for each unit: these share one sd",
             )
-        _check_sds([p for p in parameters if p.name in term.parameters and not p.fixed], term)
+        members = [parameters.items[i] for i in sorted([place[n] for n in term.parameters])]
+        _check_sds([member for member in members if not member.fixed], term)
 
 
 def _check_sds(members: Sequence[Parameter], term: Term) -> None:

@@ -147,18 +147,20 @@ def choose(
             none = Chosen(entrant.name, (), words, ())
             return Choice(case.fit.method.name, whole, none, None, None)
     judged += _all_fitted([_begun(e, None) for e in waiting if e.structured], iterated)
-    near = next((one.whole for one in judged if one.whole and not one.failed), None)
-    judged += _all_fitted([_begun(e, near) for e in waiting if not e.structured], iterated)
-    _refuse(judged)
     case = replace(case, trusted=True)
-    best = _closest(judged)
+    best, near = _closest(judged), next((o.whole for o in judged if o.whole and not o.failed), None)
     told = (
         changes(case, best.entrant.case.fit, best.whole) if best and best.whole else unchanged(case)
     )
-    if told.found:
-        case = told.case
-        known = {best.name: told.whole} if best else {}
-        judged = _all_fitted(list(entrants(case, told.moved, told.made)), iterated, known)
+    known: dict[str, Result | None] = {}
+    if told.found and best:
+        case, near, known = told.case, told.whole, {best.name: told.whole}
+        judged, waiting = [], list(entrants(case, told.moved, told.made))
+    else:
+        waiting = [one for one in waiting if not one.structured]
+    # those without a model error are fitted once, where what happened during the run is known
+    judged += _all_fitted([_begun(one, near) for one in waiting], iterated, known)
+    _refuse(judged)
     other = scheme if scheme and scheme.other is not None else None
     plan = _plan(told.plain, None if other else _of(scheme, told))
     if plan is not None:

@@ -19,6 +19,7 @@ from loopcal.statistics.candidates import nominal_case
 from loopcal.statistics.case import Case
 from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, apart, find_shifts
 from loopcal.statistics.identifiability import WhatDataSay, calibration_index, what_data_say
+from loopcal.statistics.moved_by import sized
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.observability import data_spectrum, observability
 from loopcal.statistics.optima import other_optima
@@ -105,13 +106,15 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
     solution = result.solution
     with one_blas_thread():
         known = predictor(result)
-        # both take as long; the document is kept with the result
-        searched, _ = gathered(own_threads(), _asked, result, (_searched, _documented))
-        assert searched is not None
-        outliers, shifts = searched.outliers, searched.shifts
+        # side by side: the result keeps what they find
+        asked: tuple[Callable[[Result], object], ...] = (find_outliers, _shifts, _documented)
+        gathered(own_threads(), _asked, result, asked)
+        outliers, shifts = find_outliers(result), _shifts(result)
+        if outliers.columns:
+            shifts = NOT_SEARCHED
         told = result.document.change_points or ChangePoints((), shifts.level, 0)
         modelled, discarded = told.found, result.document.outliers or ()
-        new = tuple(p for p in shifts.found if apart(p, modelled))
+        new = tuple(sized(result, p) for p in shifts.found if apart(p, modelled))
         toml = told.toml + shift_lines(result.dataset, new)
         shifts = replace(shifts, found=tuple(sorted((*modelled, *new), key=lambda p: p.number)))
         remaining = tuple(o for o in outliers.found if o.pose not in shifts.explained)
@@ -137,22 +140,14 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Searched:
-    """What does not fit, and what changed during the run."""
-
-    outliers: Outliers
-    shifts: Shifts
+def _asked(result: Result, what: Callable[[Result], object]) -> None:
+    what(result)
 
 
-def _asked(result: Result, what: Callable[[Result], _Searched | None]) -> _Searched | None:
-    return what(result)
-
-
-def _searched(result: Result) -> _Searched:
-    outliers = find_outliers(result)
-    able = result.status.converged and not outliers.columns
-    return _Searched(outliers, find_shifts(result) if able else NOT_SEARCHED)
+def _shifts(result: Result) -> Shifts:
+    """What changed during the run, where no column is at fault."""
+    able = result.status.converged and not result.faults
+    return find_shifts(result) if able else NOT_SEARCHED
 
 
 def _documented(result: Result) -> None:

@@ -117,7 +117,7 @@ def _sds(known: Predictor, x: Array, constants: Array, also: list[str]) -> list[
     names, values = solved.tape.quantities, np.array([p.nominal for p in solved.parameters])
     x = x.copy()
     rows = [names.index(q) for q in solved.outputs]
-    x[rows] = predict_outputs(solved, values, np.nan_to_num(x), constants)
+    x[rows] = predict_outputs(solved, values, np.nan_to_num(x), constants, known.names)
     good = np.isfinite(x).all(axis=0)
     S = output_sensitivity(solved, values, known.names, x[:, good], constants[:, good])
     covariance = by_parameters(known, S.by_parameter[:, : len(known.mechanism.outputs)])

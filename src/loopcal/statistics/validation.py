@@ -54,10 +54,10 @@ from loopcal.statistics.verification import day_problem
 
 Array = NDArray[np.float64]
 NEARLY = 1e-2
-"""Where sds of terms are learnt, refits converge to so many sds: far less than these are known, and
-no prediction moves by more than a hundredth of its error."""
+"""Where sds of terms are learnt, or weights are found in rounds, refits converge to so many sds: no
+prediction moves by more than a hundredth of its error."""
 ENOUGH = 1e-5
-"""Where none are learnt: no prediction moves by more than a hundred-thousandth of its error."""
+"""Elsewhere: no prediction moves by more than a hundred-thousandth of its error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,7 +316,8 @@ class _Begun:
             noise = (noise or Noise({})).begun_at(learnt.factors)
         # the mechanism of the calibration has the prior already
         fit = replace(case.fit, start=dict(whole.value), prior=None)
-        enough = NEARLY if whole.mechanism.learnt_terms else ENOUGH
+        rough = bool(whole.mechanism.learnt_terms) or fit.solver.at_readings
+        enough = NEARLY if rough else ENOUGH
         fit = replace(fit, tolerance=fit.tolerance or enough)
         same = len(case.data) == whole.problem.count  # no copied rows went
         near = Case(whole.mechanism, case.data, noise, fit, near=unread(whole) if same else {})

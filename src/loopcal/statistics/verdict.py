@@ -34,8 +34,13 @@ from loopcal.statistics.rule import COLUMN_FAULT, LOOSE, RARE, Rule, Said
 
 _CHANCE = 0.01
 """Share of good data sets with a pose so far off; the search for outliers names more."""
+_UNLIKE = 1.5
+"""Where residuals are the scale, a good pose may have so many times the usual variance: errors of
+joints act through lever arms of unlike length. The log of a p-value falls in proportion."""
 WORSE = 1.5
 """Rms on poses not used over rms on poses used that is called too large."""
+SMALL = 0.5
+"""Predicted sds by which changes may move the end point: 95 % regions then hold at least 90 %."""
 _MODELLED = 2
 """Learnt effects that a sound result names."""
 _NAMED = 3
@@ -58,11 +63,37 @@ def _not_converged(document: ResultDocument) -> Said | None:
 
 
 def _moved(document: ResultDocument) -> Said | None:
-    points = () if document.change_points is None else document.change_points.found
-    found = [point for point in points if not point.modelled]
-    if not found:
+    found = _unmodelled(document)
+    if all(_beside(document, point) < SMALL for point in found):
         return None
     return Said(_told("Something moved", "Something moved", found), float(len(found)))
+
+
+def _moved_little(document: ResultDocument) -> Said | None:
+    """Significant, yet small beside what the result states anyway."""
+    found = _unmodelled(document)
+    most = max((_beside(document, point) for point in found), default=math.inf)
+    if most >= SMALL:
+        return None
+    return Said(
+        f"{_told('Something moved a little', 'Something moved a little', found)} That moves the "
+        f"end point by {significant(most, 2)} of its predicted sd.",
+        most,
+    )
+
+
+def _unmodelled(document: ResultDocument) -> list[ChangePoint]:
+    points = () if document.change_points is None else document.change_points.found
+    return [point for point in points if not point.modelled]
+
+
+def _beside(document: ResultDocument, point: ChangePoint) -> float:
+    """By how many predicted sds, at the measured poses, a change moves the end point."""
+    region = None if document.prediction is None else document.prediction.region
+    stated = None if region is None else region.of(point.unit)
+    if stated is None or point.moves is None or not stated.sd_at_poses:
+        return math.inf
+    return point.moves / stated.sd_at_poses
 
 
 def _moved_and_modelled(document: ResultDocument) -> Said | None:
@@ -238,6 +269,8 @@ def _outliers(document: ResultDocument) -> Said | None:
     poses = 0 if tests is None else tests.poses
     whole = 0.5 * _CHANCE / poses if poses else 1.0
     single = whole / max(len(document.data.quantities), 1) if poses else 1.0
+    if tests is not None and tests.by_residuals:
+        whole, single = whole**_UNLIKE, single**_UNLIKE
     found = [
         entry
         for entry in document.outliers or ()
@@ -332,6 +365,13 @@ SOUND: tuple[Rule, ...] = (
         None,
         _moved_and_modelled,
         "Check what happened at these poses, or measure again.",
+    ),
+    Rule(
+        "changes-small",
+        None,
+        _moved_little,
+        "Predictions hold as stated. To be sure, add the effects that change_points of result.json "
+        "lists.",
     ),
     Rule("sds-generous", None, _noise_generous, "State smaller sds, or estimate them."),
     Rule("serial-dependence", None, _serial, "Look for shifts, or measure in random order."),

@@ -13,12 +13,13 @@ import loopcal as lc
 from analyses.file_faults import FAULTS, GOOD, ROUGH, draw
 from analyses.instruments import setup
 from loopcal.estimation.calibrate import started
-from loopcal.estimation.faults.misfit import misfit
-from loopcal.estimation.faults.search import column_faults
+from loopcal.estimation.faults.misfit import beside, misfit
+from loopcal.estimation.faults.search import NEAR, column_faults
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
 from loopcal.statistics.verdict import verdict_of
 from tests.reference.robots import urdf_of
+from tests.statistics.test_change_points import ARM, NOISE, joints
 
 SPATIAL = {
     "left-handed frame": "six-axis point",
@@ -132,3 +133,31 @@ def test_poses_of_a_measured_camera_whose_mounting_is_unknown(
     problem = started(arm, lc.Dataset.from_arrays(readings), noise, "auto")
     faults = column_faults(problem, suspected=False)
     assert [f.code for f in faults] == ([] if code is None else [code])
+
+
+def hardly_moving(factor: float) -> lc.Result:
+    """Joint 6 moves by 0.03 rad, and its readings are multiplied: 1 % of the spread at most."""
+    rng = np.random.default_rng(2)
+    poses = {**joints(60, 2), "theta_6": rng.normal(0.0, 0.03, 60)}
+    data = lc.simulate(ARM, poses, noise=NOISE, seed=2).dataset
+    wrong = data.with_readings({"theta_6": factor * data["theta_6"]})
+    return lc.calibrate(ARM, wrong, noise=NOISE, start="nominal", method="least-squares")
+
+
+@pytest.mark.parametrize(("factor", "codes"), [(1.0, []), (-1.0, ["reversed"])])
+def test_a_fault_within_what_a_drawing_may_miss_is_found_after_the_fit(
+    factor: float, codes: list[str]
+) -> None:
+    problem = hardly_moving(factor).problem
+    assert misfit(problem).share < NEAR
+    assert column_faults(problem, suspected=False) == ()
+    assert [fault.code for fault in column_faults(problem)] == codes
+
+
+def test_near_the_drawing_one_step_leaves_what_a_fit_leaves() -> None:
+    wrong = hardly_moving(-1.0).problem
+    share = beside(wrong)
+    right = replace(wrong, readings=hardly_moving(1.0).problem.readings)
+    assert share(wrong) == pytest.approx(misfit(wrong).share, rel=0.02)
+    # what is left is of second order in the fault
+    assert abs(share(right) - misfit(right).share) < 0.01 * misfit(wrong).share

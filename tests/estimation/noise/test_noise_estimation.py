@@ -17,7 +17,7 @@ from analyses.variance_components import SMALL, SmallNoise
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.noise.estimation import estimate_noise
 from loopcal.estimation.noise.learning import components
-from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model
+from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model, whitened
 from loopcal.estimation.noise.linear_model import fit as mixed_fit
 from loopcal.estimation.noise.variance_components import (
     estimate_ratios,
@@ -63,6 +63,20 @@ def test_the_criterion_s_slope_is_its_score() -> None:
         assert down is not None
         slope = (up.criterion - down.criterion) / 2e-5
         assert slope == pytest.approx(-2 * found.score[j], rel=1e-5, abs=1e-5)
+
+
+def test_the_sums_of_a_fit_are_those_of_its_linear_model() -> None:
+    """So a round of learning takes them as they are, and adds up no pose again."""
+    arm, poses = lc.planar_two_link(), planar_poses()
+    noise = lc.Noise({"?P": 1e-4, "phi?": 1e-3})
+    problem = build_problem(arm, lc.simulate(arm, poses, noise=noise, seed=4).dataset, noise)
+    end = solve(problem)
+    model = linear_model(problem, end.parameters, end.corrections, [[0, 1], [2], [3]])
+    joined = whitened(model, np.ones(3))
+    assert joined is not None
+    length = np.sqrt(np.diag(joined.total))
+    apart = (end.data.products - joined.total) / np.outer(length, length)
+    assert np.abs(apart).max() < 1e-9
 
 
 def test_parameters_that_are_hardly_told_apart_cost_the_criterion_no_digits() -> None:

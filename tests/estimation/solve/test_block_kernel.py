@@ -284,6 +284,35 @@ def test_sums_have_the_same_bits_whatever_the_width_and_the_threads(
     assert len(found) == 1
 
 
+@pytest.mark.usefixtures("restored")
+@pytest.mark.parametrize("loops", [3, 70])
+def test_rows_of_zeros_that_are_left_out_of_the_sums_add_nothing(loops: int) -> None:
+    """Four parameters of each loop that are in no other, and one that is in all."""
+    tape = trace(
+        lambda x, p: [
+            sum(p[4 * r + i] * np.cos(i * x[0] + r) for i in range(4)) + p[4 * loops] * x[0]
+            for r in range(loops)
+        ],
+        quantities=["x"],
+        parameters=[f"p{i}" for i in range(4 * loops + 1)],
+    )
+    engine = engine_for(tape, tape.parameters, 300)
+    engine.at(np.ones(4 * loops + 1))
+    noise = BlockNoise(ReadingUncertainty(np.ones((1, 1)), ()), (), (0,))
+    x = np.random.default_rng(3).uniform(-1, 1, (1, 300))
+    block = Block(slice(0, 300), x, np.zeros((1, 300)), np.zeros((0, 300)), noise)
+    kernel = kernel_for(engine, unweighted, exact=True)
+    rows = kernel.equations(block, summed=False).rows
+    assert rows is not None
+    assert np.mean((rows == 0.0).all(axis=2)) > 0.5
+    flat = rows.reshape(len(rows), -1).copy()
+    for width in _compiled.widths():
+        _compiled.use_width(width)
+        total = kernel.equations(block, summed=True).total
+        assert total is not None
+        alike(total, flat @ flat.T, 1e-14)
+
+
 def test_poses_that_cannot_close_are_marked(monkeypatch: pytest.MonkeyPatch) -> None:
     block = random_block("sds by pose", (), 50)
     sd = block.noise.sd.copy()

@@ -22,6 +22,7 @@ from loopcal.estimation.problem.alignment import align, can_be_placed, placed, s
 from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.estimation.residuals import residuals
 from loopcal.estimation.solve.solver import solve
+from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.mechanisms.mechanism import Family, Mechanism
 from loopcal.mechanisms.outputs import points
 
@@ -131,6 +132,47 @@ def _apart(problem: Problem, scales: _Scales) -> _Find:
         return np.where(np.isfinite(squares), np.sqrt(squares), np.inf)
 
     return find
+
+
+def beside(problem: Problem, steps: int = _STEPS) -> Callable[[Problem], float]:
+    """What other readings of these poses leave, one step from where the nominal machine stands.
+
+    Only for readings that it nearly fits, and others that are as near: one evaluation of the loops
+    instead of a fit. Infinite where no loop closes.
+    """
+    scales = _scales(problem)
+    names = undrawn(problem.mechanism) or problem.names
+    try:
+        find = _misplaced(problem, scales, steps)
+        good = _better(find(None), MOST)
+        start = _fitted(taken(problem, good), _begun(problem), names, steps)
+    except InputError:
+        return lambda other: math.inf
+    columns = np.zeros((problem.count, len(scales.loops), len(names)))
+    its = [problem.names.index(n) for n in names]
+    sweeper = Sweeper(problem)
+    sweeper.at(start)
+    for pattern, block in sweeper.blocks(np.broadcast_to(0.0, problem.readings.shape)):
+        found = sweeper.engine(pattern).evaluate(block.corrected, block.known)
+        loops = np.array(pattern.loops, dtype=np.intp)
+        J = found.by_parameter[its]
+        at = np.arange(problem.count)[block.poses]
+        columns[np.ix_(at, loops)] = J.transpose(2, 1, 0) / scales.loops[loops]
+
+    def share(other: Problem) -> float:
+        e = np.array(list(residuals(other, start).values())) / _scales(other).loops
+        e = np.where(np.isfinite(e), e, 0.0).T
+        left = e
+        for _ in range(_ROUNDS):
+            away = np.sqrt(np.square(left).sum(axis=1))
+            if not np.isfinite(away).all():
+                return math.inf
+            good = _better(away, MOST)
+            J = columns[good].reshape(-1, len(names))
+            left = e - columns @ np.linalg.lstsq(J, e[good].ravel(), rcond=None)[0]
+        return float(np.sqrt(np.square(left[good]).sum(axis=1).mean()))
+
+    return share
 
 
 def mounting(problem: Problem) -> float:

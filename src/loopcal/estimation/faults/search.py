@@ -10,6 +10,7 @@ be. Where no repair helps and the machine as drawn explains next to nothing, tha
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ from loopcal.errors import InputError
 from loopcal.estimation.faults.misfit import (
     HALF,
     at_start,
+    beside,
     fit_of_all,
     misfit,
     mounting,
@@ -163,7 +165,8 @@ def _gravest(file: _File, *, found: bool) -> tuple[Repair, ColumnFault] | None:
         return None
     few = _FEWEST if unread(problem) else _FEW
     tried = _tried(problem).repairs
-    first = [(misfit(_thinned(r.problem, few), 1, _FIRST).share, r) for r in tried]
+    share = _roughly(problem, before, few)
+    first = [(share(_thinned(r.problem, few)), r) for r in tried]
     least = min((share for share, _ in first), default=math.inf)
     if math.isinf(least) or not least < before:
         return None
@@ -192,6 +195,23 @@ def _gravest(file: _File, *, found: bool) -> tuple[Repair, ColumnFault] | None:
         best.code,
     )
     return best, told
+
+
+def _roughly(problem: Problem, before: float, few: int) -> Callable[[Problem], float]:
+    """The misfit of some poses, after a few steps at most.
+
+    Of a drawing that fits the readings as they stand, what repairs leave is linear: a repair that
+    moves them much leaves more.
+    """
+    here = _thinned(problem, few)
+    near = beside(here) if before <= NEAR and not unread(problem) else None
+
+    def share(some: Problem) -> float:
+        if near is not None and some.poses == here.poses:  # displaced rows are other poses
+            return near(some)
+        return misfit(some, 1, _FIRST).share
+
+    return share
 
 
 @dataclass(frozen=True, eq=False)

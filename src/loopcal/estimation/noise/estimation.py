@@ -361,7 +361,8 @@ class _Search:
             self.positions,
             at_readings=self.at_readings,
         )
-        return in_turn(present, model, ratios, lowest, common=self.common)
+        end = None if self.at_readings else solution
+        return in_turn(present, model, ratios, lowest, common=self.common, end=end)
 
 
 def scaled(problem: Problem, components: Sequence[Sequence[int]], ratios: Array) -> Problem:

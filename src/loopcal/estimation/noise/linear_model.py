@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.problem.problem import Problem
-from loopcal.estimation.products import rows_times
+from loopcal.estimation.products import rows_times, rows_times_upper
 from loopcal.estimation.solve.kernel import eliminate, loadings
 from loopcal.estimation.solve.reduction import WELL_CONDITIONED, inverse_of_upper
 from loopcal.estimation.solve.sweep import Sweeper
@@ -129,16 +129,20 @@ def linear_model(
 class Joined:
     """The whitened columns of all blocks at some ratios.
 
-    rows: (b, r, n + 1) each, W = L^-1 G: (b, r, K) each; volume: sum log|V|.
+    rows: (b, r, n + 1) each, W = L^-1 G: (b, r, K) each; volume: sum log|V|; sums: `total`, where
+    the fit at these ratios has it.
     """
 
     rows: list[Array]
     W: list[Array]
     volume: float
+    sums: Array | None = None
 
     @cached_property
     def total(self) -> Array:
         """[J e]^T [J e] over all poses, (n + 1, n + 1)."""
+        if self.sums is not None:
+            return self.sums
         flat = [rows.reshape(-1, rows.shape[2]) for rows in self.rows]
         return np.asarray(sum(rows.T @ rows for rows in flat))
 
@@ -157,7 +161,7 @@ def mixed_fit(model: LinearModel, joined: Joined) -> MixedFit:
     score_j = (|G_j^T V^-1 r|^2 - tr G_j^T P G_j) / 2, information_jk = |G_j^T P G_k|^2 / 2.
     """
     solved = _solved(model, joined)
-    at = _projected(model, joined, solved.root)
+    at = _projected(model, joined, solved)
     held = np.trace(at.first, axis1=1, axis2=2)
     score = _score(model, joined, solved.root @ solved.along, held)
     return MixedFit(joined.volume + solved.log_volume + solved.residual, score, at.information)
@@ -209,7 +213,7 @@ class Projected:
 def projected(model: LinearModel, ratios: Array) -> Projected | None:
     """What the parameters take up at these variance ratios; None where some V is singular."""
     joined = whitened(model, ratios)
-    return None if joined is None else _projected(model, joined, _solved(model, joined).root)
+    return None if joined is None else _projected(model, joined, _solved(model, joined))
 
 
 @dataclass(frozen=True)
@@ -217,13 +221,15 @@ class _Solved:
     """The least |R z - right|, R^T R = H, over the directions that are determined.
 
     root: H^-1 = root root^T; along: the solution in its directions; residual: what is left of the
-    squares; log_volume: log of the determinant of H, up to a constant.
+    squares; log_volume: log of the determinant of H, up to a constant; upper: whether root is an
+    upper triangle.
     """
 
     root: Array
     along: Array
     residual: float
     log_volume: float
+    upper: bool
 
 
 def _solved(model: LinearModel, joined: Joined) -> _Solved:
@@ -248,7 +254,7 @@ def _by_products(model: LinearModel, joined: Joined) -> _Solved | None:
     own, size = scale[:n], 1.0 / scale[n]
     log_volume = 2.0 * float(np.log(np.diag(R)[:n]).sum() - np.log(own).sum())
     residual = float(R[n, n] * size) ** 2
-    return _Solved(own[:, None] * inverse, R[:n, n] * size, residual, log_volume)
+    return _Solved(own[:, None] * inverse, R[:n, n] * size, residual, log_volume, True)
 
 
 def _by_rows(model: LinearModel, joined: Joined) -> _Solved:
@@ -263,7 +269,7 @@ def _by_rows(model: LinearModel, joined: Joined) -> _Solved:
     log_volume = 2.0 * float(np.log(values[kept]).sum() - np.log(scale).sum())
     along = U[:, kept].T @ R[:, n]
     left = R[:, n] - U[:, kept] @ along
-    return _Solved(root, along, float(left @ left), log_volume)
+    return _Solved(root, along, float(left @ left), log_volume, False)
 
 
 def _prior_rows(model: LinearModel) -> Array:
@@ -272,8 +278,11 @@ def _prior_rows(model: LinearModel) -> Array:
     return np.column_stack([np.diag(prior), prior * model.offset])
 
 
-def whitened(model: LinearModel, ratios: Array) -> Joined | None:
-    """The columns of all poses whitened; None where some V is singular."""
+def whitened(model: LinearModel, ratios: Array, sums: Array | None = None) -> Joined | None:
+    """The columns of all poses whitened; None where some V is singular.
+
+    sums: [J e]^T [J e] of all poses, where a fit at these ratios has added them up.
+    """
     n = len(model.precision)
     rows, W, log_V = [], [], 0.0
     for block in model.blocks:
@@ -286,16 +295,17 @@ def whitened(model: LinearModel, ratios: Array) -> Joined | None:
         whitened = np.linalg.inv(L) @ block.columns
         rows.append(np.ascontiguousarray(whitened[:, :, : n + 1]))
         W.append(whitened[:, :, n + 1 :])
-    return Joined(rows, W, log_V)
+    return Joined(rows, W, log_V, sums)
 
 
-def _projected(model: LinearModel, joined: Joined, root: Array) -> Projected:
+def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected:
     """With C = W^T W and Q = Y Y^T by pose."""
+    root, times = solved.root, rows_times_upper if solved.upper else rows_times
     n, rank, count = len(root), root.shape[1], model.components
     pairs, first, every = np.zeros((count, count)), np.zeros((count, rank, rank)), []
     for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
         turned = W.transpose(0, 2, 1)
-        Y = rows_times(turned @ rows[:, :, :n], root)
+        Y = times(turned @ rows[:, :, :n], root)
         C, Q = turned @ W, Y @ Y.transpose(0, 2, 1)
         members = np.equal.outer(np.arange(count), block.owner).astype(float)  # (c, K)
         pairs += members @ np.einsum("bkl,bkl->kl", C, C - 2.0 * Q) @ members.T

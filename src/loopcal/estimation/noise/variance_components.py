@@ -9,7 +9,9 @@ leaves it, when the likelihood says so (Karush, Kuhn and Tucker), whatever the s
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +38,8 @@ _FEW, _MANY = 0.05, 1e6
 """Degrees of freedom outside which the rise to a bound is at its limit."""
 _FARTHEST = 20.0
 """No bound is searched beyond so many powers of e above the estimate."""
+_NEARLY = 1e-4
+"""The logarithm of a bound is right to so much."""
 ALIKE = 0.95
 """Two estimates correlated beyond this cannot be separated by the data."""
 
@@ -222,12 +226,11 @@ def upper_bound(
     them. It is the upper end of a two-sided interval, because a bound is asked for only where the
     estimate came out low, which is half of all draws: so it holds in `level` of these.
     """
-    from scipy.optimize import brentq
-
     present = float(estimate.ratios[which])
     beyond = 0.5 * (1.0 - level)
     others = estimate.ratios
 
+    @cache  # the search for the root asks for both of its ends again
     def excess(logarithm: float) -> float:
         nonlocal others
         ratio = math.exp(logarithm)
@@ -244,11 +247,33 @@ def upper_bound(
     low = math.log(max(present, 1e-12))
     high = math.log(present + 1.0 / math.sqrt(information))
     farthest = high + _FARTHEST
-    while excess(high) < 0.0:
+    beneath = -_rise(2.0 * present * present * _left(estimate, which), beyond)
+    while (above := excess(high)) < 0.0:
         if high > farthest:
             return None
-        low, high = high, high + 1.0
-    return math.exp(float(brentq(excess, low, high, xtol=1e-4)))
+        low, high, beneath = high, high + 1.0, above
+    return math.exp(_crossing(excess, low, high, beneath, above))
+
+
+def _crossing(
+    rising: Callable[[float], float], low: float, high: float, beneath: float, above: float
+) -> float:
+    """Where a function rises through zero between low and high, where it is beneath and above.
+
+    By false position, the value of an end that stays halved (Dowell and Jarratt 1971).
+    """
+    stays = 0
+    while high - low > _NEARLY and above > 0.0:
+        middle = (low * above - high * beneath) / (above - beneath)
+        middle = min(max(middle, low + 0.5 * _NEARLY), high - 0.5 * _NEARLY)
+        value = rising(middle)
+        if value < 0.0:
+            low, beneath = middle, value
+            above, stays = (0.5 * above if stays < 0 else above), -1
+        else:
+            high, above = middle, value
+            beneath, stays = (0.5 * beneath if stays > 0 else beneath), 1
+    return high if above == 0.0 else (low * above - high * beneath) / (above - beneath)
 
 
 def _correlated(covariance: Array) -> NDArray[np.bool_]:

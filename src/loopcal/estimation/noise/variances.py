@@ -168,18 +168,26 @@ def learnt_by_sums(
 
 
 def in_turn(
-    problem: Problem, linear: LinearModel, ratios: Array, lowest: Array, *, common: bool
+    problem: Problem,
+    linear: LinearModel,
+    ratios: Array,
+    lowest: Array,
+    *,
+    common: bool,
+    end: End[Any] | None = None,
 ) -> Variances:
     """The scales of the terms at the sensors' present ratios, then one step of the ratios.
 
     problem: at the scales of the fit; linear: where the fit ended; ratios: (c,) present ones,
-    lowest: (c,) what none falls below; common: whether all noise is learnt. Without terms the
+    lowest: (c,) what none falls below; common: whether all noise is learnt; end: of the fit, whose
+    sums over all poses serve where it linearised the loops at the same place. Without terms the
     ratios are the best ones at once. Raises NoTrustworthyResult where the loops have no noise.
     """
     if not problem.mechanism.learnt_terms:
         found = estimate_ratios(linear, ratios, lowest=lowest)
         return Variances(found.ratios, found.criterion, found.converged, None, found)
-    joined = whitened(linear, ratios)
+    known = end is not None and not end.data.triangular
+    joined = whitened(linear, ratios, end.data.total if end and known else None)
     if joined is None:
         raise NoTrustworthyResult(
             "the sds cannot be estimated: the loops have no usable noise model where the fit ended",

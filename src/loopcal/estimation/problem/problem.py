@@ -52,18 +52,18 @@ class Problem:
     def names(self) -> tuple[str, ...]:
         """Names of the estimated parameters."""
         everything = self.mechanism.parameters.names
-        return tuple(everything[i] for i in self.free)
+        return tuple([everything[i] for i in self.free.tolist()])
 
     @property
     def unknowns(self) -> Unknowns:
         """What is estimated, apart from the poses."""
         return Unknowns(self.start, self.free, self.names, self.nominal, self.prior_sd)
 
-    @property
+    @cached_property
     def units(self) -> tuple[str, ...]:
         """SI units of the estimated parameters."""
         everything = self.mechanism.parameters.items
-        return tuple(everything[i].unit for i in self.free)
+        return tuple([everything[i].unit for i in self.free.tolist()])
 
     @cached_property
     def equations(self) -> int:

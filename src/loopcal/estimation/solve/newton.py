@@ -23,7 +23,7 @@ from loopcal.estimation.solve.block import Block, BlockNoise
 from loopcal.estimation.solve.gauss_newton import UNMEASURED_SCALE
 from loopcal.estimation.solve.reduced import Closed
 from loopcal.expressions.derivative import lagrangian_gradient
-from loopcal.expressions.engine import Engine, engine_for
+from loopcal.expressions.engine import Engine, Stage, engine_for
 from loopcal.expressions.tape import Tape
 
 Array = NDArray[np.float64]
@@ -32,9 +32,14 @@ _SHORTEST = 0.75 * 0.5 ** (_HALVINGS - 1)
 """A length below has been halved as often as allowed."""
 
 
-def close_by_newton(tape: Tape, parameters: Array, block: Block, tolerance: float) -> Closed:
-    """The nearest closed points of a block's poses, until steps are at most so many sds."""
-    first = engine_for(tape, (), 256)
+def close_by_newton(
+    tape: Tape, parameters: Array, block: Block, tolerance: float, estimated: tuple[str, ...] = ()
+) -> Closed:
+    """The nearest closed points of a block's poses, until steps are at most so many sds.
+
+    estimated: parameters by which an engine of these loops has derivatives already: it serves here.
+    """
+    first = engine_for(tape, estimated, 256)
     second = engine_for(lagrangian_gradient(tape), (), 256)
     first.at(parameters)
     second.at(parameters)
@@ -128,10 +133,11 @@ class _Poses:
 
     def _values(self, y: Array) -> Array:
         x = self.readings + self._corrections(y)
-        return self.first.evaluate(x, self.known).f.T.copy()
+        return self.first.evaluate(x, self.known, Stage.VALUES).f.T.copy()
 
     def _linearise(self, y: Array) -> _Local:
-        values = self.first.evaluate(self.readings + self._corrections(y), self.known)
+        x = self.readings + self._corrections(y)
+        values = self.first.evaluate(x, self.known, Stage.BY_QUANTITY)
         with np.errstate(invalid="ignore", over="ignore"):  # such poses are set aside below
             A = values.by_quantity.transpose(2, 1, 0) @ self.T
         f = values.f.T.copy()

@@ -189,7 +189,9 @@ class Sweeper:
             tape = self.problem.tape(pattern)
             from loopcal.estimation.solve.newton import close_by_newton
 
-            closed = close_by_newton(tape, parameters, part.at(read), NEGLIGIBLE)
+            closed = close_by_newton(
+                tape, parameters, part.at(read), NEGLIGIBLE, self.problem.names
+            )
             before = self.misfit(pattern, part)
             after = self.misfit(pattern, part.at(closed.corrections))
             better = ~closed.open & (after < _NEARER * before)
@@ -262,7 +264,9 @@ class Sweeper:
 
         some = np.flatnonzero(closed.open)
         near, tape = block.at(closed.corrections).of(some), self.problem.tape(pattern)
-        found = close_by_newton(tape, self.parameters, near, min(tolerance, 1e-3))
+        found = close_by_newton(
+            tape, self.parameters, near, min(tolerance, 1e-3), self.problem.names
+        )
         closed.corrections[:, some], closed.open[some] = found.corrections, found.open
         return replace(closed, contraction=1.0)
 

@@ -38,7 +38,7 @@ def _text(value: Any, margin: str = "\n") -> str:
     if isinstance(value, dict) and value:
         lines = (f"{_text(key)}: {_text(its, inner)}" for key, its in value.items())
         return "{" + inner + f",{inner}".join(lines) + margin + "}"
-    if isinstance(value, list) and any(isinstance(its, dict | list) for its in value):
+    if isinstance(value, list) and not {dict, list}.isdisjoint(map(type, value)):
         return "[" + inner + f",{inner}".join(_text(its, inner) for its in value) + margin + "]"
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
