@@ -89,7 +89,7 @@ types: $(STAMP) ## mypy; the modules of benchmarks import each other as scripts 
 
 suite: $(STAMP) ## pytest alone
 	@mkdir -p $(TMPDIR)
-	$(BIN)/python -m pytest -n $(JOBS)
+	$(BIN)/python -m pytest -n $(JOBS) $(LEFT_OUT)
 
 test-pythons: ## the suite on every interpreter of VERSIONS found, each in its own environment
 	@status=0; for v in $(VERSIONS); do python=; \
@@ -110,7 +110,8 @@ test-lowest: ## the suite on the oldest dependencies that pyproject.toml allows,
 		bounds = tomllib.load(open("pyproject.toml", "rb"))["project"]["dependencies"]; \
 		print(*(re.sub(">=([^,]*).*", r"==\1", bound) for bound in bounds), sep="\n")' > $(LOWEST)
 	@PIP_CONSTRAINT=$(LOWEST) $(MAKE) --no-print-directory install VENV=.venv-lowest EXTRAS=test
-	@$(MAKE) --no-print-directory suite VENV=.venv-lowest
+	@$(MAKE) --no-print-directory suite VENV=.venv-lowest \
+		LEFT_OUT="--ignore=src/loopcal/app --ignore=src/loopcal/files/project/edits.py"
 
 # A PATH with everything on it but what builds the engine.
 BARE := $(CURDIR)/.cache/bare
@@ -156,10 +157,10 @@ sanitize: ## the engine's tests, and a minute of random tapes, under sanitizers 
 fuzz: $(STAMP) ## ten minutes of random tapes through both engines
 	$(BIN)/python -m analyses.fuzz_engine --minutes 10
 
-benchmark: $(STAMP) ## times and memory beside other programs, as far as those can be had
+benchmark: $(STAMP) ## times and memory beside other programs, as far as those can be had; ARGUMENTS=--document writes the page
 	@$(call try,$(RIVALS),it is left out)
 	@command -v octave-cli >/dev/null || echo "GNU Octave: absent; it is left out"
-	$(BIN)/python benchmarks/run.py
+	$(BIN)/python benchmarks/run.py $(ARGUMENTS)
 
 clean: ## remove everything that make has made
 	rm -rf .venv .venv-* .cache .hypothesis build dist results

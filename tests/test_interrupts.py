@@ -94,10 +94,13 @@ Sweeper.sweep = long
 sys.exit(main(sys.argv[1:]))
 """
 
+HEARS = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+"""A process in the background of a shell is deaf to an interrupt, and so is what it starts."""
+
 
 def interrupted(program: str, *arguments: str, engine: str) -> tuple[int, str, str]:
     """Exit code, stdout and stderr of a program that gets SIGINT once it has begun."""
-    command = [sys.executable, "-c", program, *arguments]
+    command = [sys.executable, "-c", HEARS + program, *arguments]
     with subprocess.Popen(
         command,
         env=environment(LOOPCAL_ENGINE=engine, LOOPCAL_THREADS="2"),

@@ -14,6 +14,7 @@ from loopcal.estimation.problem.constants import known_constants, with_implied
 from loopcal.estimation.problem.enough import refuse_too_few, refuse_without_redundancy
 from loopcal.estimation.problem.patterns import Pattern, Poses, held_loops, patterns_of
 from loopcal.estimation.problem.size import refuse_without_length
+from loopcal.estimation.problem.standing import standing_exact
 from loopcal.estimation.problem.unknowns import Unknowns
 from loopcal.expressions.tape import Tape
 from loopcal.lazy import cached_property
@@ -133,6 +134,8 @@ def build_problem(
     uncertainty = resolve_noise(noise, stated, quantities, mechanism.quantity_group)
     missing = np.full(len(dataset), np.nan)
     raw = np.array([dataset.readings.get(q, missing) for q in quantities])
+    if whole:  # a chunk may stand still where the others move
+        uncertainty = standing_exact(mechanism, raw, uncertainty)
     known = known_constants(mechanism, dataset)
     parameters = mechanism.parameters
     values = {p.name: p.nominal for p in parameters} | dict(start or {})
