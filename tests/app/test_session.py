@@ -102,3 +102,18 @@ def test_a_kill_loses_nothing_that_was_confirmed(tmp_path: Path, seed: int) -> N
     found = killed(made(tmp_path / "arm"), seed)
     assert found.wrong == []
     assert found.edited >= 1
+
+
+def test_a_fault_in_an_act_is_shown_in_a_sentence_and_logged(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    view_module = pytest.importorskip("loopcal.app.view", reason="NiceGUI is absent")
+    said: list[str] = []
+    monkeypatch.setattr(view_module, "_tell", said.append)
+    view = view_module.View(Session(folder, command))
+    assert not view.act(lambda: 1 / 0)
+    assert said == [
+        "Nothing was done: ZeroDivisionError: division by zero. "
+        "This is a fault of loopcal; please report it."
+    ]
+    assert "ZeroDivisionError" in caplog.text

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import signal
 import threading
 from collections.abc import Iterator
+from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
@@ -83,6 +87,17 @@ def test_a_killed_run_leaves_the_worker_usable(told: Told, tmp_path: Path) -> No
     assert run.code < 0
     assert not run.cancelled
     assert told.ran(tmp_path, "print").code == 0
+
+
+@pytest.mark.skipif(
+    "forkserver" not in multiprocessing.get_all_start_methods(), reason="no warm process here"
+)
+def test_a_killed_warm_process_is_started_again(told: Told, tmp_path: Path) -> None:
+    assert told.ran(tmp_path, "print").code == 0
+    warm: int = getattr(forkserver, "_forkserver")._forkserver_pid  # noqa: B009
+    os.kill(warm, signal.SIGKILL)
+    os.waitid(os.P_PID, warm, os.WEXITED | os.WNOWAIT)
+    assert told.ran(tmp_path, "print", "again").text.startswith("again")
 
 
 def test_what_is_kept_of_a_long_output_is_its_end() -> None:

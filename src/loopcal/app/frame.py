@@ -49,7 +49,7 @@ STYLE = """
 :root { --good: #17693a; --care: #8a4b00; --bad: #b3261e; --none: #525964; }
 body.body--dark { --good: #6fdc9a; --care: #ffb95c; --bad: #ff9a90; --none: #a8b0bb; }
 .js-plotly-plot svg text { fill: var(--none) !important; }
-body .nicegui-code-copy { opacity: 1; }
+body .nicegui-code-copy { opacity: 1; inset: 0.15rem 0.25rem auto auto; }
 body.body--light a.nicegui-link { color: #0b5cad; }
 .good { color: var(--good) !important; } .care { color: var(--care) !important; }
 .bad { color: var(--bad) !important; } .none { color: var(--none) !important; }
@@ -71,7 +71,7 @@ body .tip { background: #333; color: #fff; font-size: 0.85rem; max-width: 22rem;
 .q-uploader__list { min-height: 1.5rem; padding: 4px 8px; }
 .linked :is(.selectionlayer, .outline-controllers) { display: none; }
 .linked .select-outline { pointer-events: none !important; }
-.command { max-width: 100%; } .command pre { padding-right: 2.5rem; }
+.command { max-width: 100%; } .command pre { padding-right: 2.5rem; white-space: pre-wrap; }
 .q-table td { white-space: normal; overflow-wrap: anywhere; }
 .step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }
 .q-btn { min-height: 44px; text-transform: none; }
@@ -219,7 +219,7 @@ def _run(session: Session) -> Callable[[], Any]:
     progress = left = None
     with ui.row().classes("items-center w-full q-gutter-sm"):
         ui.label(run.action.what).classes("text-subtitle2")
-        ui.code(run.action.command, language="bash").classes("text-caption gt-sm")
+        ui.code(run.action.command, language="bash").classes("text-caption gt-sm command")
         ui.space()
         if run.code is None:
             ui.spinner(size="sm")

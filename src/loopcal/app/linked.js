@@ -51,6 +51,7 @@ const linked = {
     const { color } = trace.marker;
     for (const point of figure.querySelectorAll(".trace:first-child path.point")) {
       const on = !some || marked.has(point.__data__.i);
+      point.style.fillOpacity = 1; // plotly keeps the alpha of a colour there
       if (typeof color !== "string") point.style.opacity = on ? 1 : trace.unselected.marker.opacity;
       else if (!some) point.style.fill = color;
       else point.style.fill = (on ? trace.selected : trace.unselected).marker.color;

@@ -28,7 +28,7 @@ Framed = tuple[Array, Array]
 """What the axes of a flat figure show: (N,) each."""
 SIZE = "distance"
 """The error of a pose as one number: the length of its differences."""
-_GRID = "rgba(128,128,128,0.3)"
+GRID = "rgba(128,128,128,0.3)"
 _SOLID = "#9aa1aa"
 _PLAIN = {"displaylogo": False, "displayModeBar": False, "scrollZoom": False, "responsive": True}
 _SPATIAL = {**_PLAIN, "scrollZoom": True}
@@ -246,10 +246,10 @@ class Errors:
     ) -> dict[str, Any]:
         said = "error" if what == SIZE else f"error of {what}"
         head = {
-            "xaxis": axis(x, gridcolor=_GRID, zeroline=False),
+            "xaxis": axis(x, gridcolor=GRID, zeroline=False),
             "yaxis": axis(
                 f"{said} [{self.unit}]",
-                gridcolor=_GRID,
+                gridcolor=GRID,
                 rangemode="tozero" if what == SIZE else "normal",
             ),
         }

@@ -13,7 +13,7 @@ from loopcal.app.pictures import look
 from loopcal.errors import InputError
 from loopcal.figures.figure import axis, names, numbers
 from loopcal.measurements.dataset import Dataset
-from loopcal.presentation.shown import factor, in_unit, unit_shown, with_unit
+from loopcal.presentation.shown import by_sd, factor, unit_shown, with_unit
 from loopcal.report.source import Source
 from loopcal.statistics.prediction import Prediction, predict
 from loopcal.statistics.predictor import Predictor, predictor_of
@@ -73,8 +73,7 @@ class Probe:
         found = self.at(joints)
         half = found.half_width()
         return [
-            f"{name} = {_number(float(found.outputs[name][0]), unit)} ± "
-            f"{_size(float(half[name][0]), unit)}"
+            _interval(name, float(found.outputs[name][0]), float(half[name][0]), unit)
             for name, unit in found.units.items()
         ]
 
@@ -123,11 +122,9 @@ def map_figure(found: Map) -> dict[str, Any] | None:
     return {"data": [trace], "layout": look(440, uirevision="map", **more), "config": PLAIN}
 
 
-def _number(value: float, unit: str) -> str:
+def _interval(name: str, value: float, half: float, unit: str) -> str:
     if not np.isfinite(value):
-        return "cannot be reached"
-    return f"{in_unit(value, unit):.3f}"
-
-
-def _size(value: float, unit: str) -> str:
-    return with_unit(value, unit, 2) if np.isfinite(value) else "unknown"
+        return f"{name}: cannot be reached"
+    if not np.isfinite(half):
+        return f"{name} = {with_unit(value, unit)}, uncertainty unknown"
+    return f"{name} = {by_sd(value, half, unit)} ± {with_unit(half, unit, 2)}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,8 +11,12 @@ from typing import Any
 from nicegui import ui
 
 from loopcal.app import words
+from loopcal.app.pictures import GRID
 from loopcal.app.session import Session
 from loopcal.errors import LoopcalError
+
+WHOLE = 100
+"""Rows of a table that is shown without turning its pages."""
 
 
 @dataclass(eq=False)
@@ -47,9 +52,11 @@ class View:
         try:
             do()
         except LoopcalError as error:
-            ui.notify(
-                str(error), type="negative", multi_line=True, timeout=15_000, close_button=True
-            )
+            _tell(str(error))
+            return False
+        except Exception as error:
+            logging.getLogger(__name__).exception("cannot be done")
+            _tell(words.NOT_DONE.format(fault=f"{type(error).__name__}: {error}"))
             return False
         self.refresh()
         return True
@@ -70,6 +77,11 @@ class View:
     def project_name(self) -> str:
         """Of the project file in the folder."""
         return self.session.folder.project.name
+
+
+def _tell(why: str) -> None:
+    """Show why something was not done."""
+    ui.notify(why, type="negative", multi_line=True, timeout=15_000, close_button=True)
 
 
 def title(view: View, label: str) -> None:
@@ -98,7 +110,7 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], **more: Any) ->
     content = [
         {"row": at, **{str(i): cell for i, cell in enumerate(row)}} for at, row in enumerate(rows)
     ]
-    settled = {"pagination": 25 if len(rows) > 25 else 0, **more}
+    settled = {"pagination": 50 if len(rows) > WHOLE else 0, **more}
     made_table = ui.table(columns=made, rows=content, row_key="row", **settled)
     hidden = "" if len(rows) > (settled["pagination"] or len(rows)) else "hide-pagination"
     return made_table.props(f"dense flat {hidden}").classes("w-full")
@@ -112,6 +124,9 @@ def figure(drawn: Any) -> Any:
         "plot_bgcolor": "rgba(0,0,0,0)",
         "font": {"color": "#6b7280"},
     }
+    for name in layout:
+        if name.startswith(("xaxis", "yaxis")):
+            layout[name] = {**layout[name], "gridcolor": GRID, "zerolinecolor": GRID}
     heading(drawn.title)
     ui.label(drawn.caption).classes("text-caption")
     content = {"data": list(drawn.data), "layout": layout, "config": {"displaylogo": False}}

@@ -35,6 +35,7 @@ CANCELLED = "cancelled; nothing was written"
 CHANGED = "Another page or program has changed the folder. This page shows it now."
 UNFINISHED = "The last run did not finish: {command}. Run it again."
 FAULT = "This step cannot be shown: {fault}. This is a fault of loopcal; please report it."
+NOT_DONE = "Nothing was done: {fault}. This is a fault of loopcal; please report it."
 DONE, ENDED = "done", "ended with exit code {code}"
 KILLED = "the run was killed; nothing was written. Run it again."
 MEANING = {

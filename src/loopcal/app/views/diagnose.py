@@ -89,6 +89,7 @@ def show(view: View) -> None:
                     over = errors.joint(name), errors.shown[what]
                     linked.plot(errors.over_joint(name, what), f"error over {name}", over)
         with ui.column().classes("acts"):
+            heading(words.SELECTED_POSES)
             _from_to(linked)
             linked.panel()
             ui.button(words.SELECT_NONE, on_click=partial(linked.select, [])).props("outline")
@@ -186,7 +187,6 @@ def _ends(linked: _Linked) -> None:
 def _selected(linked: _Linked) -> None:
     """The selected poses, and what can be done with them."""
     view, errors = linked.view, linked.errors
-    heading(words.SELECTED_POSES)
     if not view.selected:
         ui.label(words.NONE_SELECTED)
         return
