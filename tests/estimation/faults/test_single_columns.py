@@ -80,3 +80,12 @@ def test_a_search_without_bounds_is_cut_and_says_so(monkeypatch: pytest.MonkeyPa
     assert fault.code in ("wrong-machine", "rows-shuffled")
     assert len(tried) <= len(every) - pairs + 20
     assert f"{pairs:,} of {len(every):,} possible faults" in fault.words
+
+
+def test_a_joint_that_was_not_recorded_is_suspected() -> None:
+    given = setup("six-axis point")
+    whole = problem(given, 60)
+    readings = whole.readings.copy()
+    readings[whole.mechanism.tape.quantities.index("q2")] = 0.1
+    (fault,) = column_faults(replace(whole, readings=readings))
+    assert "perhaps 'q2' moved, but it reads the same in every pose; or another" in fault.words

@@ -32,9 +32,10 @@ from loopcal.estimation.faults.misfit import (
 )
 from loopcal.estimation.problem.alignment import can_be_placed, seen_points
 from loopcal.estimation.problem.problem import Problem, taken
+from loopcal.estimation.problem.standing import standing
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import Family
-from loopcal.presentation.shown import size, unit_shown
+from loopcal.presentation.shown import enumerated, size, unit_shown
 
 if TYPE_CHECKING:
     from loopcal.estimation.faults.repairs import Repair
@@ -261,10 +262,17 @@ def _hopeless(problem: Problem) -> tuple[ColumnFault, ...]:
             f"rows, or ids that do not match){_tried(problem).words}"
         )
         return (ColumnFault(names, words, known(left.size), None, True, "rows-shuffled"),)
+    causes = "another robot type, or joint readings of another file"
+    quantities = problem.mechanism.tape.quantities
+    stuck = [repr(quantities[i]) for i in standing(problem.mechanism, problem.readings)]
+    if stuck:
+        it_reads = "it reads" if len(stuck) == 1 else "they read"
+        causes = (
+            f"perhaps {enumerated(stuck)} moved, but {it_reads} the same in every pose; or {causes}"
+        )
     words = (
         f"the nominal machine does not describe these readings: wherever it is placed, half of the "
-        f"poses are more than {how} off; another robot type, or joint readings of another file"
-        f"{_tried(problem).words}"
+        f"poses are more than {how} off; {causes}{_tried(problem).words}"
     )
     return (ColumnFault(names, words, known(left.size), None, True, "wrong-machine"),)
 

@@ -18,30 +18,39 @@ FEWEST = 3
 """Poses from which equal readings are no chance."""
 
 
+def standing(mechanism: Mechanism, readings: NDArray[np.float64]) -> list[int]:
+    """Positions of the joints that read the same in every pose; readings (k, N).
+
+    Not those of instruments, whose readings follow from the machine, nor what is no reading (an
+    error of the machine model, taken as 0).
+    """
+    seen = {q for family in mechanism.families for q in family.readings}
+    seen |= {*mechanism.implied, *mechanism.disturbances}
+    if readings.shape[1] < FEWEST:
+        return []
+    return [
+        i
+        for i, name in enumerate(mechanism.tape.quantities)
+        if name not in seen and (readings[i] == readings[i, 0]).all()
+    ]
+
+
 def standing_exact(
     mechanism: Mechanism, readings: NDArray[np.float64], uncertainty: ReadingUncertainty
 ) -> ReadingUncertainty:
     """The uncertainty with the readings (k, N) of joints that never move taken as exact.
 
-    What they are off by is the same in all poses, and parameters take it up. Not those of
-    instruments, whose readings follow from the machine, nor what is no reading (an error of the
-    machine model, taken as 0); nor where a loop would be left without any that is uncertain.
+    What they are off by is the same in all poses, and parameters take it up. Not where a loop would
+    be left without any reading that is uncertain.
     """
     names, loops = mechanism.tape.quantities, mechanism.tape.depends_on()
-    seen = {q for family in mechanism.families for q in family.readings}
-    seen |= {*mechanism.implied, *mechanism.disturbances}
     inside = {i for block in uncertainty.blocks for i in block.indices}
     sd = uncertainty.sd
     uncertain = [bool((row > 0.0).all()) for row in sd]
     still = [
         i
-        for i, name in enumerate(names)
-        if name not in seen
-        and i not in inside
-        and uncertain[i]
-        and np.isfinite(sd[i]).all()
-        and readings.shape[1] >= FEWEST
-        and (readings[i] == readings[i, 0]).all()
+        for i in standing(mechanism, readings)
+        if i not in inside and uncertain[i] and np.isfinite(sd[i]).all()
     ]
     moving = {name for i, name in enumerate(names) if uncertain[i] and i not in still}
     if not still or not all(moving.intersection(inputs) for inputs in loops):
