@@ -190,7 +190,7 @@ class _Search:
     def _point(self, fit: Fitted, steps: Sequence[_Step], step: _Step) -> ChangePoint:
         """One of the steps of a fit beside all others, with its size."""
         rest, spare = self._without(fit, steps, step), fit.spare
-        own, log_p = self.candidates[step.candidate], self._log_p(rest, step, spare)
+        own, alone = self.candidates[step.candidate], self._log_p(rest, step)
         others = [
             i
             for i, c in enumerate(self.candidates)
@@ -210,11 +210,11 @@ class _Search:
                 for name, size, sd in zip(own.names, found.size.tolist(), sds, strict=True)
             },
             found.before(spare),
-            min(1.0, math.exp(log_p) * self.tests[step.ramp]),
+            min(1.0, math.exp(self._log_p(rest, step, spare)) * self.tests[step.ramp]),
             tuple(
                 ", ".join(self.candidates[i].names)
                 for i in others
-                if self._log_p(rest, replace(step, candidate=i), spare) - log_p < _ALIKE
+                if self._log_p(rest, replace(step, candidate=i)) - alone < _ALIKE
             ),
         )
 
