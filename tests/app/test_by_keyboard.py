@@ -60,10 +60,13 @@ class Keys(Hand):
         self.page.keyboard.press("Enter")
         options = self.page.get_by_role("option")
         options.first.wait_for()
-        at = next(i for i, text in enumerate(options.all_inner_texts()) if text.startswith(option))
-        for _ in range(at + 1):
+        focused = self.page.locator("[role=option].q-manual-focusable--focused")
+        for _ in range(20):  # the list begins where it was left
             self.page.keyboard.press("ArrowDown")
-        self.page.keyboard.press("Enter")
+            if any(text.startswith(option) for text in focused.all_inner_texts()):
+                self.page.keyboard.press("Enter")
+                return
+        raise AssertionError(f"the arrows do not reach {option}")
 
     def type(self, label: str, text: str) -> None:
         """Write into a field."""
@@ -84,6 +87,7 @@ def test_from_two_files_to_a_urdf_by_keyboard(browser: Any, tmp_path: Path) -> N
         keys.sees("Go on with the step Data")
         keys.step("Data")
         keys.drop("Drop the files of readings here", EXAMPLE / "poses.csv")
+        page.get_by_role("heading", name="Files of readings").wait_for()
         keys.run("Recognise")
         keys.sees("60 poses")
         keys.step("Fit")
