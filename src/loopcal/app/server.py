@@ -58,7 +58,9 @@ def serve(
     lock = FolderLock(path, f"http://{shown_host}:{number}")
     app.add_middleware(Guard, rules=rules)
     tell(f"http://{shown_host}:{number}{asked}")
-    app.add_static_file(local_file=Path(__file__).with_name("linked.js"), url_path=LINKED)
+    app.add_static_file(
+        local_file=Path(__file__).with_name("scripts") / "linked.js", url_path=LINKED
+    )
     app.add_api_route("/file/{name:path}", lambda name: sent(session, name))
     app.add_api_route("/page/{name:path}", lambda name: shown(session, name))
     ui.page("/", title=f"loopcal: {path.name}", response_timeout=60.0)(partial(build, session))
