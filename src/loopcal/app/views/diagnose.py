@@ -19,7 +19,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.report.tables import outlier_table
 
 TAKE = "(event) => linked.take(event, emit)"
-"""The page marks what an event of plotly selects (scripts/linked.js); its positions and range travel."""
+"""The page marks what an event of plotly selects (linked.js); its positions and range travel."""
 NONE = "() => linked.none(emit)"
 LISTED = 200
 """Rows of the table of selected poses."""
