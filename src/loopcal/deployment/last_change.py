@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem.constants import known_constants, with_implied
@@ -25,7 +26,14 @@ def after_last_change(machine: Mechanism, poses: Dataset) -> Dataset:
     for name in dated:
         now[machine.tape.known.index(name)] = machine.latest[name]
     values = np.array([p.nominal for p in machine.parameters])
-    x = np.array([data.readings[q] for q in machine.tape.quantities])
+    x = np.array([_read(machine, data, q) for q in machine.tape.quantities])
     moved = predict_outputs(machine, values, x, now) - predict_outputs(machine, values, x, then)
     seen = {q: poses.readings[q] + d for q, d in zip(machine.outputs, moved, strict=True)}
     return poses.with_readings(seen)
+
+
+def _read(machine: Mechanism, data: Dataset, quantity: str) -> NDArray[np.float64]:
+    """(N,) readings; of what nobody reads its value at home, 0 of an error of the model."""
+    if quantity in data.readings:
+        return data.readings[quantity]
+    return np.full(len(data), machine.home.get(quantity, 0.0))
