@@ -260,3 +260,20 @@ def test_readings_of_their_own_sd_are_judged_by_the_sd_that_was_learnt():
     del tiny["phi2"]
     own, none = (replace(made.dataset, sds=sds) for sds in (tiny, {}))
     assert verify(known, own).innovation == verify(known, none).innovation
+
+
+def test_components_that_nothing_tells_apart_are_sure_together() -> None:
+    """White noise of the instrument and of the model: which of them it is stays open, how large
+    their sum is does not."""
+    arm = planar_arm(40)
+    outputs = tuple(arm.truth.outputs)
+    sds = sds_of(arm) | {"model": 1e-4}
+    both = lc.Noise(sds, estimate={outputs: "group", "model": "group"})
+    alone = lc.Noise(sds_of(arm), estimate={outputs: "group"})
+    data = arm.read(sds_of(arm), 1)
+    day = elsewhere(arm, 7, 30).read(sds_of(arm), 8)
+    freedoms = []
+    for noise in (both, alone):
+        result = lc.calibrate(arm.truth, data, noise=noise, start="nominal", method="implicit-loop")
+        freedoms.append(lc.verify(result, day).innovation.learnt_freedom)
+    assert freedoms[0] == pytest.approx(freedoms[1], rel=0.05)

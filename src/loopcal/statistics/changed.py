@@ -23,6 +23,8 @@ _WORDS = {
     "gain": "gains",
 }
 _MOST_NAMED = 4
+_HARDLY = 1000.0
+"""A change that must be so many times as large as the smallest of its kind is not visible."""
 _WIDER = 1.5
 """A ratio of variances from which it is told."""
 
@@ -203,15 +205,18 @@ class WhatChanged:
             if one.smallest is not None:
                 seen.setdefault(f"{one.kind} {one.unit}", []).append(one)
         lines = [f"smaller changes are not always seen (seen with {percent(POWER)})"]
-        for its in seen.values():
+        hidden = [one.words for one in self.candidates if one.smallest is None]
+        for every in seen.values():
+            least = min(one.smallest or 0.0 for one in every)
+            its = [one for one in every if (one.smallest or 0.0) <= _HARDLY * least]
+            hidden += [one.words for one in every if one not in its]
             its = sorted(its, key=lambda one: one.smallest or 0.0)
             kind, unit = _WORDS.get(its[0].kind, its[0].kind), its[0].unit
-            least, most = its[0], its[-1]
-            told = f"  {kind}: from {with_unit(least.smallest, unit, 2)} ({least.name})"
-            if most is not least:
+            first, most = its[0], its[-1]
+            told = f"  {kind}: from {with_unit(first.smallest, unit, 2)} ({first.name})"
+            if most is not first:
                 told += f" to {with_unit(most.smallest, unit, 2)} ({most.name})"
             lines.append(told)
-        hidden = [one.words for one in self.candidates if one.smallest is None]
         if hidden:
             lines.append(f"  not visible at these poses: {_some(hidden)}")
         return lines

@@ -11,9 +11,11 @@ where these poses see it. The square of what no d explains, in the metric of its
 
 is the innovation of the machine (Bar-Shalom, Li and Kirubarajan, Estimation with Applications to
 Tracking and Navigation, 2001, section 5.4). Where sds were learnt it follows F instead. The noise
-has 1 / sum_j (w_j^2 / nu_j) degrees of freedom, nu_j = 2 s_j^4 / var(s_j^2) those of a component
-and w_j its share of the variance (Satterthwaite 1946). The machine's covariance has slopes D_a for
-the errors of learnt scales; along the axis i of A in the metric of S its variance has
+has 2 / sum_a (sum_j w_j d_ja)^2 degrees of freedom (Satterthwaite 1946), w_j the share of a learnt
+component in the variance and d_ja its relative change along the independent error a; where these
+are not known 1 / sum_j (w_j^2 / nu_j), nu_j = 2 s_j^4 / var(s_j^2). The machine's covariance has
+slopes D_a for the errors of learnt scales; along the axis i of A in the metric of S its variance
+has
 
     1 / nu_i = 1 / nu_noise + sum_a (D_a)_ii^2 / 2,
 
@@ -29,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal import chi_squared
+from loopcal.document.fit import NoiseEntry
 from loopcal.lazy import cached_property
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import DETERMINED, Replaced
@@ -220,35 +223,44 @@ def root_of(covariance: Array) -> Array:
 
 
 def components_of(known: Calibrated, quantities: Sequence[str]) -> list[list[int]]:
-    """Positions of the quantities of each learnt sd whose own uncertainty is known."""
+    """Positions of the quantities of each learnt sd above zero."""
     return [
         [quantities.index(q) for q in entry.quantities if q in quantities]
-        for entry in known.noise
-        if _freedom(entry.sd, entry.sd_of_sd, entry.source) is not None
+        for entry in _learnt(known)
     ]
 
 
+def _learnt(known: Calibrated) -> list[NoiseEntry]:
+    return [entry for entry in known.noise if entry.source == "estimated" and entry.sd > 0.0]
+
+
 def _noise_freedom(known: Calibrated, here: Replaced) -> float:
-    """Degrees of freedom of the sds that weigh these poses; inf where all are stated."""
+    """Degrees of freedom of the sds that weigh these poses; inf where all are stated.
+
+    Components that no reading tells apart, such as an instrument and a white error of the model,
+    are unsure alone and sure together: the errors of all are added along their common axes.
+    """
     if known.rejected is not None and known.factor > 1.0:
         return float(known.rejected.degrees_of_freedom)
     if known.residual is not None:
         return float(known.residual.freedom)
-    own = [_freedom(entry.sd, entry.sd_of_sd, entry.source) for entry in known.noise]
-    freedoms = [nu for nu in own if nu is not None]
-    if not freedoms:
+    own = _learnt(known)
+    if not own:
         return np.inf
-    shares = np.zeros(len(freedoms))
+    shares = np.zeros(len(own))
     for rows in here.rows:
         squares = np.square(rows.noise).sum(axis=(0, 1))
         np.add.at(shares, rows.owner, squares)
     shares /= max(len(here.e), 1)
-    total = float((np.square(shares) / np.array(freedoms)).sum())
+    if all(entry.slopes for entry in own):
+        changes = shares @ np.array([entry.slopes for entry in own])
+        total = 0.5 * float(changes @ changes)
+    else:
+        inverse = [_inverse_freedom(entry.sd, entry.sd_of_sd) for entry in own]
+        total = float(np.square(shares) @ np.array(inverse))
     return 1.0 / total if total > 0.0 else np.inf
 
 
-def _freedom(sd: float, sd_of_sd: float | None, source: str) -> float | None:
-    """nu = 2 s^4 / var(s^2), with var(s^2) = 4 s^2 var(s)."""
-    if source != "estimated" or not sd_of_sd or not sd:
-        return None
-    return 0.5 * (sd / sd_of_sd) ** 2
+def _inverse_freedom(sd: float, sd_of_sd: float | None) -> float:
+    """1 / nu, nu = 2 s^4 / var(s^2), with var(s^2) = 4 s^2 var(s); 0 where it is not known."""
+    return 2.0 * ((sd_of_sd or 0.0) / sd) ** 2
