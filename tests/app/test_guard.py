@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -82,7 +83,8 @@ def answered(app: Any, asked: Any, receive: Any = _nothing) -> list[Any]:
     async def send(message: Any) -> None:
         sent.append(message)
 
-    asyncio.run(app(asked, receive, send))
+    with ThreadPoolExecutor(1) as pool:  # a browser of other tests runs a loop in this thread
+        pool.submit(asyncio.run, app(asked, receive, send)).result()
     return sent
 
 

@@ -315,3 +315,23 @@ def test_the_command_writes_a_result_that_can_be_verified_and_updated(tmp_path: 
     assert wrong.returncode == 2
     assert "length=0.01mm" in wrong.stderr
     assert run("update", first, day, "--out", first).returncode == 2
+
+
+@pytest.mark.parametrize("model", [{}, {"model": 1e-3}])
+def test_a_machine_that_changed_along_its_run_is_updated_as_after_the_change(
+    model: dict[str, float],
+) -> None:
+    """New readings need no column that dates the change, also where the model has an error."""
+    changed = lc.with_effects(line(), [lc.effects.Shift(("b",), at=(20,))])
+    rng = np.random.default_rng(3)
+    q = rng.uniform(0.0, 1.0, 60)
+    number = np.arange(60.0)
+    y = 1.1 * q + 0.2 + 0.05 * (number >= 20) + 1e-3 * rng.standard_normal(60)
+    noise = lc.Noise({"q": 0.0, "y": 1e-3, "z": 1e-3} | model)
+    z = 1.1 * q + 1e-3 * rng.standard_normal(60)
+    dated = {"q": q[:40], "y": y[:40], "z": z[:40], "pose": number[:40]}
+    first = lc.calibrate(changed, dated, noise=noise, method="implicit-loop")
+    found = lc.update(first, {"q": q[40:], "y": y[40:], "z": z[40:]})
+    now = found.value["b"] + found.value["b_from20"]
+    assert now == pytest.approx(0.25, abs=2e-3)
+    assert found.sd["b_from20"] <= first.sd["b_from20"]

@@ -43,7 +43,7 @@ def changed(value: Any, path: str, new: Any) -> Any:
 
 
 def outlier(pose: str) -> Outlier:
-    return Outlier(pose, None, 30.0, 1e-6, 30.0, None, None)
+    return Outlier(pose, None, 60.0, 1e-12, 60.0, None, None)
 
 
 def test_a_page_made_again_from_the_files_is_the_same(planar: Path, six_axis: Path) -> None:

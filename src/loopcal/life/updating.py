@@ -26,6 +26,7 @@ from loopcal.estimation.calibrate import LEARNT, calibrate
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.inherited import UPDATED, Inherited
 from loopcal.estimation.methods.method import Method
+from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.unknowns import Unknowns
 from loopcal.estimation.result import Result
@@ -120,6 +121,7 @@ def updated(
     held = stated is not None
     if stated is None:
         stated, data = noise_of(known), as_learnt(known, data)
+    data = with_latest(known.mechanism, data)
     with one_blas_thread():
         problem = day_problem(known, data, stated)
         freedom = Freedom.of(known.mechanism, since.remounted)
@@ -174,7 +176,7 @@ def _fitted(
     sds = {names[i]: float(sd) for i, sd in zip(prior.free, prior.sds, strict=True)}
     begun = begun.with_parameters(begun.parameters.with_prior(sds))
     start = "nominal" if before is None else before.value
-    near = dict(zip(begun.tape.quantities, here.corrections, strict=True))
+    near = dict(zip(here.problem.mechanism.tape.quantities, here.corrections, strict=True))
     how = Fit(method=method, start=start, tolerance=LEARNT)
     return calibrate(begun, data, noise=noise, fit=how, near=near, trusted=True)
 

@@ -31,8 +31,9 @@ _HUBER, _ROUNDS = 2.0, 3
 _RATIOS, _BESIDE = 10.0 ** np.arange(-4.0, 5.0), 10.0 ** np.arange(-1.0, 2.0)
 _ENOUGH = 10
 """Poses for each equation of a pose, from which their scatter is taken as it is."""
-_ABSORBED = 1e-6
-"""What else the fit determines to less than this share cannot be told from a step."""
+_ABSORBED = 1e-4
+"""A step that the fit takes up but for this share cannot be told from it: columns stand at the
+corrected readings, which follow the errors, and what is left of them may be these alone."""
 
 
 @dataclass(frozen=True, eq=False)
