@@ -45,9 +45,12 @@ def test_a_set_up_is_simulated_and_calibrated(run: Run, folder: Path, kind: str)
     assert made.code == 0, made.err
     done = run(
         *("calibrate", "arm/project.toml", "--truth", "arm/poses.truth.json", "--json"),
-        *("--method", "implicit-loop", "--no-report"),
+        *("--method", "implicit-loop"),
     )
     assert done.code == 0, done.err
+    assert (
+        "largest error after calibration" in (folder / "arm/project-result/report.html").read_text()
+    )
     result = json.loads(done.out)
     assert result["chi_squared"]["p_value"] > 1e-3
     free = [p for p in result["parameters"] if not p["fixed"]]

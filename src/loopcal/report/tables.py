@@ -226,11 +226,14 @@ WORST = 10
 def worst_table(source: Source, before: Array, after: Array) -> Table | None:
     """The poses whose calibrated machine is farthest from what was measured, with causes.
 
-    before, after: (N,) distances [SI] of nominal and calibrated machine.
+    before, after: (instruments N,) distances [SI] of nominal and calibrated machine; the largest of
+    a pose counts.
     """
     accuracy = source.document.accuracy
     if accuracy is None or not np.isfinite(after).any():
         return None
+    count = len(source.table.poses)
+    before, after = (np.fmax.reduce(d.reshape(-1, count)) for d in (before, after))
     order = np.argsort(np.where(np.isfinite(after), -after, np.inf))[:WORST]
     named = {entry.pose: entry for entry in source.document.outliers or ()}
     rows = []
