@@ -53,6 +53,8 @@ def test_a_set_up_is_simulated_and_calibrated(run: Run, folder: Path, kind: str)
     assert result["chi_squared"]["p_value"] > 1e-3
     free = [p for p in result["parameters"] if not p["fixed"]]
     assert all(abs(p["error"]) < 5 * p["sd"] for p in free)
+    again = run("update", "arm/project-result", "arm/poses.csv", "--out", "arm/updated")
+    assert again.code == 0, again.err
 
 
 @pytest.mark.parametrize(

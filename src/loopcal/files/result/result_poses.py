@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.files.tables.columns import Column
@@ -21,7 +24,10 @@ def read_result_poses(folder: Path, mechanism: Mechanism) -> Dataset | None:
         return None
     stated = {**mechanism.quantities, **mechanism.known}
     columns = {name: Column(f"{name} [{unit}]") for name, unit in stated.items()}
-    return read_dataset(path, columns, pose="pose")
+    made = read_dataset(path, columns, pose="pose")
+    # what is implied has a column, and blank cells where no instrument read it
+    blank = {q for q in mechanism.implied if np.isnan(made.readings[q]).all()}
+    return replace(made, readings={q: v for q, v in made.readings.items() if q not in blank})
 
 
 def poses_of_result(path: str | Path, mechanism: Mechanism) -> Dataset | None:
