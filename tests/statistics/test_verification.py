@@ -267,9 +267,9 @@ def test_components_that_nothing_tells_apart_are_sure_together() -> None:
     their sum is does not."""
     arm = planar_arm(40)
     outputs = tuple(arm.truth.outputs)
-    sds = sds_of(arm) | {"model": 1e-4}
-    both = lc.Noise(sds, estimate={outputs: "group", "model": "group"})
-    alone = lc.Noise(sds_of(arm), estimate={outputs: "group"})
+    learnt: dict[str | tuple[str, ...], str] = {outputs: "group"}
+    both = lc.Noise(sds_of(arm) | {"model": 1e-4}, estimate={**learnt, "model": "group"})
+    alone = lc.Noise(sds_of(arm), estimate=learnt)
     data = arm.read(sds_of(arm), 1)
     day = elsewhere(arm, 7, 30).read(sds_of(arm), 8)
     freedoms = []
