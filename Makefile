@@ -85,7 +85,7 @@ lint: $(STAMP) ## ruff: rules and format
 
 types: $(STAMP) ## mypy; the modules of benchmarks import each other as scripts do
 	$(BIN)/mypy
-	cd benchmarks && $(abspath $(BIN))/mypy --config-file ../pyproject.toml --cache-dir ../.cache/mypy *.py
+	cd benchmarks && MYPYPATH=.. $(abspath $(BIN))/mypy --config-file ../pyproject.toml --cache-dir ../.cache/mypy *.py
 
 suite: $(STAMP) ## pytest alone
 	@mkdir -p $(TMPDIR)

@@ -47,7 +47,7 @@ def compared(
     fits: str, mine: list[Callable[[], Fit]], theirs: list[Callable[[], Fit]], rounds: int
 ) -> Small:
     """Both in turns; raises DisagreementError unless every chi-squared is the same."""
-    programs = {
+    programs: dict[str, Callable[[], list[Fit]]] = {
         "ours": ours.on_engine(ours.BEST, lambda: [f() for f in mine], 1),
         "odrpack": lambda: [f() for f in theirs],
     }
