@@ -22,6 +22,9 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "slipped_reflector"
 IRB = "a;d;alpha;theta\n0;290;-90;0\n270;0;0;-90\n70;0;-90;0\n0;302;90;0\n0;0;-90;0\n0;72;0;180\n"
 
 
+TABLET = pytest.mark.parametrize("hand", [pytest.param((1024, 768), id="tablet")], indirect=True)
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     with chromium() as found:
@@ -29,12 +32,13 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
-def hand(browser: Any, tmp_path: Path) -> Iterator[Hand]:
-    """A page of a server on an empty folder."""
+def hand(browser: Any, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Hand]:
+    """A page of a server on an empty folder; its size in pixels is that of a desktop by default."""
+    width, height = getattr(request, "param", (1440, 900))
     folder = tmp_path / "cell"
     folder.mkdir()
     with serving(folder) as served:
-        page = browser.new_page(viewport={"width": 1440, "height": 900})
+        page = browser.new_page(viewport={"width": width, "height": height})
         page.set_default_timeout(240_000)  # a busy machine takes its time
         page.goto(served.address)
         yield Hand(page, folder)
@@ -124,6 +128,7 @@ def write_planar(folder: Path) -> None:
     (folder / "arm.csv").write_text(table, "utf-8")
 
 
+@TABLET
 def test_a_planar_arm_with_a_cell_that_is_no_number(hand: Hand, tmp_path: Path) -> None:
     write_planar(tmp_path)
     hand.press("Denavit-Hartenberg table")
@@ -187,6 +192,7 @@ def test_the_workspace_set_below_half_a_millimetre_without_typing(
     assert_the_command_line_gives_the_same(hand)
 
 
+@TABLET
 def test_a_draw_wire_set(hand: Hand, tmp_path: Path, shared_data: Callable[[str], Path]) -> None:
     (tmp_path / "irb.csv").write_text(IRB, "utf-8")
     hand.press("Denavit-Hartenberg table")
