@@ -11,10 +11,10 @@ from loopcal.document.change_points import ChangePoints
 from loopcal.document.findings import Observability, OtherOptimum, RegionEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult
-from loopcal.estimation.result import Result
+from loopcal.estimation.result import Found, Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import gathered
-from loopcal.execution.local import own_threads
+from loopcal.execution.forked import own_cores
 from loopcal.statistics.candidates import nominal_case
 from loopcal.statistics.case import Case
 from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, apart, find_shifts
@@ -107,8 +107,9 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
     with one_blas_thread():
         known = predictor(result)
         # side by side: the result keeps what they find
-        asked: tuple[Callable[[Result], object], ...] = (find_outliers, _shifts, _documented)
-        gathered(own_threads(), _asked, result, asked)
+        asked: tuple[Callable[[Result], object], ...] = (find_outliers, _documented, _shifts)
+        for heard in gathered(own_cores(), _asked, result, asked):
+            result.keep(heard)
         outliers, shifts = find_outliers(result), _shifts(result)
         if outliers.columns:
             shifts = NOT_SEARCHED
@@ -140,8 +141,9 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
         )
 
 
-def _asked(result: Result, what: Callable[[Result], object]) -> None:
+def _asked(result: Result, what: Callable[[Result], object]) -> Found:
     what(result)
+    return result.found
 
 
 def _shifts(result: Result) -> Shifts:
