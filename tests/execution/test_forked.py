@@ -25,13 +25,10 @@ from tests.test_interrupts import HEARD, HEARS
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks on Linux alone")
 
-SLEEPS = f"""
-{HEARS}
-import os
+SLEEPS = """
 from loopcal.execution.executor import gathered
 from loopcal.execution.forked import Forked
 from tests.execution import pieces
-os.write(1, f"{os.getpid()}\\n".encode())
 gathered(Forked(3), pieces.sleeping, 60.0, range(3))
 """
 
@@ -77,8 +74,8 @@ def test_what_cannot_be_sent_is_done_here() -> None:
 
 
 def test_what_a_copy_was_given_comes_back_as_itself() -> None:
-    shared = {"known": [1.0, 2.0]}
-    own = [[float(i)] for i in range(6)]
+    shared = {"known": (1.0, 2.0)}
+    own = [(float(i),) for i in range(6)]
     found = gathered(Forked(2), pieces.given_back, shared, own)
     assert len({pid for *_, pid in found}) == 2
     for (known, (piece, new), _), its in zip(found, own, strict=True):
@@ -122,14 +119,14 @@ def test_a_process_with_threads_that_may_hold_a_lock_is_not_forked(
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
 def test_no_copy_outlives_a_process_that_is_interrupted_or_killed(sent: signal.Signals) -> None:
     with subprocess.Popen(
-        [sys.executable, "-c", SLEEPS],
+        [sys.executable, "-c", HEARS + SLEEPS],
         env=environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
     ) as process:
         assert process.stdout is not None
-        pids = {int(process.stdout.readline()) for _ in range(4)}
+        pids = {int(process.stdout.readline()) for _ in range(3)}
         assert len(pids) == 3
         process.send_signal(sent)
         process.wait(HEARD)

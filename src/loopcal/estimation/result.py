@@ -69,8 +69,6 @@ Array = NDArray[np.float64]
 T = TypeVar("T")
 Addition = Callable[[ResultDocument], ResultDocument]
 """Adds to the document of a result what was found beside the fit."""
-Found = tuple[dict[str, Any], dict[object, Any]]
-"""What follows from a result and was computed so far, by name, and what was found at some cost."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -519,19 +517,6 @@ class Result(Views):
             self.memory[what] = found()
         value: T = self.memory[what]
         return value
-
-    @property
-    def found(self) -> Found:
-        """What is known of this result beyond its fields."""
-        own = {one.name for one in fields(self)}
-        follows = {name: value for name, value in self.__dict__.items() if name not in own}
-        return follows, self.memory
-
-    def keep(self, found: Found) -> None:
-        """Know what a copy of this result in another process has found."""
-        follows, memory = found
-        self.__dict__.update(follows)
-        self.memory.update(memory)
 
     def adding(self, *additions: Addition) -> Result:
         """The same result with a document that gains these."""

@@ -289,7 +289,8 @@ def _write(file: int, content: bytes) -> None:
 
 
 def _within(*given: object) -> dict[int, object]:
-    """All objects that others are made of, by identity."""
+    """All objects that others are made of, by identity, but for lists and dictionaries, which a
+    copy may have filled."""
     found: dict[int, object] = {}
     waiting = list(given)
     while waiting:
@@ -302,7 +303,7 @@ def _within(*given: object) -> dict[int, object]:
                 waiting += one.values() if isinstance(one, Mapping) else one
         else:
             waiting += getattr(one, "__dict__", {}).values()
-    return found
+    return {number: one for number, one in found.items() if not isinstance(one, list | dict)}
 
 
 def _pickled(value: object, known: Mapping[int, object]) -> bytes:

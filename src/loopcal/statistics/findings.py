@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.change_points import ChangePoints
 from loopcal.document.findings import Observability, OtherOptimum, RegionEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult
-from loopcal.estimation.result import Found, Result
+from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import gathered
 from loopcal.execution.forked import own_cores
@@ -109,7 +110,8 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
         # side by side: the result keeps what they find
         asked: tuple[Callable[[Result], object], ...] = (find_outliers, _documented, _shifts)
         for heard in gathered(own_cores(), _asked, result, asked):
-            result.keep(heard)
+            result.memory.update(heard.pop("memory"))
+            vars(result).update(heard)
         outliers, shifts = find_outliers(result), _shifts(result)
         if outliers.columns:
             shifts = NOT_SEARCHED
@@ -141,9 +143,10 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
         )
 
 
-def _asked(result: Result, what: Callable[[Result], object]) -> Found:
+def _asked(result: Result, what: Callable[[Result], object]) -> dict[str, Any]:
+    """What the result holds afterwards: a copy of it may have been asked, in another process."""
     what(result)
-    return result.found
+    return dict(vars(result))
 
 
 def _shifts(result: Result) -> Shifts:
