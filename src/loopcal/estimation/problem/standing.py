@@ -49,11 +49,7 @@ def standing_exact(
     inside = {i for block in uncertainty.blocks for i in block.indices}
     sd = uncertainty.sd
     uncertain = [bool((row > 0.0).all()) for row in sd]
-    still = [
-        i
-        for i in alike
-        if i not in inside and uncertain[i] and np.isfinite(sd[i]).all()
-    ]
+    still = [i for i in alike if i not in inside and uncertain[i] and np.isfinite(sd[i]).all()]
     moving = {name for i, name in enumerate(names) if uncertain[i] and i not in still}
     if not still or not all(moving.intersection(inputs) for inputs in loops):
         return uncertainty
