@@ -82,9 +82,9 @@ def test_a_misfit_is_tried_from_elsewhere() -> None:
         sds = {name: 0.1 * float(10 ** rng.uniform(-3, 0)) for name in SDS}
         simulated = planar_arm(20, seed=seed)
         data, noise = simulated.read(sds, seed=seed), Noise(sds)
-        begun = {"noise": noise, "start": "nominal", "trusted": True}
-        best = calibrate(simulated.truth, data, **begun)
-        result = calibrate(simulated.off(0.3, 1.0, seed=seed), data, **begun)
+        best = calibrate(simulated.truth, data, noise=noise, start="nominal")
+        off = simulated.off(0.3, 1.0, seed=seed)
+        result = calibrate(off, data, noise=noise, start="nominal", trusted=True)
         assert result.status.converged
         assert result.solution.chi_squared <= best.solution.chi_squared * (1 + 1e-6)
         if "chi-squared is" in result.status.note:

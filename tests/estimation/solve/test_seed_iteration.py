@@ -109,14 +109,21 @@ def test_on_easy_data_it_reaches_the_optimum_of_the_globalised_solver(
 def test_from_afar_it_runs_away_and_says_so_where_the_globalised_solver_converges() -> None:
     simulated = ma1400(30)
     sds = dict.fromkeys(simulated.exact, 1e-3)
-    data = simulated.read(sds, seed=2)
-    begun = {"noise": Noise(sds), "start": "nominal", "max_iterations": 50, "trusted": True}
+    data, noise = simulated.read(sds, seed=2), Noise(sds)
     undamped: list[Status] = []
     globalised: list[Status] = []
     for seed in range(8):
         start = simulated.off(0.3, 1.0, seed=seed)
         for method, ended in (("implicit-loop-undamped", undamped), ("implicit-loop", globalised)):
-            result = calibrate(start, data, method=method, **begun)
+            result = calibrate(
+                start,
+                data,
+                noise=noise,
+                trusted=True,
+                method=method,
+                start="nominal",
+                max_iterations=50,
+            )
             assert result.chi_squared is not None
             assert result.status.converged == (result.chi_squared.value < 100)
             ended.append(result.status)
