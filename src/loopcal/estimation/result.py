@@ -242,9 +242,13 @@ class Result(Views):
         """
         if self.estimate is None or self.all_poses is not None or not self.status.converged:
             return None
+        from loopcal.estimation.noise.further_waves import unshared
         from loopcal.estimation.noise.kenward_roger import learnt_parameters
 
-        return learnt_parameters(self.estimate)
+        found = learnt_parameters(self.estimate)
+        corrections = self.solution.corrections
+        waves = unshared(self.problem, corrections, self.pose_equations(), found.root)
+        return found if waves is None else replace(found, added=found.added + waves)
 
     @property
     def covariance(self) -> Array:

@@ -80,7 +80,7 @@ class LearntParameters:
     @cached_property
     def matrix(self) -> Array:
         """(n, n) covariance of the parameters."""
-        return np.asarray(self.plain + 2.0 * self.root @ self.added @ self.root.T)
+        return np.asarray(self.plain + self.root @ self.added @ self.root.T)
 
     @cached_property
     def covariance(self) -> LearntCovariance:
@@ -105,7 +105,7 @@ class LearntParameters:
             T = rows_times(R, loading.T)
             parts.append(T @ np.swapaxes(T, -1, -2))
         slopes = np.tensordot(self.errors.T, np.array(parts).reshape(-1, *plain.shape), 1)
-        added = 2.0 * rows_times(R, self.added) @ turned
+        added = rows_times(R, self.added) @ turned
         return LearntCovariance(plain + added, plain, slopes)
 
 
@@ -155,7 +155,9 @@ def learnt_parameters(estimate: NoiseEstimate) -> LearntParameters:
     added += np.tensordot(np.diag(W)[c:], first[c:], 1)
     flat = along.reshape(-1, len(added))
     added -= flat.T @ flat
-    return LearntParameters(sensors.root, errors, sensors.first, tuple(U), added, sensors.ratios)
+    return LearntParameters(
+        sensors.root, errors, sensors.first, tuple(U), 2.0 * added, sensors.ratios
+    )
 
 
 def _by_sums(estimate: NoiseEstimate, prior: Array) -> _Sensors:
