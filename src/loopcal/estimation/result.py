@@ -242,18 +242,30 @@ class Result(Views):
         """
         if self.estimate is None or self.all_poses is not None or not self.status.converged:
             return None
-        from loopcal.estimation.noise.further_waves import unshared
+        from loopcal.estimation.noise.further_waves import shared
         from loopcal.estimation.noise.kenward_roger import learnt_parameters
 
         found = learnt_parameters(self.estimate)
         corrections = self.solution.corrections
-        waves = unshared(self.problem, corrections, self.pose_equations(), found.root)
-        return found if waves is None else replace(found, added=found.added + waves)
+        return replace(
+            found, shared=shared(self.problem, corrections, self.pose_equations(), found.root)
+        )
 
     @property
     def covariance(self) -> Array:
         """(n, n) of the estimated parameters."""
         return self.learnt_covariance.matrix
+
+    @property
+    def covariance_at_poses(self) -> Array:
+        """(n, n) for what the parameters do at the poses of the fit: what these share with their
+        neighbours, and the fit took for parameters, is in their residuals already."""
+        learnt = self._learnt
+        if self.drifting is not None or learnt is None or learnt.shared is None:
+            return self.covariance
+        factor = self._variance_factor if self.variance_factor_applied else None
+        own: Array = (factor or 1.0) * (learnt.root @ learnt.shared @ learnt.root.T)
+        return self.covariance - own
 
     @cached_property
     def degrees_of_freedom(self) -> Mapping[str, float | None]:

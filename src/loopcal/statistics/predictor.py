@@ -74,7 +74,7 @@ class Predictor:
     parameters, over the directions that are determined; undetermined: (n, d) steps [SI] that
     neither data nor prior limit; readings: what is known of their noise; usual: by instrument, the
     sd that parameters alone cause; typical: quantity -> a reading [SI] to start the search for
-    outputs from.
+    outputs from; at_poses: (n, n) the covariance for the poses of the fit, None: the same.
     """
 
     mechanism: Mechanism
@@ -84,6 +84,7 @@ class Predictor:
     readings: ReadingNoise = field(default_factory=ReadingNoise)
     usual: tuple[UsualSd, ...] = ()
     typical: Mapping[str, float] = field(default_factory=dict)
+    at_poses: Array | None = None
 
     @property
     def units(self) -> dict[str, str]:
@@ -172,6 +173,7 @@ def predictor(result: Result) -> Predictor | None:
         result.spectrum,
         x,
         ReadingNoise.of(result.noise, joint, unmeasured),
+        result.covariance_at_poses,
     )
 
 
@@ -182,6 +184,7 @@ def predictor_at(
     system: Spectrum,
     x: Array,
     readings: ReadingNoise,
+    at_poses: Array | None = None,
 ) -> Predictor:
     """The predictor of a parameter system, its usual sds taken at poses x (k, N) [SI]."""
     quantities = mechanism.tape.quantities
@@ -193,6 +196,7 @@ def predictor_at(
         system.scale[:, None] * system.directions[:, ~system.kept],
         readings,
         typical={q: v for q, v in typical.items() if math.isfinite(v)},
+        at_poses=at_poses,
     )
     return replace(bare, usual=_usual(bare, problem, x))
 
@@ -215,7 +219,7 @@ def _usual(bare: Predictor, problem: Problem, x: Array) -> tuple[UsualSd, ...]:
             at = at.copy()
             at[sorted(outputs)] = predict_outputs(mechanism, values, at, known)
         S = output_sensitivity(mechanism, values, bare.names, at, known, pattern.unmeasured)
-        gathered.append(by_parameters(bare, S.by_parameter))
+        gathered.append(by_parameters(bare, S.by_parameter, measured=True))
     if not gathered:
         return ()
     covariance = np.concatenate(gathered)
@@ -235,9 +239,13 @@ def _some(pattern: Pattern, total: int) -> NDArray[np.intp]:
     return np.intersect1d(chosen, np.arange(total)[pattern.poses])
 
 
-def by_parameters(known: Predictor, S: Array) -> Array:
-    """C_p = S Cov S^T, (N, o, o); inf for outputs that an undetermined direction moves."""
-    covariance: Array = rows_times(S, known.covariance.matrix) @ S.transpose(0, 2, 1)
+def by_parameters(known: Predictor, S: Array, *, measured: bool = False) -> Array:
+    """C_p = S Cov S^T, (N, o, o); inf for outputs that an undetermined direction moves.
+
+    measured: at poses of the fit.
+    """
+    own = known.at_poses if measured and known.at_poses is not None else known.covariance.matrix
+    covariance: Array = rows_times(S, own) @ S.transpose(0, 2, 1)
     for step in known.undetermined.T:
         effect = np.abs(S @ step)
         # measured by the largest single effect in the pose: an output may feel none of them

@@ -6,7 +6,7 @@ import pytest
 import loopcal as lc
 from analyses.gauntlet_worlds import World
 from analyses.smooth_errors import shifted
-from loopcal.estimation.noise.further_waves import _gained, unshared
+from loopcal.estimation.noise.further_waves import _gained, shared
 from loopcal.mechanisms.structure.smooth import Smooth
 
 
@@ -64,7 +64,7 @@ def test_smooth_errors_widen_the_regions_where_no_pose_was_measured() -> None:
         model_error="structured",
     )
     problem, root = result.problem, result.spectrum.root
-    gained = unshared(problem, result.solution.corrections, result.pose_equations(), root)
+    gained = shared(problem, result.solution.corrections, result.pose_equations(), root)
     assert gained is not None
     assert np.linalg.eigvalsh(np.eye(len(gained)) + gained).min() > 0.0
     plain = root @ root.T
@@ -78,7 +78,7 @@ def test_without_a_discrepancy_nothing_is_gained() -> None:
         trial.mechanism, trial.readings, noise=trial.noise, method="least-squares"
     )
     at = result.solution.corrections, result.pose_equations(), result.spectrum.root
-    assert unshared(result.problem, *at) is None
+    assert shared(result.problem, *at) is None
 
 
 @pytest.mark.parametrize("count", [12, 30])

@@ -37,7 +37,7 @@ _MOST = 60
 """Vectors k of the discrepancy and of the waves that follow, together."""
 
 
-def unshared(
+def shared(
     problem: Problem, corrections: Array, equations: Sequence[PoseEquations], root: Array
 ) -> Array | None:
     """(k, k) what the covariance of z gains by waves that the discrepancy leaves out.

@@ -62,7 +62,8 @@ class LearntParameters:
     root: (n, k), H^-1 = root root^T; errors: (c + t, a) changes of each sensor's variance ratio and
     of each term's log variance along each independent error; sensors: (c, k, k) = Z_j of sensors;
     loadings: those of the terms, Z_j = loading^T loading; added: (k, k) what the covariance of z
-    gains; ratios: (c,) of the sensors.
+    gains by it; ratios: (c,) of the sensors; shared: (k, k) what it gains by errors that
+    neighbouring poses share (`further_waves`), None without any.
     """
 
     root: Array
@@ -71,6 +72,12 @@ class LearntParameters:
     loadings: tuple[Array, ...]
     added: Array
     ratios: Array
+    shared: Array | None = None
+
+    @property
+    def gained(self) -> Array:
+        """(k, k) all that the covariance of z gains."""
+        return self.added if self.shared is None else self.added + self.shared
 
     @cached_property
     def plain(self) -> Array:
@@ -80,7 +87,7 @@ class LearntParameters:
     @cached_property
     def matrix(self) -> Array:
         """(n, n) covariance of the parameters."""
-        return np.asarray(self.plain + self.root @ self.added @ self.root.T)
+        return np.asarray(self.plain + self.root @ self.gained @ self.root.T)
 
     @cached_property
     def covariance(self) -> LearntCovariance:
@@ -105,7 +112,7 @@ class LearntParameters:
             T = rows_times(R, loading.T)
             parts.append(T @ np.swapaxes(T, -1, -2))
         slopes = np.tensordot(self.errors.T, np.array(parts).reshape(-1, *plain.shape), 1)
-        added = rows_times(R, self.added) @ turned
+        added = rows_times(R, self.gained) @ turned
         return LearntCovariance(plain + added, plain, slopes)
 
 
