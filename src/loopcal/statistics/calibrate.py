@@ -43,7 +43,7 @@ def calibrate(
     method "auto" (default) lets the others compete and takes the one that predicts poses not used
     (`loopcal.statistics.choice`); `Result.chosen` says which, over what, by how much. scheme: what
     it leaves out, by default 10 folds and 5 regions; executor: who does its fits, by default the
-    threads of this process. Without noise it weighs the readings as least squares does.
+    cores of this process. Without noise it weighs the readings as least squares does.
 
     "implicit-loop" finds the parameters of maximum likelihood while every loop
     closes: minimise sum_i c_i^T Sigma^-1 c_i + (p - nominal)^T Sigma_p^-1 (p - nominal) over

@@ -34,7 +34,7 @@ from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
-from loopcal.execution.local import own_threads
+from loopcal.execution.forked import helping, own_cores
 from loopcal.presentation.shown import by_sd, size, unit_shown
 from loopcal.presentation.wrapped import shortened
 from loopcal.statistics.candidates import Entrant, entrants
@@ -225,12 +225,15 @@ def _all_fitted(
     iterated: Iterated | None,
     known: Mapping[str, Result | None] = MappingProxyType({}),
 ) -> list[Judged]:
-    """Candidates with their fits of all poses, side by side; known: those at hand, by name."""
+    """Candidates with their fits of all poses, side by side; known: those at hand, by name.
+
+    Of fits in other processes nobody is told.
+    """
 
     def fitted(known: Mapping[str, Result | None], one: Entrant) -> Judged:
-        return _fitted(one, iterated, known.get(one.name))
+        return _fitted(one, None if helping() else iterated, known.get(one.name))
 
-    return gathered(own_threads(), fitted, known, entrants)
+    return gathered(own_cores(), fitted, known, entrants)
 
 
 def _fitted(one: Entrant, iterated: Iterated | None, whole: Result | None = None) -> Judged:
