@@ -197,7 +197,7 @@ class Result(Views):
             )
             own = LearntCovariance.known(known).through(S)
         else:
-            learnt = None if self.variance_factor_applied else self._learnt
+            learnt = None if self.variance_factor_applied else self.learnt
             own = (learnt or self._independent).through(S)
         return own if self.inherited is None else self.inherited.added_to(own, S)
 
@@ -205,10 +205,10 @@ class Result(Views):
     def learnt_noise(self) -> tuple[tuple[tuple[int, ...], Array], ...]:
         """Of each learnt sd of sensors: the quantities, by position, and the relative changes (a,)
         of its variance along the slopes of `covariance_through`."""
-        if self._learnt is None or self.estimate is None:
+        if self.learnt is None or self.estimate is None:
             return ()
         stated = self.estimate.stated
-        return tuple(zip((c.quantities for c in stated), self._learnt.relative, strict=True))
+        return tuple(zip((c.quantities for c in stated), self.learnt.relative, strict=True))
 
     @cached_property
     def _independent(self) -> LearntCovariance:
@@ -219,8 +219,8 @@ class Result(Views):
         if method.exact:
             return self._by_residuals()
         factor = self._variance_factor if self.variance_factor_applied else None
-        if self._learnt is not None:
-            learnt = self._learnt.covariance
+        if self.learnt is not None:
+            learnt = self.learnt.covariance
             return learnt if factor is None else learnt.scaled_by(factor)
         if factor is not None:
             return self._by_residuals()
@@ -235,37 +235,21 @@ class Result(Views):
         return LearntCovariance.scaled(plain * variance, self.freedom)
 
     @cached_property
-    def _learnt(self) -> LearntParameters | None:
+    def learnt(self) -> LearntParameters | None:
         """Kenward and Roger's covariance, where sds were learnt by a fit that converged.
 
         A stream has too many poses for it to matter.
         """
         if self.estimate is None or self.all_poses is not None or not self.status.converged:
             return None
-        from loopcal.estimation.noise.further_waves import shared
         from loopcal.estimation.noise.kenward_roger import learnt_parameters
 
-        found = learnt_parameters(self.estimate)
-        corrections = self.solution.corrections
-        return replace(
-            found, shared=shared(self.problem, corrections, self.pose_equations(), found.root)
-        )
+        return learnt_parameters(self.estimate, self.pose_equations())
 
     @property
     def covariance(self) -> Array:
         """(n, n) of the estimated parameters."""
         return self.learnt_covariance.matrix
-
-    @property
-    def covariance_at_poses(self) -> Array:
-        """(n, n) for what the parameters do at the poses of the fit: what these share with their
-        neighbours, and the fit took for parameters, is in their residuals already."""
-        learnt = self._learnt
-        if self.drifting is not None or learnt is None or learnt.shared is None:
-            return self.covariance
-        factor = self._variance_factor if self.variance_factor_applied else None
-        own: Array = (factor or 1.0) * (learnt.root @ learnt.shared @ learnt.root.T)
-        return self.covariance - own
 
     @cached_property
     def degrees_of_freedom(self) -> Mapping[str, float | None]:
@@ -332,8 +316,8 @@ class Result(Views):
         if handed_on or self.fit.solver.exact:
             return handed_on
         errors = None
-        if self._learnt is not None and self.drifting is None:  # a drift has no slopes
-            errors = self._learnt.errors[: len(self._learnt.ratios)]
+        if self.learnt is not None and self.drifting is None:  # a drift has no slopes
+            errors = self.learnt.errors[: len(self.learnt.ratios)]
         return entries(self.problem, self.estimate, self.stated, errors)
 
     @cached_property

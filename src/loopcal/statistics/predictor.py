@@ -173,8 +173,23 @@ def predictor(result: Result) -> Predictor | None:
         result.spectrum,
         x,
         ReadingNoise.of(result.noise, joint, unmeasured),
-        result.covariance_at_poses,
+        _at_poses(result),
     )
+
+
+def _at_poses(result: Result) -> Array | None:
+    """The covariance (n, n) for what the parameters do at the poses of the fit.
+
+    What these share with their neighbours, and the fit took for parameters, is in their residuals
+    already.
+    """
+    learnt = result.learnt
+    if learnt is None or learnt.shared is None or result.drifting is not None:
+        return None
+    chi = result.chi_squared
+    factor = chi.variance_factor if chi is not None and result.variance_factor_applied else None
+    own: Array = (factor or 1.0) * (learnt.root @ learnt.shared @ learnt.root.T)
+    return result.covariance - own
 
 
 def predictor_at(

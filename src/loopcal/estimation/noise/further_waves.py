@@ -43,14 +43,14 @@ def shared(
     """(k, k) what the covariance of z gains by waves that the discrepancy leaves out.
 
     equations: of the poses where the fit ended; root: (n, k), dp = root z. None without a
-    discrepancy, where a loop joins two poses, and where no such waves are seen.
+    discrepancy or equations, where a loop joins two poses, and where no such waves are seen.
     """
     smooth = structure_of(problem.mechanism).smooth
     if smooth is None or any(v.first is not None for v in problem.mechanism.variables):
         return None
     following = smooth.following(_MOST)
     rows = _columns(problem, smooth)
-    if not following.harmonics or not rows:
+    if not following.harmonics or not rows or not equations:
         return None
     names = problem.mechanism.tape.quantities
     here = {q: problem.readings[i] + corrections[i] for i, q in enumerate(names)}

@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.noise.further_waves import shared
 from loopcal.estimation.noise.linear_model import columns, projected
 from loopcal.estimation.noise.variances import owners
 from loopcal.estimation.products import rows_times
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from loopcal.estimation.noise.estimation import NoiseEstimate
+    from loopcal.estimation.problem.pose_equations import PoseEquations
 
 Array = NDArray[np.float64]
 _WIDEST = 3.0
@@ -139,10 +141,13 @@ class _Sensors:
     information: Array
 
 
-def learnt_parameters(estimate: NoiseEstimate) -> LearntParameters:
+def learnt_parameters(
+    estimate: NoiseEstimate, equations: Sequence[PoseEquations] = ()
+) -> LearntParameters:
     """The covariance of the parameters at learnt variances of sensors and terms.
 
-    Over the directions that data and prior determine.
+    Over the directions that data and prior determine; with what neighbouring poses share, where the
+    equations of the poses are given.
     """
     own, stated = owners(estimate.problem), estimate.problem.mechanism.learnt_terms
     terms = [
@@ -162,8 +167,9 @@ def learnt_parameters(estimate: NoiseEstimate) -> LearntParameters:
     added += np.tensordot(np.diag(W)[c:], first[c:], 1)
     flat = along.reshape(-1, len(added))
     added -= flat.T @ flat
+    shares = shared(estimate.problem, estimate.solution.corrections, equations, sensors.root)
     return LearntParameters(
-        sensors.root, errors, sensors.first, tuple(U), 2.0 * added, sensors.ratios
+        sensors.root, errors, sensors.first, tuple(U), 2.0 * added, sensors.ratios, shares
     )
 
 
