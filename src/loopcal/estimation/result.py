@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
+Judge = Callable[["Result"], Verdict]
 Addition = Callable[[ResultDocument], ResultDocument]
 """Adds to the document of a result what was found beside the fit."""
 
@@ -100,7 +101,7 @@ class Result(Views):
     """True minus estimated value of the parameters whose truth is known."""
     faults: tuple[ColumnFault, ...] = ()
     inherited: Inherited | None = None
-    judge: Callable[[Result], Verdict] | None = None
+    judge: Judge | None = None
     """What judges the result when its verdict is first asked for."""
     memory: dict[object, Any] = field(default_factory=dict)
     """What was found of this fit at some cost, shared by results that differ in words alone."""
@@ -108,9 +109,6 @@ class Result(Views):
     def __getstate__(self) -> dict[str, Any]:
         """What a worker sends: the fields; what follows from them is computed where it is asked."""
         return {one.name: getattr(self, one.name) for one in fields(self)} | {"memory": {}}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
 
     @property
     def method(self) -> str:
@@ -515,12 +513,14 @@ class Result(Views):
         """What was found of this fit under this name, found once."""
         if what not in self.memory:
             self.memory[what] = found()
-        value: T = self.memory[what]
-        return value
+        return cast(T, self.memory[what])
 
-    def adding(self, *additions: Addition) -> Result:
-        """The same result with a document that gains these."""
-        return replace(self, additions=(*self.additions, *additions))
+    def adding(self, *additions: Addition, judge: Judge | None = None) -> Result:
+        """The same result with a document that gains these, judged by this, else as before."""
+        told = replace(self, additions=(*self.additions, *additions), judge=judge or self.judge)
+        anew = {*vars(told), "document", "verdict"}  # what else follows from the fit stays known
+        vars(told).update({n: value for n, value in vars(self).items() if n not in anew})
+        return told
 
     @property
     def chosen(self) -> Chosen | None:
@@ -545,7 +545,7 @@ class Result(Views):
                 document = addition(document)
             return document
 
-    @property
+    @cached_property
     def _document(self) -> ResultDocument:
         errors, loose = self.errors or {}, self.identifiability.loose
         spread = self.learnt_covariance, self.spectrum.covariance()

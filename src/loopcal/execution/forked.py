@@ -251,11 +251,13 @@ def _outcomes(job: _Job, workers: int) -> Generator[Done[Any], None, None]:
     known = _within(job.shared, job.pieces) if helpers > 0 else {}
     copies = _Copies(job, _Queue.of(count), known)
     try:
+        number = copies.queue.next()  # the first piece is done here
         copies.begin(helpers)
-        while (number := copies.queue.next()) is not None:
+        while number is not None:
             outcome = job.done(number)
             del missing[number]
             yield outcome
+            number = copies.queue.next()
             for outcome in copies.found(wait=False):
                 del missing[outcome.number]
                 yield outcome

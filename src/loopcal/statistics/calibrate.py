@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Unpack
 
 from loopcal.errors import InputError
@@ -75,14 +74,14 @@ def calibrate(
     if not asked.method.choice:
         _refuse_sharing(asked, scheme, executor)
         found = calibrate_by_method(mechanism, data, noise=told, fit=asked, progress=progress)
-        return replace(found, judge=verdict)
+        return found.adding(judge=verdict)
     from loopcal.statistics.choice import choose
 
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
     case = Case(mechanism, data, told, asked)
     found = choose(case, scheme, executor, iterated=progress).calibrated
-    return replace(found, judge=verdict)
+    return found.adding(judge=verdict)
 
 
 def _refuse_sharing(fit: Fit, scheme: Scheme | None, executor: Executor | None) -> None:
