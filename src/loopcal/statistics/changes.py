@@ -95,7 +95,7 @@ def unchanged(case: Case) -> Changes:
 def changes(case: Case, way: Fit, whole: Result) -> Changes:
     """What is certain to have happened during the run of a case.
 
-    way: how the structured candidate that fits best is fitted; whole: that fit of all poses. Where
+    way: how a structured candidate is fitted; whole: that fit of all poses. Where
     the machine cannot have such effects, or is not fitted better by them, nothing.
     """
     told, way = unchanged(case), way.changed(prior=case.fit.prior)
