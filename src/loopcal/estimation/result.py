@@ -195,7 +195,7 @@ class Result(Views):
             )
             own = LearntCovariance.known(known).through(S)
         else:
-            learnt = None if self.variance_factor_applied else self._learnt
+            learnt = None if self.variance_factor_applied else self.learnt
             own = (learnt or self._independent).through(S)
         return own if self.inherited is None else self.inherited.added_to(own, S)
 
@@ -203,10 +203,10 @@ class Result(Views):
     def learnt_noise(self) -> tuple[tuple[tuple[int, ...], Array], ...]:
         """Of each learnt sd of sensors: the quantities, by position, and the relative changes (a,)
         of its variance along the slopes of `covariance_through`."""
-        if self._learnt is None or self.estimate is None:
+        if self.learnt is None or self.estimate is None:
             return ()
         stated = self.estimate.stated
-        return tuple(zip((c.quantities for c in stated), self._learnt.relative, strict=True))
+        return tuple(zip((c.quantities for c in stated), self.learnt.relative, strict=True))
 
     @cached_property
     def _independent(self) -> LearntCovariance:
@@ -217,8 +217,8 @@ class Result(Views):
         if method.exact:
             return self._by_residuals()
         factor = self._variance_factor if self.variance_factor_applied else None
-        if self._learnt is not None:
-            learnt = self._learnt.covariance
+        if self.learnt is not None:
+            learnt = self.learnt.covariance
             return learnt if factor is None else learnt.scaled_by(factor)
         if factor is not None:
             return self._by_residuals()
@@ -233,7 +233,7 @@ class Result(Views):
         return LearntCovariance.scaled(plain * variance, self.freedom)
 
     @cached_property
-    def _learnt(self) -> LearntParameters | None:
+    def learnt(self) -> LearntParameters | None:
         """Kenward and Roger's covariance, where sds were learnt by a fit that converged.
 
         A stream has too many poses for it to matter.
@@ -242,7 +242,7 @@ class Result(Views):
             return None
         from loopcal.estimation.noise.kenward_roger import learnt_parameters
 
-        return learnt_parameters(self.estimate)
+        return learnt_parameters(self.estimate, self.pose_equations())
 
     @property
     def covariance(self) -> Array:
@@ -314,8 +314,8 @@ class Result(Views):
         if handed_on or self.fit.solver.exact:
             return handed_on
         errors = None
-        if self._learnt is not None and self.drifting is None:  # a drift has no slopes
-            errors = self._learnt.errors[: len(self._learnt.ratios)]
+        if self.learnt is not None and self.drifting is None:  # a drift has no slopes
+            errors = self.learnt.errors[: len(self.learnt.ratios)]
         return entries(self.problem, self.estimate, self.stated, errors)
 
     @cached_property
