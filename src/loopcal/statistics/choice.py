@@ -21,7 +21,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,11 +157,16 @@ def choose(
         judged, waiting = [], list(entrants(case, told.moved, told.made))
     else:
         waiting = [one for one in waiting if not one.structured]
-    # those without a model error are fitted once, where what happened during the run is known
-    judged += _all_fitted([_begun(one, near) for one in waiting], iterated, known)
-    _refuse(judged)
     other = scheme if scheme and scheme.other is not None else None
-    plan = _plan(told.plain, None if other else _of(scheme, told))
+    its = None if other else _of(scheme, told)
+
+    def planned() -> Plan | None:
+        return _plan(told.plain, its)
+
+    # those without a model error are fitted once, where what happened during the run is known
+    more, plan = _all_fitted([_begun(one, near) for one in waiting], iterated, known, planned)
+    judged = [*judged, *more]
+    _refuse(judged)
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
     found = replace(_choice(case, judged, plan), changes=told)
@@ -261,17 +266,21 @@ def _of(scheme: Scheme | None, told: Changes) -> Scheme | None:
 def _all_fitted(
     entrants: Sequence[Entrant],
     iterated: Iterated | None,
-    known: Mapping[str, Result | None] = MappingProxyType({}),
-) -> list[Judged]:
-    """Candidates with their fits of all poses, side by side; known: those at hand, by name.
+    known: Mapping[str, Result | None],
+    plan: Callable[[], Plan | None],
+) -> tuple[list[Judged], Plan | None]:
+    """Candidates with their fits of all poses, and a plan, side by side.
 
-    Of fits in other processes nobody is told.
+    known: fits at hand, by name. Of fits in other processes nobody is told.
     """
 
-    def fitted(known: Mapping[str, Result | None], one: Entrant) -> Judged:
+    def fitted(_: None, one: Entrant | None) -> Judged | Plan | None:
+        if one is None:
+            return plan()
         return _fitted(one, None if helping() else iterated, known.get(one.name))
 
-    return gathered(own_cores(), fitted, known, entrants)
+    found: list[Any] = gathered(own_cores(), fitted, None, [*entrants, None])
+    return found[:-1], found[-1]
 
 
 def _fitted(one: Entrant, iterated: Iterated | None, whole: Result | None = None) -> Judged:
