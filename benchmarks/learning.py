@@ -76,15 +76,15 @@ def measure() -> list[Learning]:
 
 
 def processor(run: Callable[[], object]) -> float:
-    """Processor time [s] of one run, with that of the processes that it forks."""
+    """Processor time [s] of one run, with that of its processes."""
     begin = _used()
     run()
     return _used() - begin
 
 
 def _used() -> float:
-    both = (resource.getrusage(of) for of in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return sum(its.ru_utime + its.ru_stime for its in both)
+    both = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in both)
 
 
 def _hopeless(
