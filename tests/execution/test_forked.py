@@ -55,6 +55,13 @@ def waited(pids: Iterator[int]) -> bool:
     return not left
 
 
+def test_no_piece_is_taken_twice_however_short_pieces_are() -> None:
+    for _ in range(3):
+        with Forked(4).crew(pow, 1) as outcomes:
+            numbers = [one.number for one in outcomes(range(5_000))]
+        assert sorted(numbers) == [*range(5_000)]
+
+
 def test_pieces_are_done_by_this_process_and_by_copies_that_end_with_the_work() -> None:
     where = gathered(Forked(3), pieces.done_where, None, range(9))
     assert len(set(where)) == 3

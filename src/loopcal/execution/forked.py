@@ -128,7 +128,10 @@ class _Job:
 
 @dataclass
 class _Queue:
-    """Numbers that nobody has taken yet: copies share the place where they read on in a file."""
+    """Numbers that nobody has taken yet: copies share the place where they read on in a file.
+
+    Its lock keeps two from taking the same number, which reading such a file does not.
+    """
 
     file: int
 
@@ -143,7 +146,13 @@ class _Queue:
 
     def next(self) -> int | None:
         """The next number; None where all are taken."""
-        read = os.read(self.file, array("I").itemsize)
+        import fcntl  # not on every system
+
+        fcntl.lockf(self.file, fcntl.LOCK_EX)  # two that read such a file at once read the same
+        try:
+            read = os.read(self.file, array("I").itemsize)
+        finally:
+            fcntl.lockf(self.file, fcntl.LOCK_UN)
         return array("I", read)[0] if read else None
 
 
