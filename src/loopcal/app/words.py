@@ -27,6 +27,18 @@ NO_PROJECT = (
 NO_RESULT = "There is no result yet. Calibrate in the step Fit first."
 NO_OUTPUTS = "The result has no outputs that could be compared with readings."
 STALE = "The project has changed since this result. Fit again to see the effect."
+PROVISIONAL = (
+    "Provisional: error {after} rms, {before} in the last result. Fitted by {label}, from where "
+    "the last result ended."
+)
+UNJUDGED = "Nothing is chosen, validated or judged yet. Calibrate for a result that you can use."
+JUDGING = (
+    "The calibration continues: it chooses the method, validates and judges. "
+    "Its result replaces these numbers."
+)
+NOT_CONVERGED = "This fit did not converge."
+PROVISIONAL_PARAMETERS = "Provisional parameters"
+LAST_RESULT = "Last result"
 NO_REGION = "The result states no working region, so loopcal cannot predict over it."
 RUNNING = "running"
 READING = "Reading the files ..."
@@ -53,9 +65,13 @@ REASONS = {
     "shifted": ("reflector slipped", "reflector replaced", "instrument moved", "base moved"),
 }
 SELECTED = "{count:,} of {all:,} poses selected"
-NONE_SELECTED = "No pose is selected. Drag over points of a figure, click one, or name the ends."
+NONE_SELECTED = (
+    "No pose is selected. Drag over points of a figure, click one and Shift-click another, or "
+    "name the ends."
+)
 ENDS = ("From pose", "To pose")
 SELECT = "Select"
+DRAG, DRAG_TURNS, DRAG_SELECTS = "Drag in space", "Drag turns", "Drag selects"
 NO_SUCH_POSE = "The result has no pose {pose}."
 CHOOSE_FILES = "Choose files"
 TOO_LARGE = "The file is larger than an upload may be."

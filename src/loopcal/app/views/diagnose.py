@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -12,7 +13,7 @@ from nicegui import ui
 from loopcal.app import words
 from loopcal.app.controls import reason
 from loopcal.app.pictures import SIZE, Errors, Framed
-from loopcal.app.view import View, heading, table
+from loopcal.app.view import View, heading, stale, table
 from loopcal.app.views.fit import offer_fit
 from loopcal.document.change_points import ChangePoints
 from loopcal.document.result_document import ResultDocument
@@ -31,15 +32,35 @@ class _Linked:
     def __init__(self, view: View, errors: Errors) -> None:
         self.view, self.errors = view, errors
         self.panel = ui.refreshable(lambda: _selected(self))
+        self.around = ui.refreshable(lambda place: place(self))
+        self._plots: list[tuple[Any, Callable[[Errors], dict[str, Any] | None]]] = []
 
-    def plot(self, drawn: dict[str, Any], label: str, of: Framed | None = None) -> None:
-        """Draw a figure that takes part; of: what its axes show, where a frame can be drawn."""
+    @property
+    def what(self) -> str:
+        """The error that is shown."""
+        kept = str(self.view.kept.setdefault("diagnose.shown", SIZE))
+        return kept if kept in self.errors.shown else SIZE
+
+    def plot(
+        self,
+        make: Callable[[Errors], dict[str, Any] | None],
+        label: str,
+        of: Callable[[], Framed] | None = None,
+    ) -> None:
+        """Draw a figure that takes part, if it can be drawn; of: what its axes show, where a frame
+        can be drawn."""
+        drawn = make(self.errors)
+        if drawn is None:
+            return
         plot = ui.plotly(drawn).classes("w-full linked").props(f'aria-label="{label}"')
+        self._plots.append((plot, make))
 
         def taken(event: Any) -> None:
             positions, frame = [int(i) for i in event.args[0]], event.args[1]
-            whole = None if of is None or frame is None else self.errors.framed(of, frame)
-            self.keep(positions if whole is None else whole)
+            if frame is not None:
+                axes = self.errors.seen(frame) if of is None else of()
+                positions = self.errors.framed(axes, frame) or positions
+            self.keep(positions)
 
         for event in ("plotly_selected", "plotly_click"):
             plot.on(event, taken, js_handler=TAKE)
@@ -52,56 +73,113 @@ class _Linked:
 
     def select(self, positions: Sequence[int]) -> None:
         """Select these poses in every figure."""
+        self.mark(positions)
+        self.keep(positions)
+
+    def mark(self, positions: Sequence[int]) -> None:
+        """Mark these poses in every figure."""
         drawn = np.intersect1d(self.errors.drawn, list(positions))
         ui.run_javascript(f"linked.select({drawn.tolist()})")
-        self.keep(positions)
+
+    def follow(self, errors: Errors) -> bool:
+        """Show other errors in the figures that are there; False where these cannot."""
+        own = self.errors
+        if list(errors.shown) != list(own.shown) or errors.joints != own.joints:
+            return False
+        self.errors = errors
+        if errors.source.table is own.source.table and errors.steps == own.steps:
+            self.mark(self.view.selected)
+        else:
+            self.draw()
+        self.around.refresh()
+        return True
+
+    def draw(self) -> None:
+        """Draw the figures that are there again, and mark what is selected."""
+        for plot, make in self._plots:
+            plot.update_figure(make(self.errors))
+        self.mark(self.view.selected)
 
 
 def show(view: View) -> None:
     """The step."""
-    source = view.session.source()
-    if source is None:
-        ui.label(words.NO_RESULT)
-        return
-    view.select_among(source.table.poses)
-    errors = Errors.of(source, view.session.steps(), view.selected)
+    errors = _errors(view)
     if errors is None:
-        ui.label(words.NO_OUTPUTS)
+        ui.label(words.NO_RESULT if view.session.source() is None else words.NO_OUTPUTS)
         return
-    if view.session.state().stale:
-        ui.label(words.STALE).classes("care")
-    if len(errors.drawn) < len(errors.size):
-        ui.label(words.NOT_WHOLE.format(shown=len(errors.drawn), all=len(errors.size)))
     linked = _Linked(view, errors)
-    what = view.kept.setdefault("diagnose.shown", SIZE)
-    what = what if what in errors.shown else SIZE
+
+    def follow() -> bool:
+        now = _errors(view)
+        return now is not None and linked.follow(now)
+
+    view.follows = follow
+    linked.around(_head)
     with ui.element("div").classes("beside"):
         with ui.column().classes("figures"):
-            shown = ui.toggle(list(errors.shown), value=what, on_change=partial(_show, view))
-            shown.props('no-caps aria-label="error shown"')
-            over = errors.numbers, errors.shown[what]
-            linked.plot(errors.over_poses(what), "error over the poses", over)
-            space = errors.in_space()
-            if space is not None:
-                linked.plot(space, "error in space")
-            with ui.element("div").classes("tiles"):
-                for name in errors.joints:
-                    over = errors.joint(name), errors.shown[what]
-                    linked.plot(errors.over_joint(name, what), f"error over {name}", over)
+            _figures(linked)
         with ui.column().classes("acts"):
-            heading(words.SELECTED_POSES)
-            _from_to(linked)
-            linked.panel()
-            ui.button(words.SELECT_NONE, on_click=partial(linked.select, [])).props("outline")
-            _undo(view)
-            heading(words.FIT_AGAIN)
-            offer_fit(view)
-            _found(view, source.document, linked)
+            linked.around(_acts)
 
 
-def _show(view: View, event: Any) -> None:
-    view.keep("diagnose.shown", event.value)
-    view.refresh()
+def _errors(view: View) -> Errors | None:
+    """Those of the result, or of the first fit since the project has changed."""
+    source, refit = view.session.source(), view.session.refit()
+    if source is None:
+        return None
+    if refit is not None:
+        source = replace(source, table=refit.table, document=refit.shown_in(source.document))
+    view.select_among(source.table.poses)
+    return Errors.of(source, view.session.steps(), view.selected)
+
+
+def _head(linked: _Linked) -> None:
+    stale(linked.view)
+    errors = linked.errors
+    if len(errors.drawn) < len(errors.size):
+        ui.label(words.NOT_WHOLE.format(shown=len(errors.drawn), all=len(errors.size)))
+
+
+def _figures(linked: _Linked) -> None:
+    view, errors = linked.view, linked.errors
+
+    def other(event: Any) -> None:
+        view.keep("diagnose.shown", event.value)
+        linked.draw()
+
+    shown = ui.toggle(list(errors.shown), value=linked.what, on_change=other)
+    shown.props('no-caps aria-label="error shown"')
+
+    def over(name: str | None) -> Framed:
+        across = linked.errors.numbers if name is None else linked.errors.joint(name)
+        return across, linked.errors.shown[linked.what]
+
+    linked.plot(lambda e: e.over_poses(linked.what), "error over the poses", partial(over, None))
+    if errors.solid:
+        ways = {False: words.DRAG_TURNS, True: words.DRAG_SELECTS}
+        turn = ui.toggle(ways, value=False).props(f'no-caps aria-label="{words.DRAG}"')
+        turn.on_value_change(lambda e: ui.run_javascript(f"linked.framing({str(e.value).lower()})"))
+    linked.plot(lambda e: e.in_space(), "error in space")
+    with ui.element("div").classes("tiles"):
+        for name in errors.joints:
+
+            def make(e: Errors, name: str = name) -> dict[str, Any]:
+                return e.over_joint(name, linked.what)
+
+            linked.plot(make, f"error over {name}", partial(over, name))
+
+
+def _acts(linked: _Linked) -> None:
+    view, source = linked.view, linked.view.session.source()
+    heading(words.SELECTED_POSES)
+    _from_to(linked)
+    linked.panel()
+    ui.button(words.SELECT_NONE, on_click=partial(linked.select, [])).props("outline")
+    _undo(view)
+    heading(words.FIT_AGAIN)
+    offer_fit(view)
+    if source is not None:
+        _found(view, source.document, linked)
 
 
 def _undo(view: View) -> None:
