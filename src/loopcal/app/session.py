@@ -321,6 +321,7 @@ class Session:
     def _write(self, text: str, what: str, reason: str) -> None:
         self.read(text)  # raises where it would not be read
         self.folder.change(text, what, reason)
+        self.look_ahead()
 
 
 def _all_selected() -> InputError:
@@ -335,7 +336,7 @@ def _files(data: DataSpec) -> tuple[str, ...]:
 
 def _that_count(inputs: Mapping[str, Any]) -> dict[str, Any]:
     """What a calibration follows from."""
-    return {key: value for key, value in inputs.items() if key not in ("record", "title")}
+    return {key: value for key, value in inputs.items() if key not in ("record", "title", "plan")}
 
 
 def _absolute(function: str) -> str:

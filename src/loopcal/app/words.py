@@ -89,6 +89,12 @@ COLUMNS = (
     "Select a row of the table below: the robot moves to that pose. "
     "If it looks wrong, choose another column or unit."
 )
+PLAN_RANGES = "Ranges of the joints"
+RANGES_HOW = (
+    "Poses are chosen within these ranges. Without an entry the limits of the machine hold, shown "
+    "in grey, or the readings measured already."
+)
+RANGE_ENDS = ("from", "to")
 PLANNED = "Move the slider: the robot moves from pose to pose in the order of the plan."
 COMPARED = (
     "Calibrate with several methods, each validated on ten parts of the poses that its fit does "
@@ -148,6 +154,12 @@ FOLDS = {"": AS_STATED, "5": "5 parts", "10": "10 parts"}
 
 # Labels, headings and buttons.
 CHECK = "Check"
+REMARKS = "What is fixed, and why"
+NOT_APART = "What these poses cannot distinguish"
+CURE, CURE_PLAN = "Poses that would cure it", "The step Plan chooses poses, and writes them."
+EXPECTED, RANGES = "Parameters, and the sds to expect", "Readings"
+EXPECTED_HEAD = ("parameter", "nominal", "prior sd", "expected sd", "unit", "kind")
+RANGE_HEAD = ("quantity", "readings", "smallest", "largest", "sd", "unit")
 DROP_READINGS = "Drop the files of readings here"
 FILES_READINGS = "Files of readings"
 RECOGNISE = "Recognise"

@@ -29,6 +29,8 @@ Command = Callable[[Sequence[str]], int]
 """`loopcal.cli.run.main`: a command line in, its exit code out."""
 LINES = 2_000
 """So many lines of a run are kept; of more the last ones."""
+LONGEST = 2_000_000
+"""Characters of output that are kept."""
 PRELOADED = [
     *("numpy", "polars", "loopcal.workflow.calibration", "loopcal.workflow.refitting"),
     "loopcal.report.page",
@@ -50,6 +52,8 @@ class Run:
 
     action: Action
     lines: list[str] = field(default_factory=list)
+    output: str = ""
+    """What it printed on stdout, where it is not too long."""
     progress: str = ""
     code: int | None = None
     cancelled: bool = False
@@ -65,6 +69,8 @@ class Run:
         if stream == "stderr" and text.startswith("\r"):
             self.progress = text.strip()
             return
+        if stream == "stdout" and len(self.output) < LONGEST:
+            self.output += text
         self.lines += text.splitlines()
         del self.lines[:-LINES]
 

@@ -29,12 +29,13 @@ from loopcal.statistics.validation import NEARLY
 class Ending:
     """Where a calibration ended.
 
-    method: the candidate that "auto" took, empty for a named method; poses: ids of those used;
-    values, nominal, sds: of the parameters [SI], sds of the prior, where it has one; changes: what
-    it modelled as changed during the run; outliers: poses that it discarded.
+    method: the candidate that "auto" took, empty for a named method; label: of its fit; poses:
+    ids of those used; values, nominal, sds: of the parameters [SI], sds of the prior, where it has
+    one; changes: what it modelled as changed during the run; outliers: poses that it discarded.
     """
 
     method: str
+    label: str
     poses: tuple[str, ...]
     values: Mapping[str, float]
     nominal: Mapping[str, float]
@@ -48,6 +49,7 @@ class Ending:
         used, found = set(poses), document.change_points
         return cls(
             "" if document.chosen is None else document.chosen.method,
+            document.method_label or "",
             tuple(poses),
             {p.name: p.value for p in document.parameters},
             {p.name: p.nominal for p in document.parameters},
@@ -75,7 +77,7 @@ def continued(case: Case, ending: Ending) -> Result:
             code="unsupported",
             remedy="calibrate this machine first",
         )
-    machine = _as_it_ended(machine, ending)
+    machine = _as_it_ended(machine, ending, learnt=case.fit.label == ending.label)
     start = {n: v for n, v in ending.values.items() if n in machine.parameters.names}
     measured = all(q in case.data.readings for q in machine.quantities)
     fit = replace(case.fit, start=start, prior=None, tolerance=case.fit.tolerance or NEARLY)
@@ -89,10 +91,13 @@ def _chosen(case: Case, name: str) -> Entrant:
     return next((one for one in able if one.name == name), able[0])
 
 
-def _as_it_ended(machine: Mechanism, ending: Ending) -> Mechanism:
-    """The machine around the nominal values of the earlier calibration, with its prior sds."""
+def _as_it_ended(machine: Mechanism, ending: Ending, *, learnt: bool) -> Mechanism:
+    """The machine around the nominal values of the earlier calibration; learnt: with the sds of
+    its model error too, which another method would not have."""
     names = machine.parameters.names
     machine = machine.with_nominal({n: v for n, v in ending.nominal.items() if n in names})
+    if not learnt:
+        return machine
     sds = {n: sd for n, sd in ending.sds.items() if n in names}
     return machine.with_parameters(machine.parameters.with_prior(sds))
 

@@ -9,13 +9,13 @@ const linked = {
   frames: false,
   shift: false,
 
-  /* Select these poses. */
-  select(positions) {
+  /* Select these poses; space: also in space, which is slower to draw, after the marks. */
+  select(positions, space = true) {
     linked.chosen = positions;
     for (const figure of document.querySelectorAll(".linked.js-plotly-plot"))
       if (figure.data?.[0].type === "scatter") linked.mark(figure);
     linked.overlay();
-    requestAnimationFrame(linked.ring); // space is slower to draw: marks come first
+    if (space) requestAnimationFrame(linked.ring);
   },
 
   /* Take the selection of an event of plotly and tell it on. Where an event has neither points nor

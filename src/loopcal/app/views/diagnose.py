@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-from nicegui import ui
+from nicegui import background_tasks, ui
 
 from loopcal.app import words
 from loopcal.app.controls import reason
@@ -16,12 +17,13 @@ from loopcal.app.pictures import SIZE, Errors, Framed
 from loopcal.app.view import View, heading, stale, table
 from loopcal.app.views.fit import offer_fit
 from loopcal.document.change_points import ChangePoints
-from loopcal.document.result_document import ResultDocument
 from loopcal.report.tables import outlier_table
 
 TAKE = "(event) => linked.take(event, emit)"
 """The page marks what an event of plotly selects (linked.js); its positions and range travel."""
 NONE = "() => linked.none(emit)"
+NEXT = 0.02
+"""Seconds between figures that are drawn again."""
 LISTED = 200
 """Rows of the table of selected poses."""
 
@@ -76,10 +78,10 @@ class _Linked:
         self.mark(positions)
         self.keep(positions)
 
-    def mark(self, positions: Sequence[int]) -> None:
-        """Mark these poses in every figure."""
-        drawn = np.intersect1d(self.errors.drawn, list(positions))
-        ui.run_javascript(f"linked.select({drawn.tolist()})")
+    def mark(self, positions: Sequence[int], *, space: bool = True) -> None:
+        """Mark these poses in every figure; space: also in space, which is slow to draw."""
+        drawn = np.intersect1d(self.errors.drawn, list(positions)).tolist()
+        ui.run_javascript(f"linked.select({drawn}, {str(space).lower()})")
 
     def follow(self, errors: Errors) -> bool:
         """Show other errors in the figures that are there; False where these cannot."""
@@ -88,17 +90,29 @@ class _Linked:
             return False
         self.errors = errors
         if errors.source.table is own.source.table and errors.steps == own.steps:
-            self.mark(self.view.selected)
+            soon = self.view.session.refits.going  # then all is drawn again
+            self.mark(self.view.selected, space=not soon)
         else:
             self.draw()
+        self.panel.refresh()
         self.around.refresh()
         return True
 
     def draw(self) -> None:
-        """Draw the figures that are there again, and mark what is selected."""
-        for plot, make in self._plots:
-            plot.update_figure(make(self.errors))
-        self.mark(self.view.selected)
+        """Draw the figures that are there again with what is selected, the first ones first.
+
+        The browser shows each before it draws the next."""
+        errors = self.errors
+        drawn = np.intersect1d(errors.drawn, self.view.selected).tolist()
+        ui.run_javascript(f"linked.chosen = {drawn}")
+
+        async def each() -> None:
+            for plot, make in self._plots:
+                if self.errors is errors and not plot.is_deleted:
+                    plot.update_figure(make(errors))
+                    await asyncio.sleep(NEXT)
+
+        background_tasks.create(each())
 
 
 def show(view: View) -> None:
@@ -119,7 +133,7 @@ def show(view: View) -> None:
         with ui.column().classes("figures"):
             _figures(linked)
         with ui.column().classes("acts"):
-            linked.around(_acts)
+            _acts(linked)
 
 
 def _errors(view: View) -> Errors | None:
@@ -170,16 +184,15 @@ def _figures(linked: _Linked) -> None:
 
 
 def _acts(linked: _Linked) -> None:
-    view, source = linked.view, linked.view.session.source()
+    view = linked.view
     heading(words.SELECTED_POSES)
     _from_to(linked)
     linked.panel()
     ui.button(words.SELECT_NONE, on_click=partial(linked.select, [])).props("outline")
-    _undo(view)
+    linked.around(lambda _: _undo(view))
     heading(words.FIT_AGAIN)
     offer_fit(view)
-    if source is not None:
-        _found(view, source.document, linked)
+    linked.around(_found)
 
 
 def _undo(view: View) -> None:
@@ -190,8 +203,12 @@ def _undo(view: View) -> None:
         ui.button(label, on_click=undo, icon="undo").props("outline")
 
 
-def _found(view: View, document: ResultDocument, linked: _Linked) -> None:
+def _found(linked: _Linked) -> None:
     """What loopcal has found by itself, with the poses to look at."""
+    view, source = linked.view, linked.view.session.source()
+    if source is None:
+        return
+    document = source.document
     changes = document.change_points
     found = () if changes is None else changes.found
     outliers = outlier_table(document)
