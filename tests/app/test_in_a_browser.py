@@ -150,6 +150,7 @@ def test_ten_pages_keep_what_is_theirs_and_see_what_others_change(
     for i, hand in enumerate(others):
         assert hand.page.get_by_label(words.EVENT).input_value() == f"event {i}"
     others[-1].press(re.compile("^Undo"))
+    others[-1].sees("(undone)")
     second.sees("Another page or program has changed the folder")
     assert project.read_text("utf-8") == before
     for hand in (first, second, *others):

@@ -31,7 +31,7 @@ from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import Executor, Progress, gathered
-from loopcal.execution.local import own_threads
+from loopcal.execution.forked import own_cores
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.statistics.blocks import blocks_of
@@ -142,7 +142,7 @@ def validated(
 ) -> Validation:
     """The validation of a case whose calibration of all poses is at hand.
 
-    executor: who does the refits, by default the threads of this process; progress: called with how
+    executor: who does the refits, by default the cores of this process; progress: called with how
     many refits are done. Raises as `loopcal.statistics.validate.validate`.
     """
     if scheme.other is not None:
@@ -202,12 +202,12 @@ def left_out(
 ) -> list[list[Outcome]]:
     """For each case each part predicted by a fit of all other poses, in their order.
 
-    fitted: cases with their calibrations of all poses; executor: by default the threads of this
+    fitted: cases with their calibrations of all poses; executor: by default the cores of this
     process; anew: whether the readings of the part say where its instrument stands.
     """
     begun = [replace(_Begun.at(case, whole), anew=anew) for case, whole in fitted]
     pieces = [(which, index) for which in range(len(begun)) for index in indices]
-    made = gathered(executor or own_threads(), _left_out, begun, pieces, progress)
+    made = gathered(executor or own_cores(), _left_out, begun, pieces, progress)
     return [made[i * len(indices) : (i + 1) * len(indices)] for i in range(len(begun))]
 
 
@@ -431,7 +431,7 @@ def _pooled(
     terms, inside = np.full((2, len(data)), np.nan)
     judged = probable = stating
     drifting = whole.drifting if stating else None
-    told = gathered(own_threads(), _stated, drifting, parts) if stating else [None] * len(parts)
+    told = gathered(own_cores(), _stated, drifting, parts) if stating else [None] * len(parts)
     for part, stated in zip(parts, told, strict=True):
         measured[:, part.index] = part.measured
         differences[:, part.index] = part.differences
