@@ -13,6 +13,7 @@ import argparse
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -67,12 +68,10 @@ def _cases() -> dict[str, Callable[[Rng], bool]]:
         for learnt, how in ((False, "stated"), (True, "learnt")):
             for poses in (12, 20, 40):
                 name = f"plane, {what}, sds {how}, {poses} poses"
-                cases[name] = lambda rng, s=sizes, n=poses, k=learnt: planar(s, n, k, rng)
+                cases[name] = partial(planar, sizes, poses, learnt)
     for sizes, what in ((0.0, right), (4.0, "off centre by 4 sds")):
         for poses in (40, 80):
-            cases[f"six axes, {what}, {poses} poses"] = lambda rng, s=sizes, n=poses: six_axes(
-                s, n, rng
-            )
+            cases[f"six axes, {what}, {poses} poses"] = partial(six_axes, sizes, poses)
     return cases
 
 
