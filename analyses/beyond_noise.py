@@ -29,7 +29,7 @@ from analyses.gauntlet_kinds import ALONG, wandering
 from analyses.gauntlet_truth import PLANAR, Arm
 from analyses.gauntlet_worlds import BUILT, Rng, Trial, World
 from analyses.regions import held, sagging
-from analyses.written import write_block
+from analyses.written import read_block, write_block
 from loopcal.document.aliases import confidence
 
 PAGE = Path("docs/explanation/model-error.md")
@@ -124,22 +124,25 @@ def line(name: str, draws: list[Seen]) -> str:
 
 
 def main() -> None:
-    """Print the table, and write it into a page."""
+    """Print the table, and write it into a page, which keeps the rows of other cases."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--draws", type=int, default=30)
     options.add_argument("--first", type=int, default=0, help="the first draw, a new seed each")
     options.add_argument("--only", nargs="*", default=[])
     options.add_argument("--write", type=Path, help=f"the page to write into, {PAGE}")
     asked = options.parse_args()
-    lines = [HEAD]
+    known = read_block(asked.write, "beyond_noise").splitlines() if asked.write else []
+    lines = {name: text for text in known for name in CASES if text[:32].rstrip() == name}
     print(HEAD)
     for number, (name, case) in enumerate(CASES.items()):
         if all(word in name for word in asked.only):
             seeds = range(asked.first, asked.first + asked.draws)
-            lines.append(line(name, [case(np.random.default_rng([16, number, s])) for s in seeds]))
-            print(lines[-1], flush=True)
-    if asked.write:
-        write_block(asked.write, "beyond_noise", "\n".join(lines))
+            draws = [case(np.random.default_rng([16, number, s])) for s in seeds]
+            lines[name] = line(name, draws)
+            print(lines[name], flush=True)
+            if asked.write:
+                table = [HEAD, *(lines[name] for name in CASES if name in lines)]
+                write_block(asked.write, "beyond_noise", "\n".join(table))
 
 
 if __name__ == "__main__":

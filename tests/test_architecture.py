@@ -70,13 +70,21 @@ class Module:
     def tree(self) -> ast.Module:
         return ast.parse(self.text)
 
+    @cached_property
+    def nodes(self) -> list[ast.AST]:
+        return [*ast.walk(self.tree)]
+
+    @cached_property
+    def lines(self) -> list[str]:
+        return self.text.splitlines()
+
     @property
     def layer(self) -> str:
         return self.name.split(".")[0]
 
     def imports(self) -> Iterator[tuple[int, str]]:
         """Line and absolute dotted name of everything imported, wherever in the file it stands."""
-        for node in ast.walk(self.tree):
+        for node in self.nodes:
             if isinstance(node, ast.Import):
                 yield from ((node.lineno, alias.name) for alias in node.names)
             elif isinstance(node, ast.ImportFrom):
@@ -90,7 +98,7 @@ class Module:
                         yield node.lineno, str(argument.value)
 
     def functions(self) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
-        for node in ast.walk(self.tree):
+        for node in self.nodes:
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 yield node
 
@@ -135,7 +143,7 @@ def disk_access(module: Module) -> list[str]:
         for line, name in module.imports()
         if any(name == disk or name.startswith(f"{disk}.") for disk in DISK_MODULES)
     ]
-    for node in ast.walk(module.tree):
+    for node in module.nodes:
         if isinstance(node, ast.Call):
             name = dotted(node.func)
             method = "." in name and name.rsplit(".", 1)[1] in DISK_METHODS
@@ -286,7 +294,7 @@ def test_a_method_is_named_where_it_is_defined_and_compared_nowhere() -> None:
     compared = [
         f"{module.name}:{node.lineno}"
         for module in MODULES
-        for node in ast.walk(module.tree)
+        for node in module.nodes
         if isinstance(node, ast.Compare)
         for part in (node.left, *node.comparators)
         if isinstance(part, ast.Constant) and part.value in names
@@ -301,9 +309,9 @@ def test_every_module_says_what_it_holds() -> None:
 def stray_strings(module: Module) -> list[str]:
     """Strings that are statements without being docstrings, as a sentence that broke off leaves."""
     found = []
-    for node in ast.walk(module.tree):
+    for node in module.nodes:
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant | ast.JoinedStr):
-            text = ast.get_source_segment(module.text, node) or ""
+            text = module.lines[node.lineno - 1].encode()[node.col_offset :].decode()
             if not text.startswith(('"""', 'r"""')) and not text.startswith("..."):
                 found.append(f"{module.name}:{node.lineno} {text}")
     return found
@@ -387,7 +395,7 @@ def test_only_one_module_prints() -> None:
     printing = {
         module.name
         for module in MODULES
-        for node in ast.walk(module.tree)
+        for node in module.nodes
         if isinstance(node, ast.Call)
         and dotted(node.func) in ("print", "sys.stdout.write", "sys.stderr.write", "typer.echo")
     }

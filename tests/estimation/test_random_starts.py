@@ -8,7 +8,7 @@ from loopcal.estimation.calibrate import calibrate
 from loopcal.measurements.noise import Noise
 from tests.reference.simulated import ma1400
 
-STARTS, SUSPECTED = 200, 10
+STARTS, SUSPECTED = 200, 2
 """Starts; for the first few the file is searched for faults too, which costs five times the fit."""
 
 

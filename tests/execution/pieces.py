@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import time
+import warnings
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +18,7 @@ from threadpoolctl import threadpool_info
 from loopcal.errors import InputError
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import Crew, Done, Executor, done
+from loopcal.execution.forked import helping, own_cores
 from loopcal.expressions.choice import use_threads
 
 
@@ -79,4 +82,44 @@ def engine_threads(shared: None, piece: int) -> int:
 
 def noted(begun: list[int], piece: int) -> int:
     begun.append(piece)
+    return piece
+
+
+def killing_others(own: int, piece: int) -> tuple[int, int]:
+    """Pieces kill every worker but one; where each was done."""
+    time.sleep(0.05)  # so that nobody takes all pieces
+    if os.getpid() != own:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return piece, os.getpid()
+
+
+def done_where(shared: object, piece: int) -> int:
+    time.sleep(0.05)
+    return os.getpid()
+
+
+def given_back(shared: Any, piece: Any) -> Any:
+    time.sleep(0.05)
+    return shared["known"], [piece, 0.5], os.getpid()
+
+
+def warning(shared: object, piece: int) -> int:
+    time.sleep(0.05)
+    warnings.warn(f"piece {piece}", RuntimeWarning, stacklevel=1)
+    return piece
+
+
+def unsendable(shared: object, piece: int) -> Any:
+    time.sleep(0.05)
+    return lambda: piece
+
+
+def workers_within(shared: object, piece: int) -> tuple[str, bool, int]:
+    time.sleep(0.05)
+    return str(own_cores()), helping(), os.getpid()
+
+
+def sleeping(seconds: float, piece: int) -> int:
+    os.write(1, f"{os.getpid()}\n".encode())  # whole lines, whoever writes beside
+    time.sleep(seconds)
     return piece

@@ -26,6 +26,7 @@ from loopcal.execution.executor import (
     gathered,
     in_order,
 )
+from loopcal.execution.forked import Forked
 from loopcal.execution.local import Processes, Threads
 from loopcal.expressions import choice
 from loopcal.files.project.new_project import write_new_project
@@ -36,7 +37,15 @@ from tests.execution.pieces import Backwards
 from tests.reference.simulated import planar_arm
 from tests.refusals import refused
 
-LOCAL = [InProcess(), Threads(1), Threads(2), Processes(1), Processes(2)]
+FORKS = sys.platform == "linux"
+LOCAL = [
+    InProcess(),
+    Threads(1),
+    Threads(2),
+    Processes(1),
+    Processes(2),
+    *([Forked(1), Forked(3)] if FORKS else []),
+]
 
 
 @pytest.mark.parametrize("executor", [None, *LOCAL, Backwards()], ids=str)
@@ -107,7 +116,7 @@ def test_threads_tell_that_they_are_waited_for() -> None:
     assert told == ["waiting"]
 
 
-@pytest.mark.parametrize("executor", [InProcess(), Threads(2), Processes(2)], ids=str)
+@pytest.mark.parametrize("executor", LOCAL, ids=str)
 def test_a_crew_does_several_runs(executor: Executor) -> None:
     with executor.crew(pieces.scaled, 0.5) as done_by:
         for _ in range(3):

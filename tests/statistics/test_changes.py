@@ -69,6 +69,7 @@ def result(course: list[str]) -> Iterator[lc.Result]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(choice, "_fitted", recorded)
         patch.setattr(choice, "changes", recorded_changes)
+        patch.setenv("LOOPCAL_THREADS", "1")  # what a forked copy does is not seen here
         yield told(slipped())
 
 

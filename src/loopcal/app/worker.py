@@ -24,6 +24,8 @@ from typing import Any, TextIO
 
 from loopcal.app.action import Action
 from loopcal.errors import LoopcalError
+from loopcal.execution.forked import waits_only
+from loopcal.expressions.choice import cores, engine_threads
 
 Command = Callable[[Sequence[str]], int]
 """`loopcal.cli.run.main`: a command line in, its exit code out."""
@@ -189,12 +191,14 @@ class _Said:
 def _work(command: Command, words: tuple[str, ...], folder: str, said: Connection) -> None:
     """In the child: run the command line."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that what is begun is undone
-    threading.Thread(target=_ends_with, args=(said,), daemon=True).start()
+    watcher = threading.Thread(target=_ends_with, args=(said,), daemon=True)
+    watcher.start()
     os.chdir(folder)
     out, error = _Said("stdout", said), _Said("stderr", said)
     streams: list[TextIO] = [out, error]  # type: ignore[list-item]
     sys.stdout, sys.stderr = streams
-    code = command(words)
+    with waits_only(watcher), engine_threads(cores()):
+        code = command(words)
     out.close()
     error.close()
     sys.stdout = sys.stderr = io.StringIO()

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import copy
+import gc
 import io
 import sys
 import warnings
@@ -40,6 +41,7 @@ INTERRUPTED = 130
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `loopcal ARGUMENTS` (by default those of this process) and return its exit code."""
+    gc.set_threshold(50_000, 20, 20)  # what a command makes mostly lives until it ends
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *_, **__: log(f"warning: {message}")
         return _run(arguments)

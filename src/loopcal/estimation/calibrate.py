@@ -17,7 +17,7 @@ from loopcal.estimation.fit import Fit, FitOptions, Start
 from loopcal.estimation.methods.registry import PLAIN, names_where
 from loopcal.estimation.model_error import modelled, noise_told, weighed
 from loopcal.estimation.noise.learning import components, with_model
-from loopcal.estimation.problem.alignment import begins_aligned, placed
+from loopcal.estimation.problem.alignment import begun
 from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.problem.size import refuse_collapse
@@ -245,7 +245,7 @@ def started(mechanism: Mechanism, data: Dataset, noise: Noise | None, start: Sta
         return problem
     problem = build_problem(mechanism, data, noise)
     refuse_parallel_axes(mechanism)
-    if begins_aligned(mechanism, start):
-        problem = problem.with_nominal(placed(problem)[0])
+    if (placed := begun(problem, start)) is not mechanism:
+        problem = problem.with_nominal(placed)
     refuse_unreachable(problem, problem.start)
     return problem

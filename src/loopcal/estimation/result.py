@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
+Judge = Callable[["Result"], Verdict]
 Addition = Callable[[ResultDocument], ResultDocument]
 """Adds to the document of a result what was found beside the fit."""
 
@@ -100,7 +101,7 @@ class Result(Views):
     """True minus estimated value of the parameters whose truth is known."""
     faults: tuple[ColumnFault, ...] = ()
     inherited: Inherited | None = None
-    judge: Callable[[Result], Verdict] | None = None
+    judge: Judge | None = None
     """What judges the result when its verdict is first asked for."""
     memory: dict[object, Any] = field(default_factory=dict)
     """What was found of this fit at some cost, shared by results that differ in words alone."""
@@ -108,9 +109,6 @@ class Result(Views):
     def __getstate__(self) -> dict[str, Any]:
         """What a worker sends: the fields; what follows from them is computed where it is asked."""
         return {one.name: getattr(self, one.name) for one in fields(self)} | {"memory": {}}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
 
     @property
     def method(self) -> str:
@@ -197,7 +195,7 @@ class Result(Views):
             )
             own = LearntCovariance.known(known).through(S)
         else:
-            learnt = None if self.variance_factor_applied else self._learnt
+            learnt = None if self.variance_factor_applied else self.learnt
             own = (learnt or self._independent).through(S)
         return own if self.inherited is None else self.inherited.added_to(own, S)
 
@@ -205,10 +203,10 @@ class Result(Views):
     def learnt_noise(self) -> tuple[tuple[tuple[int, ...], Array], ...]:
         """Of each learnt sd of sensors: the quantities, by position, and the relative changes (a,)
         of its variance along the slopes of `covariance_through`."""
-        if self._learnt is None or self.estimate is None:
+        if self.learnt is None or self.estimate is None:
             return ()
         stated = self.estimate.stated
-        return tuple(zip((c.quantities for c in stated), self._learnt.relative, strict=True))
+        return tuple(zip((c.quantities for c in stated), self.learnt.relative, strict=True))
 
     @cached_property
     def _independent(self) -> LearntCovariance:
@@ -219,8 +217,8 @@ class Result(Views):
         if method.exact:
             return self._by_residuals()
         factor = self._variance_factor if self.variance_factor_applied else None
-        if self._learnt is not None:
-            learnt = self._learnt.covariance
+        if self.learnt is not None:
+            learnt = self.learnt.covariance
             return learnt if factor is None else learnt.scaled_by(factor)
         if factor is not None:
             return self._by_residuals()
@@ -235,7 +233,7 @@ class Result(Views):
         return LearntCovariance.scaled(plain * variance, self.freedom)
 
     @cached_property
-    def _learnt(self) -> LearntParameters | None:
+    def learnt(self) -> LearntParameters | None:
         """Kenward and Roger's covariance, where sds were learnt by a fit that converged.
 
         A stream has too many poses for it to matter.
@@ -244,7 +242,7 @@ class Result(Views):
             return None
         from loopcal.estimation.noise.kenward_roger import learnt_parameters
 
-        return learnt_parameters(self.estimate)
+        return learnt_parameters(self.estimate, self.pose_equations())
 
     @property
     def covariance(self) -> Array:
@@ -316,8 +314,8 @@ class Result(Views):
         if handed_on or self.fit.solver.exact:
             return handed_on
         errors = None
-        if self._learnt is not None and self.drifting is None:  # a drift has no slopes
-            errors = self._learnt.errors[: len(self._learnt.ratios)]
+        if self.learnt is not None and self.drifting is None:  # a drift has no slopes
+            errors = self.learnt.errors[: len(self.learnt.ratios)]
         return entries(self.problem, self.estimate, self.stated, errors)
 
     @cached_property
@@ -515,12 +513,14 @@ class Result(Views):
         """What was found of this fit under this name, found once."""
         if what not in self.memory:
             self.memory[what] = found()
-        value: T = self.memory[what]
-        return value
+        return cast(T, self.memory[what])
 
-    def adding(self, *additions: Addition) -> Result:
-        """The same result with a document that gains these."""
-        return replace(self, additions=(*self.additions, *additions))
+    def adding(self, *additions: Addition, judge: Judge | None = None) -> Result:
+        """The same result with a document that gains these, judged by this, else as before."""
+        told = replace(self, additions=(*self.additions, *additions), judge=judge or self.judge)
+        anew = {*vars(told), "document", "verdict"}  # what else follows from the fit stays known
+        vars(told).update({n: value for n, value in vars(self).items() if n not in anew})
+        return told
 
     @property
     def chosen(self) -> Chosen | None:
@@ -545,7 +545,7 @@ class Result(Views):
                 document = addition(document)
             return document
 
-    @property
+    @cached_property
     def _document(self) -> ResultDocument:
         errors, loose = self.errors or {}, self.identifiability.loose
         spread = self.learnt_covariance, self.spectrum.covariance()

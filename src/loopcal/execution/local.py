@@ -23,7 +23,7 @@ from loopcal.execution.executor import (
     Window,
     done,
 )
-from loopcal.expressions.choice import cores, engine_threads, use_threads
+from loopcal.expressions.choice import cores, engine_threads
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -88,12 +88,6 @@ class Threads(_Local):
     def ready(self) -> str:
         """Where pieces will be done."""
         return f"{self.workers} thread{'s' if self.workers > 1 else ''}"
-
-
-def own_threads() -> Executor:
-    """Threads of this process, one for each core that is its own; itself where that is one."""
-    count = use_threads()
-    return Threads(count) if count > 1 else InProcess()
 
 
 @dataclass(frozen=True)

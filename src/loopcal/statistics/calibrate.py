@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Unpack
 
 from loopcal.errors import InputError
@@ -43,7 +42,7 @@ def calibrate(
     method "auto" (default) lets the others compete and takes the one that predicts poses not used
     (`loopcal.statistics.choice`); `Result.chosen` says which, over what, by how much. scheme: what
     it leaves out, by default 10 folds and 5 regions; executor: who does its fits, by default the
-    threads of this process. Without noise it weighs the readings as least squares does.
+    cores of this process. Without noise it weighs the readings as least squares does.
 
     "implicit-loop" finds the parameters of maximum likelihood while every loop
     closes: minimise sum_i c_i^T Sigma^-1 c_i + (p - nominal)^T Sigma_p^-1 (p - nominal) over
@@ -75,14 +74,14 @@ def calibrate(
     if not asked.method.choice:
         _refuse_sharing(asked, scheme, executor)
         found = calibrate_by_method(mechanism, data, noise=told, fit=asked, progress=progress)
-        return replace(found, judge=verdict)
+        return found.adding(judge=verdict)
     from loopcal.statistics.choice import choose
 
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
     case = Case(mechanism, data, told, asked)
     found = choose(case, scheme, executor, iterated=progress).calibrated
-    return replace(found, judge=verdict)
+    return found.adding(judge=verdict)
 
 
 def _refuse_sharing(fit: Fit, scheme: Scheme | None, executor: Executor | None) -> None:

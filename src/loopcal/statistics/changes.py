@@ -24,7 +24,7 @@ from loopcal.estimation.result import Result
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.case import Case, taken
 from loopcal.statistics.change_points import Shifts, apart, find_shifts
-from loopcal.statistics.outliers import find_outliers
+from loopcal.statistics.outliers import find_poses
 from loopcal.statistics.shifted import shift_lines, with_shifts
 
 CERTAIN = 1e-6
@@ -95,7 +95,7 @@ def unchanged(case: Case) -> Changes:
 def changes(case: Case, way: Fit, whole: Result) -> Changes:
     """What is certain to have happened during the run of a case.
 
-    way: how the structured candidate that fits best is fitted; whole: that fit of all poses. Where
+    way: how a structured candidate is fitted; whole: that fit of all poses. Where
     the machine cannot have such effects, or is not fitted better by them, nothing.
     """
     told, way = unchanged(case), way.changed(prior=case.fit.prior)
@@ -133,7 +133,7 @@ def _modelled(
     fitted = replace(told.case, mechanism=machine, fit=way).calibrated()
     if not fitted.status.converged:
         raise NoTrustworthyResult("the fit with the changes did not converge", code="not-converged")
-    tests = find_outliers(fitted)
+    tests = find_poses(fitted)  # columns were tried before
     bad = {one.pose: one for one in tests.found if one.p_value * tests.tested < CERTAIN}
     if not bad or len(bad) + len(told.outliers) > MOST_OUTLIERS * len(case.data):
         return told, fitted

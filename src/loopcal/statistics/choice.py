@@ -19,8 +19,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
-from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +32,10 @@ from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.accuracy import by_pose, deviations
 from loopcal.estimation.dependence.dependence import likenesses
 from loopcal.estimation.result import Result
-from loopcal.estimation.solve.scratch import one_blas_thread
+from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
-from loopcal.execution.local import own_threads
+from loopcal.execution.forked import helping, own_cores
 from loopcal.presentation.shown import by_sd, size, unit_shown
 from loopcal.presentation.wrapped import shortened
 from loopcal.statistics.candidates import Entrant, entrants
@@ -135,6 +136,7 @@ def choose(
 
     Raises InputError where no candidate can be fitted.
     """
+    reuse_memory(32)
     judged, waiting = list[Judged](), list(entrants(case))
     doubted = waiting[0].case.may_be_faulty
     while doubted and waiting and not any(one.whole for one in judged):
@@ -146,23 +148,25 @@ def choose(
             words = f"{entrant.name}; nothing was compared: the file is at fault"
             none = Chosen(entrant.name, (), words, ())
             return Choice(case.fit.method.name, whole, none, None, None)
-    judged += _all_fitted([_begun(e, None) for e in waiting if e.structured], iterated)
     case = replace(case, trusted=True)
-    best, near = _closest(judged), next((o.whole for o in judged if o.whole and not o.failed), None)
-    told = (
-        changes(case, best.entrant.case.fit, best.whole) if best and best.whole else unchanged(case)
-    )
+    judged, told, by = _searched(case, judged, [_begun(e, None) for e in waiting], iterated)
+    near = next((one.whole for one in judged if one.whole and not one.failed), None)
     known: dict[str, Result | None] = {}
-    if told.found and best:
-        case, near, known = told.case, told.whole, {best.name: told.whole}
+    if told.found:
+        case, near, known = told.case, told.whole, {by: told.whole}
         judged, waiting = [], list(entrants(case, told.moved, told.made))
     else:
         waiting = [one for one in waiting if not one.structured]
-    # those without a model error are fitted once, where what happened during the run is known
-    judged += _all_fitted([_begun(one, near) for one in waiting], iterated, known)
-    _refuse(judged)
     other = scheme if scheme and scheme.other is not None else None
-    plan = _plan(told.plain, None if other else _of(scheme, told))
+    its = None if other else _of(scheme, told)
+
+    def planned() -> Plan | None:
+        return _plan(told.plain, its)
+
+    # those without a model error are fitted once, where what happened during the run is known
+    more, plan = _all_fitted([_begun(one, near) for one in waiting], iterated, known, planned)
+    judged = [*judged, *more]
+    _refuse(judged)
     if plan is not None:
         judged = _validated(judged, plan, executor, progress)
     found = replace(_choice(case, judged, plan), changes=told)
@@ -213,6 +217,45 @@ def _begun(one: Entrant, whole: Result | None) -> Entrant:
     return replace(one, case=case)
 
 
+def _searched(
+    case: Case, judged: Sequence[Judged], waiting: Sequence[Entrant], iterated: Iterated | None
+) -> tuple[list[Judged], Changes, str]:
+    """Those at hand and all structured candidates with their fits; what happened during the run,
+    and by whose fit: that of exact readings, which comes closest to the outputs, else the closest.
+
+    Where something happened, the other fits are in vain and left.
+    """
+    structured = [one for one in waiting if one.structured]
+    first = next((one for one in structured if one.case.fit.method.exact), None)
+    order = sorted(structured, key=lambda one: one is not first)
+
+    def fitted(_: None, one: Entrant) -> tuple[Judged, Changes | None]:
+        judged = _fitted(one, None if helping() else iterated)
+        return judged, _changes(case, judged) if one is first else None
+
+    done, told = dict[str, Judged](), None
+    with closing(own_cores().run(fitted, None, order)) as found:
+        for outcome in found:
+            one, its = outcome.value
+            done[one.name] = one
+            if its is not None:
+                told, by = its, one.name
+                if told.found:
+                    break
+    judged = [*judged, *(done[one.name] for one in structured if one.name in done)]
+    if told is None:
+        best = _closest(judged)
+        told, by = (_changes(case, best), best.name) if best else (None, "")
+    return judged, told or unchanged(case), by
+
+
+def _changes(case: Case, by: Judged) -> Changes | None:
+    """What happened during the run by a candidate's fit; None where it has none."""
+    if by.whole is None or by.failed:
+        return None
+    return changes(case, by.entrant.case.fit, by.whole)
+
+
 def _of(scheme: Scheme | None, told: Changes) -> Scheme | None:
     """The scheme for the poses that are left."""
     if scheme is None or scheme.groups is None:
@@ -223,14 +266,21 @@ def _of(scheme: Scheme | None, told: Changes) -> Scheme | None:
 def _all_fitted(
     entrants: Sequence[Entrant],
     iterated: Iterated | None,
-    known: Mapping[str, Result | None] = MappingProxyType({}),
-) -> list[Judged]:
-    """Candidates with their fits of all poses, side by side; known: those at hand, by name."""
+    known: Mapping[str, Result | None],
+    plan: Callable[[], Plan | None],
+) -> tuple[list[Judged], Plan | None]:
+    """Candidates with their fits of all poses, and a plan, side by side.
 
-    def fitted(known: Mapping[str, Result | None], one: Entrant) -> Judged:
-        return _fitted(one, iterated, known.get(one.name))
+    known: fits at hand, by name. Of fits in other processes nobody is told.
+    """
 
-    return gathered(own_threads(), fitted, known, entrants)
+    def fitted(_: None, one: Entrant | None) -> Judged | Plan | None:
+        if one is None:
+            return plan()
+        return _fitted(one, None if helping() else iterated, known.get(one.name))
+
+    found: list[Any] = gathered(own_cores(), fitted, None, [*entrants, None])
+    return found[:-1], found[-1]
 
 
 def _fitted(one: Entrant, iterated: Iterated | None, whole: Result | None = None) -> Judged:

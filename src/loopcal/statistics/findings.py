@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.change_points import ChangePoints
 from loopcal.document.findings import Observability, OtherOptimum, RegionEntry
 from loopcal.document.result_document import ResultDocument
-from loopcal.errors import InputError, NoTrustworthyResult
+from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import gathered
-from loopcal.execution.local import own_threads
+from loopcal.execution.forked import own_cores
 from loopcal.statistics.candidates import nominal_case
 from loopcal.statistics.case import Case
 from loopcal.statistics.change_points import NOT_SEARCHED, Shifts, apart, find_shifts
@@ -23,7 +25,7 @@ from loopcal.statistics.moved_by import sized
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.observability import data_spectrum, observability
 from loopcal.statistics.optima import other_optima
-from loopcal.statistics.outliers import Outliers, find_outliers
+from loopcal.statistics.outliers import COLUMNS, Outliers, find_columns, find_outliers, find_poses
 from loopcal.statistics.predictor import Predictor, predictor, usual_words
 from loopcal.statistics.region import Span, region_of
 from loopcal.statistics.reliability import ReadingReliability, reliability
@@ -59,7 +61,7 @@ class Findings:
     def added_to(self, document: ResultDocument) -> ResultDocument:
         """The document of the result with these figures."""
         shifts, accuracy = self.shifts, document.accuracy
-        moved = ChangePoints(shifts.found, shifts.level, shifts.tested, self.toml)
+        moved = ChangePoints(shifts.found, shifts.level, shifts.tested, self.toml, shifts.unsure)
         new = replace(moved, found=tuple(p for p in shifts.found if not p.modelled))
         if accuracy is not None:
             nominal = accuracy.nominal or self.nominal
@@ -107,8 +109,15 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
     with one_blas_thread():
         known = predictor(result)
         # side by side: the result keeps what they find
-        asked: tuple[Callable[[Result], object], ...] = (find_outliers, _shifts, _documented)
-        gathered(own_threads(), _asked, result, asked)
+        asked: tuple[Callable[[Result], object], ...] = (
+            find_columns,
+            find_poses,
+            _documented,
+            _shifts,
+        )
+        for heard in gathered(own_cores(), _asked, result, asked):
+            result.memory.update(heard.pop("memory"))
+            vars(result).update(heard)
         outliers, shifts = find_outliers(result), _shifts(result)
         if outliers.columns:
             shifts = NOT_SEARCHED
@@ -140,8 +149,16 @@ def findings(result: Result, region: Mapping[str, Span] | None = None) -> Findin
         )
 
 
-def _asked(result: Result, what: Callable[[Result], object]) -> None:
+def _asked(result: Result, what: Callable[[Result], object]) -> dict[str, Any]:
+    """What the result holds afterwards: a copy of it may have been asked, in another process."""
     what(result)
+    return dict(vars(result))
+
+
+def _poses(result: Result) -> None:
+    if not result.faults and not result.memory.get(COLUMNS):
+        with suppress(LoopcalError):  # where columns are wrong, nobody asks for poses
+            find_poses(result)
 
 
 def _shifts(result: Result) -> Shifts:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.accuracy import main_unit
+from loopcal.estimation.noise.learning import typical_sd
 from loopcal.estimation.result import Result
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.mechanisms.outputs import POLAR, Seen, cartesian, seen_outputs
@@ -28,7 +29,8 @@ def noise_floor(result: Result) -> float | None:
 
     None where no sds are known, or nothing is computed.
     """
-    if not result.noise or not result.mechanism.outputs:
+    unknown = result.fit.solver.exact and result.inherited is None
+    if unknown or not result.mechanism.outputs:
         return None
     return result.remembered("noise floor", lambda: _floor(result))
 
@@ -36,13 +38,17 @@ def noise_floor(result: Result) -> float | None:
 def excess(result: Result) -> float | None:
     """The errors at the outputs over those that the stated sds of all sensors cause, by the error
     beside the sensors that a fit learnt; None where it learnt none, or sds of sensors as well."""
-    own = [e for e in result.noise if e.role == "disturbance" and e.source == "estimated"]
-    read = [e for e in result.noise if e.role == "reading"]
-    if not own or any(e.source == "estimated" for e in read):
+    if result.fit.solver.exact or result.estimate is None:
+        return None
+    problem, aside = result.problem, set(result.mechanism.disturbances)
+    learnt = {i for one in result.estimate.stated for i in one.quantities}
+    sds = {i: typical_sd(problem, i) for i in learnt}
+    names = problem.mechanism.tape.quantities
+    own = [sd for i, sd in sds.items() if names[i] in aside and sd is not None]
+    if not own or any(names[i] not in aside for i, sd in sds.items() if sd is not None):
         return None
     floor = noise_floor(result)
-    squares = sum(len(e.quantities) * e.sd**2 for e in own)
-    return math.sqrt(1.0 + squares / floor**2) if floor else None
+    return math.sqrt(1.0 + sum(sd**2 for sd in own) / floor**2) if floor else None
 
 
 def _floor(result: Result) -> float | None:

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 SCALES = ("auto", "stated", "residual")
+_LEVEL, _SCALE = 0.05, "auto"
+COLUMNS = "columns"
+"""Under which a result remembers its columns that are wrong."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ class Outliers:
         return lines
 
 
-def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -> Outliers:
+def find_outliers(result: Result, *, level: float = _LEVEL, scale: str = _SCALE) -> Outliers:
     """The poses and readings that do not fit, with what probably happened to them.
 
     level: probability that anything is named where every reading is good; half of it is spent on
@@ -103,17 +106,31 @@ def find_outliers(result: Result, *, level: float = 0.05, scale: str = "auto") -
             code="unknown-name",
             remedy=f"choose one of {', '.join(SCALES)}",
         )
-    return result.remembered(("outliers", level, scale), lambda: _found(result, level, scale))
+    columns = find_columns(result)
+    if columns:
+        return Outliers((), level, 0, 1.0, False, columns)
+    return find_poses(result, level, scale)
 
 
-def _found(result: Result, level: float, scale: str) -> Outliers:
+def find_columns(result: Result) -> tuple[ColumnFault, ...]:
+    """Columns that are wrong as a whole, sought where the fit may be a bad one."""
+
+    def found() -> tuple[ColumnFault, ...]:
+        with one_blas_thread():
+            hopeless = Search(result, _LEVEL, _SCALE).hopeless()
+            return column_faults(result.problem) if hopeless else ()
+
+    return result.faults or result.remembered(COLUMNS, found)
+
+
+def find_poses(result: Result, level: float = _LEVEL, scale: str = _SCALE) -> Outliers:
+    """As `find_outliers` where all columns are right."""
+    return result.remembered(("poses", level, scale), lambda: _poses(result, level, scale))
+
+
+def _poses(result: Result, level: float, scale: str) -> Outliers:
     with one_blas_thread():
         search = Search(result, level, scale)
-        columns = result.faults
-        if not columns and search.hopeless():
-            columns = column_faults(result.problem)
-        if columns:
-            return Outliers((), level, 0, 1.0, False, columns)
         fit, gone, tests = search.run()
         found = _named(search, fit, gone, tests)
     root = float(np.sqrt(fit.factor))

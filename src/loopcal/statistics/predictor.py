@@ -74,7 +74,7 @@ class Predictor:
     parameters, over the directions that are determined; undetermined: (n, d) steps [SI] that
     neither data nor prior limit; readings: what is known of their noise; usual: by instrument, the
     sd that parameters alone cause; typical: quantity -> a reading [SI] to start the search for
-    outputs from.
+    outputs from; at_poses: (n, n) the covariance for the poses of the fit, None: the same.
     """
 
     mechanism: Mechanism
@@ -84,6 +84,7 @@ class Predictor:
     readings: ReadingNoise = field(default_factory=ReadingNoise)
     usual: tuple[UsualSd, ...] = ()
     typical: Mapping[str, float] = field(default_factory=dict)
+    at_poses: Array | None = None
 
     @property
     def units(self) -> dict[str, str]:
@@ -172,7 +173,23 @@ def predictor(result: Result) -> Predictor | None:
         result.spectrum,
         x,
         ReadingNoise.of(result.noise, joint, unmeasured),
+        _at_poses(result),
     )
+
+
+def _at_poses(result: Result) -> Array | None:
+    """The covariance (n, n) for what the parameters do at the poses of the fit.
+
+    What these share with their neighbours, and the fit took for parameters, is in their residuals
+    already.
+    """
+    learnt = result.learnt
+    if learnt is None or learnt.shared is None or result.drifting is not None:
+        return None
+    chi = result.chi_squared
+    factor = chi.variance_factor if chi is not None and result.variance_factor_applied else None
+    own: Array = (factor or 1.0) * (learnt.root @ learnt.shared @ learnt.root.T)
+    return result.covariance - own
 
 
 def predictor_at(
@@ -182,6 +199,7 @@ def predictor_at(
     system: Spectrum,
     x: Array,
     readings: ReadingNoise,
+    at_poses: Array | None = None,
 ) -> Predictor:
     """The predictor of a parameter system, its usual sds taken at poses x (k, N) [SI]."""
     quantities = mechanism.tape.quantities
@@ -193,6 +211,7 @@ def predictor_at(
         system.scale[:, None] * system.directions[:, ~system.kept],
         readings,
         typical={q: v for q, v in typical.items() if math.isfinite(v)},
+        at_poses=at_poses,
     )
     return replace(bare, usual=_usual(bare, problem, x))
 
@@ -215,7 +234,7 @@ def _usual(bare: Predictor, problem: Problem, x: Array) -> tuple[UsualSd, ...]:
             at = at.copy()
             at[sorted(outputs)] = predict_outputs(mechanism, values, at, known)
         S = output_sensitivity(mechanism, values, bare.names, at, known, pattern.unmeasured)
-        gathered.append(by_parameters(bare, S.by_parameter))
+        gathered.append(by_parameters(bare, S.by_parameter, measured=True))
     if not gathered:
         return ()
     covariance = np.concatenate(gathered)
@@ -235,9 +254,13 @@ def _some(pattern: Pattern, total: int) -> NDArray[np.intp]:
     return np.intersect1d(chosen, np.arange(total)[pattern.poses])
 
 
-def by_parameters(known: Predictor, S: Array) -> Array:
-    """C_p = S Cov S^T, (N, o, o); inf for outputs that an undetermined direction moves."""
-    covariance: Array = rows_times(S, known.covariance.matrix) @ S.transpose(0, 2, 1)
+def by_parameters(known: Predictor, S: Array, *, measured: bool = False) -> Array:
+    """C_p = S Cov S^T, (N, o, o); inf for outputs that an undetermined direction moves.
+
+    measured: at poses of the fit.
+    """
+    own = known.at_poses if measured and known.at_poses is not None else known.covariance.matrix
+    covariance: Array = rows_times(S, own) @ S.transpose(0, 2, 1)
     for step in known.undetermined.T:
         effect = np.abs(S @ step)
         # measured by the largest single effect in the pose: an output may feel none of them

@@ -83,7 +83,7 @@ def region_of(
     also = [q for i, q in enumerate(names) if unread[i] and q not in still]
     there = _sds(known, x, constants, also)
     some = slice(None, None, max(1, -(-problem.count // _MOST)))
-    here = _sds(known, corrected[:, some], problem.known[:, some], also)
+    here = _sds(known, corrected[:, some], problem.known[:, some], also, measured=True)
     worst: dict[str, tuple[float, RegionSd]] = {}
     for i, group in enumerate(output_groups(mechanism)):
         at, over = here[i][np.isfinite(here[i])], there[i][~np.isnan(there[i])]
@@ -108,10 +108,12 @@ def _unexplained(result: Result, group: OutputGroup) -> float:
     return float(np.sqrt(square.mean())) if square.size else 0.0
 
 
-def _sds(known: Predictor, x: Array, constants: Array, also: list[str]) -> list[Array]:
+def _sds(
+    known: Predictor, x: Array, constants: Array, also: list[str], *, measured: bool = False
+) -> list[Array]:
     """By group of outputs, the sd (N,) that the parameters cause; NaN where loops stay open.
 
-    also: what no sensor reads: the loops find it with the outputs.
+    also: what no sensor reads: the loops find it with the outputs; measured: at poses of the fit.
     """
     solved = solving(known.mechanism, also)
     names, values = solved.tape.quantities, np.array([p.nominal for p in solved.parameters])
@@ -120,7 +122,8 @@ def _sds(known: Predictor, x: Array, constants: Array, also: list[str]) -> list[
     x[rows] = predict_outputs(solved, values, np.nan_to_num(x), constants, known.names)
     good = np.isfinite(x).all(axis=0)
     S = output_sensitivity(solved, values, known.names, x[:, good], constants[:, good])
-    covariance = by_parameters(known, S.by_parameter[:, : len(known.mechanism.outputs)])
+    outputs = S.by_parameter[:, : len(known.mechanism.outputs)]
+    covariance = by_parameters(known, outputs, measured=measured)
     found = []
     for group in output_groups(known.mechanism):
         sd = np.full(x.shape[1], np.nan)

@@ -34,7 +34,7 @@ def validate(
     """How well this calibration predicts poses that it has not seen.
 
     noise, fit: as in `calibrate`, with its keyword arguments; full: the calibration of all poses,
-    if it is at hand; executor: who does the refits, by default the threads of this process, which
+    if it is at hand; executor: who does the refits, by default the cores of this process, which
     changes no value; progress: called with how many refits are done.
 
     folds: in how many parts the poses are cut, each left out once (default 10); blocks: in how many

@@ -31,7 +31,7 @@ from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import Executor, Progress, gathered
-from loopcal.execution.local import own_threads
+from loopcal.execution.forked import own_cores
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.statistics.blocks import blocks_of
@@ -142,7 +142,7 @@ def validated(
 ) -> Validation:
     """The validation of a case whose calibration of all poses is at hand.
 
-    executor: who does the refits, by default the threads of this process; progress: called with how
+    executor: who does the refits, by default the cores of this process; progress: called with how
     many refits are done. Raises as `loopcal.statistics.validate.validate`.
     """
     if scheme.other is not None:
@@ -152,7 +152,9 @@ def validated(
         held = held_problem(whole, other, known)
         part = _predicted(whole, held, np.arange(len(other)))
         words = f"{len(other)} poses of {name}"
-        return _pooled(whole, [part], Parts((), {"file": name}, words), other)
+        return _pooled(
+            whole, [part], Parts((), {"file": name}, words), other, _all_stated(whole, [part])
+        )
     plan = planned(case, scheme)
     made = left_out([(case, whole)], plan.indices, executor, progress, anew=plan.anew)
     return pooled(whole, made[0], plan, case.data)
@@ -202,12 +204,12 @@ def left_out(
 ) -> list[list[Outcome]]:
     """For each case each part predicted by a fit of all other poses, in their order.
 
-    fitted: cases with their calibrations of all poses; executor: by default the threads of this
+    fitted: cases with their calibrations of all poses; executor: by default the cores of this
     process; anew: whether the readings of the part say where its instrument stands.
     """
     begun = [replace(_Begun.at(case, whole), anew=anew) for case, whole in fitted]
     pieces = [(which, index) for which in range(len(begun)) for index in indices]
-    made = gathered(executor or own_threads(), _left_out, begun, pieces, progress)
+    made = gathered(executor or own_cores(), _left_out, begun, pieces, progress)
     return [made[i * len(indices) : (i + 1) * len(indices)] for i in range(len(begun))]
 
 
@@ -219,11 +221,12 @@ def pooled(
     Raises NoTrustworthyResult where no part at random could be predicted.
     """
     count = len(plan.random.indices)
-    found = _pooled(whole, made[:count], plan.random, data, stating=stating)
+    told = _all_stated(whole, made) if stating else None
+    found = _pooled(whole, made[:count], plan.random, data, told and told[:count])
     if plan.blocked is None:
         return found
     try:
-        blocked = _pooled(whole, made[count:], plan.blocked, data, stating=stating)
+        blocked = _pooled(whole, made[count:], plan.blocked, data, told and told[count:])
         return replace(found, blocked=blocked)
     except NoTrustworthyResult:
         return found
@@ -371,8 +374,13 @@ def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
             return Failed(index, error.message)
 
 
-def _stated(drifting: Drifting | None, part: Predicted) -> Predictive | None:
-    return part.stated(drifting)
+def _all_stated(whole: Result, made: Sequence[Outcome]) -> list[Predictive | None]:
+    """What was stated of each part."""
+    return gathered(own_cores(), _stated, whole.drifting, made)
+
+
+def _stated(drifting: Drifting | None, part: Outcome) -> Predictive | None:
+    return part.stated(drifting) if isinstance(part, Predicted) else None
 
 
 def _predicted(fit: Result, held: Held, index: Index) -> Predicted:
@@ -408,9 +416,9 @@ def _pooled(
     made: Sequence[Outcome],
     parts_left: Parts,
     data: Dataset,
-    *,
-    stating: bool = True,
+    told: Sequence[Predictive | None] | None,
 ) -> Validation:
+    """The parts together; told: what was stated of each, None where nobody asked."""
     mechanism, words = whole.mechanism, parts_left.words
     failed = tuple(
         FailedPart(number, len(part.index), part.reason)
@@ -429,10 +437,10 @@ def _pooled(
         words += f"; {len(parts)} of {len(made)} {kind} predicted"
     measured, differences = np.full((2, len(mechanism.compared), len(data)), np.nan)
     terms, inside = np.full((2, len(data)), np.nan)
-    judged = probable = stating
-    drifting = whole.drifting if stating else None
-    told = gathered(own_threads(), _stated, drifting, parts) if stating else [None] * len(parts)
-    for part, stated in zip(parts, told, strict=True):
+    judged = probable = told is not None
+    for part, stated in zip(made, told or [None] * len(made), strict=True):
+        if isinstance(part, Failed):
+            continue
         measured[:, part.index] = part.measured
         differences[:, part.index] = part.differences
         if stated is None:

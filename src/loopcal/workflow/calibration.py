@@ -364,7 +364,7 @@ class _Run:
             warnings=(*words, *document.warnings),
             inputs=result_file.finite_only(self.project.inputs),
         )
-        result = replace(result, judge=lambda _: judged).adding(lambda _: document)
+        result = result.adding(lambda _: document, judge=lambda _: judged)
         return _Finished(result, told, words)
 
     def _written(self, done: _Finished) -> Calibration:

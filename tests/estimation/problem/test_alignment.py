@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+import loopcal as lc
 from loopcal.errors import Code
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.prediction import predict_outputs
@@ -181,6 +182,20 @@ def test_the_start_is_moved_only_where_the_placement_is_free_and_flat() -> None:
     known = machine.with_parameters(parameters.with_prior({"base_x": 0.1}))
     assert not can_be_placed(known)
     assert not can_be_placed(passive().truth)
+
+
+@pytest.mark.parametrize("turn", [-3.0, -2.0, -0.6, 0.7, 1.6, 3.1])
+def test_an_arm_in_the_plane_that_is_turned_away_is_not_found_mirrored(turn: float) -> None:
+    truth = {"xA": 1.0, "yA": 0.5, "phi20": turn, "l2": 0.8004}
+    arm = lc.planar_two_link()
+    poses = lc.random_poses({"phi2": (-1.5, 1.5), "phi3": (0.3, 2.0)}, 30, seed=4)
+    noise = Noise({"?P": 2e-5, "phi?": 3e-5})
+    readings = lc.simulate(arm, poses, noise=noise, seed=5, truth=truth).dataset
+    result = calibrate(arm, readings, noise=noise)
+    for name, value in truth.items():
+        sd = result.sd[name]
+        assert sd is not None
+        assert abs(result.value[name] - value) < 5.0 * sd
 
 
 def test_a_start_by_hand_is_kept() -> None:

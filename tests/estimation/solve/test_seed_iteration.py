@@ -116,7 +116,13 @@ def test_from_afar_it_runs_away_and_says_so_where_the_globalised_solver_converge
         start = simulated.off(0.3, 1.0, seed=seed)
         for method, ended in (("implicit-loop-undamped", undamped), ("implicit-loop", globalised)):
             result = calibrate(
-                start, data, noise=noise, method=method, start="nominal", max_iterations=50
+                start,
+                data,
+                noise=noise,
+                trusted=True,
+                method=method,
+                start="nominal",
+                max_iterations=50,
             )
             assert result.chi_squared is not None
             assert result.status.converged == (result.chi_squared.value < 100)

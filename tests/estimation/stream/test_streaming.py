@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate
 from loopcal.statistics.outliers import find_outliers
 from tests.execution.pieces import Backwards
+from tests.reference.simulated import planar_arm
 from tests.refusals import refused
 
 
@@ -322,36 +324,52 @@ def test_too_few_equations_are_refused() -> None:
 
 
 @pytest.mark.parametrize("method", ["implicit-loop", "least-squares"])
-@pytest.mark.parametrize("off", [0.0, 0.7])
-def test_a_run_resumed_at_any_iteration_ends_as_the_uninterrupted_one(
-    method: str, off: float
-) -> None:
-    """Near the start, and far from it, where steps are damped and the triangle is kept."""
+def test_a_run_resumed_at_any_iteration_ends_as_the_uninterrupted_one(method: str) -> None:
     arm, data = arm_and_data(300)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
-    arm = arm.with_nominal({"x1": 0.15 + off, "z2": 0.6 + off, "phix1": off})
+    resumed_alike(arm, data, noise, Fit(method=method, max_iterations=30), 170)
+
+
+def test_so_does_a_search_from_afar_whatever_it_has_in_mind() -> None:
+    """Every parameter off by up to 0.3 m or 1 rad: damped, above its lowest point, or faster."""
+    kept: list[Checkpoint[Any]] = []
+    for seed in (0, 3, 10):
+        rng = np.random.default_rng(seed)
+        sds = {name: 0.1 * float(10 ** rng.uniform(-3, 0)) for name in ("xP", "yP", "phi2", "phi3")}
+        drawn = planar_arm(20, seed=seed)
+        start, data = drawn.off(0.3, 1.0, seed=seed), drawn.read(sds, seed=seed)
+        fit = Fit(method="implicit-loop", start="nominal")
+        kept += resumed_alike(start, data, Noise(sds), fit, 7)
+    assert sum(one.damping > 0.0 for one in kept) >= 3
+    assert sum(one.recent is not None for one in kept) >= 3
+    assert sum(one.away > 1 for one in kept) >= 3
+
+
+def resumed_alike(
+    arm: Mechanism, data: Dataset, noise: Noise, fit: Fit, size: int
+) -> list[Checkpoint[Any]]:
+    """Resumes at every iteration, compares to the last bit, and returns what was kept."""
     checkpoints: list[str] = []
-    fresh = Pieces(data, noise)
+    fresh = Pieces(data, noise, size)
     whole = calibrate_stream(
         arm,
         fresh,
-        fit=Fit(method=method, max_iterations=30),
+        fit=fit,
         reached=lambda checkpoint: checkpoints.append(json.dumps(checkpoint.document())),
     )
     assert len(checkpoints) == whole.status.iterations >= 3
-    for number, checkpoint in enumerate(checkpoints):
-        resumed = Pieces(data, noise)
-        resume = Checkpoint.read(json.loads(checkpoint))
+    found = [Checkpoint.read(json.loads(text)) for text in checkpoints]
+    for number, resume in enumerate(found):
+        resumed = Pieces(data, noise, size)
         assert resume.iterations == number
-        again = calibrate_stream(
-            arm, resumed, fit=Fit(method=method, max_iterations=30), resume=resume
-        )
+        again = calibrate_stream(arm, resumed, fit=fit, resume=resume)
         assert resumed.served < fresh.served or number == 0
         assert again.status == whole.status
         assert again.value == whole.value
         assert again.sd == whole.sd
         assert again.chi_squared == whole.chi_squared
         assert np.array_equal(again.covariance, whole.covariance)
+    return found
 
 
 @pytest.mark.parametrize("loss", ["huber", "student-t"])

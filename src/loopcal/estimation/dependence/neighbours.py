@@ -84,5 +84,5 @@ def near(points: Array, neighbours: int = 6, apart: int = 0) -> Pairs:
     found = np.argpartition(distance, min(neighbours, N - 1), axis=1)[:, :neighbours]
     both = np.sort(np.array([np.repeat(rows, found.shape[1]), found.ravel()]), axis=0)
     kept = np.isfinite(distance[both[0], both[1]])
-    pairs: Pairs = np.unique(both[:, kept], axis=1)
+    pairs: Pairs = np.array(np.divmod(np.unique(both[0, kept] * N + both[1, kept]), N))
     return pairs

@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.noise.further_waves import shared
 from loopcal.estimation.noise.linear_model import columns, projected
 from loopcal.estimation.noise.variances import owners
 from loopcal.estimation.products import rows_times
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from loopcal.estimation.noise.estimation import NoiseEstimate
+    from loopcal.estimation.problem.pose_equations import PoseEquations
 
 Array = NDArray[np.float64]
 _WIDEST = 3.0
@@ -62,7 +64,8 @@ class LearntParameters:
     root: (n, k), H^-1 = root root^T; errors: (c + t, a) changes of each sensor's variance ratio and
     of each term's log variance along each independent error; sensors: (c, k, k) = Z_j of sensors;
     loadings: those of the terms, Z_j = loading^T loading; added: (k, k) what the covariance of z
-    gains; ratios: (c,) of the sensors.
+    gains by it; ratios: (c,) of the sensors; shared: (k, k) what it gains by errors that
+    neighbouring poses share (`further_waves`), None without any.
     """
 
     root: Array
@@ -71,6 +74,12 @@ class LearntParameters:
     loadings: tuple[Array, ...]
     added: Array
     ratios: Array
+    shared: Array | None = None
+
+    @property
+    def gained(self) -> Array:
+        """(k, k) all that the covariance of z gains."""
+        return self.added if self.shared is None else self.added + self.shared
 
     @cached_property
     def plain(self) -> Array:
@@ -80,7 +89,7 @@ class LearntParameters:
     @cached_property
     def matrix(self) -> Array:
         """(n, n) covariance of the parameters."""
-        return np.asarray(self.plain + 2.0 * self.root @ self.added @ self.root.T)
+        return np.asarray(self.plain + self.root @ self.gained @ self.root.T)
 
     @cached_property
     def covariance(self) -> LearntCovariance:
@@ -105,7 +114,7 @@ class LearntParameters:
             T = rows_times(R, loading.T)
             parts.append(T @ np.swapaxes(T, -1, -2))
         slopes = np.tensordot(self.errors.T, np.array(parts).reshape(-1, *plain.shape), 1)
-        added = 2.0 * rows_times(R, self.added) @ turned
+        added = rows_times(R, self.gained) @ turned
         return LearntCovariance(plain + added, plain, slopes)
 
 
@@ -132,10 +141,13 @@ class _Sensors:
     information: Array
 
 
-def learnt_parameters(estimate: NoiseEstimate) -> LearntParameters:
+def learnt_parameters(
+    estimate: NoiseEstimate, equations: Sequence[PoseEquations] = ()
+) -> LearntParameters:
     """The covariance of the parameters at learnt variances of sensors and terms.
 
-    Over the directions that data and prior determine.
+    Over the directions that data and prior determine; with what neighbouring poses share, where the
+    equations of the poses are given.
     """
     own, stated = owners(estimate.problem), estimate.problem.mechanism.learnt_terms
     terms = [
@@ -155,7 +167,10 @@ def learnt_parameters(estimate: NoiseEstimate) -> LearntParameters:
     added += np.tensordot(np.diag(W)[c:], first[c:], 1)
     flat = along.reshape(-1, len(added))
     added -= flat.T @ flat
-    return LearntParameters(sensors.root, errors, sensors.first, tuple(U), added, sensors.ratios)
+    shares = shared(estimate.problem, estimate.solution.corrections, equations, sensors.root)
+    return LearntParameters(
+        sensors.root, errors, sensors.first, tuple(U), 2.0 * added, sensors.ratios, shares
+    )
 
 
 def _by_sums(estimate: NoiseEstimate, prior: Array) -> _Sensors:

@@ -97,7 +97,7 @@ def entries(
     groups: dict[tuple[int, float], list[str]] = {}
     found: list[tuple[NoiseEntry, list[str]]] = []
     for i, quantity in enumerate(quantities):
-        sd = _typical(problem, i)
+        sd = typical_sd(problem, i)
         if sd is None:
             continue
         entry = NoiseEntry(
@@ -110,7 +110,7 @@ def entries(
         )
         names = [quantity]
         if i in owner:
-            begun = _typical(stated, i) or 0.0
+            begun = typical_sd(stated, i) or 0.0
             group = groups.setdefault((owner[i], begun), names)
             if group is not names:  # shown with the first of its sd
                 group.append(quantity)
@@ -123,7 +123,7 @@ def entries(
     return tuple(replace(entry, quantities=tuple(names)) for entry, names in found)
 
 
-def _typical(problem: Problem, position: int) -> float | None:
+def typical_sd(problem: Problem, position: int) -> float | None:
     """The median sd of a quantity, None where it is not measured."""
     row = problem.uncertainty.sd[position]
     measured = row[np.isfinite(row)]

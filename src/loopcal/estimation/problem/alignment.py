@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -18,6 +19,8 @@ from loopcal.mechanisms.outputs import POLAR, point_outputs, points
 Array = NDArray[np.float64]
 ASIDE = 10.0
 """Where a station that reads angles is thought to stand until it is placed [m]."""
+TURNED = math.pi / 4.0
+"""From a placement in the plane that is off by more [rad], fits may end at negative lengths."""
 _GROSS, _ROUNDS = 10.0, 10
 """Points so many times as far off as the middle one say nothing of where an instrument stands."""
 
@@ -102,14 +105,25 @@ def can_be_placed(mechanism: Mechanism) -> bool:
     return bool(its) and all(not p.fixed and np.isinf(p.prior_sd) for p in its)
 
 
-def begins_aligned(mechanism: Mechanism, start: str | Mapping[str, float]) -> bool:
-    """Whether a fit with this start begins by placing the nominal machine.
+def begun(problem: Problem, start: str | Mapping[str, float]) -> Mechanism:
+    """The machine where a fit with this start begins: as stated, or placed.
 
     "auto" places a machine whose placement is free: one that instruments look at, or an own loop
-    in space.
+    in space. One in the plane stays where it was stated, unless it is turned so far away that a
+    fit from there would end at the mirrored machine, with negative lengths.
     """
-    looked_at = bool(mechanism.families) or len(mechanism.outputs) == 3
-    return start == "align" or (start == "auto" and looked_at and can_be_placed(mechanism))
+    mechanism = problem.mechanism
+    if start == "align":
+        return placed(problem)[0]
+    if start != "auto" or not can_be_placed(mechanism):
+        return mechanism
+    if mechanism.families or len(mechanism.outputs) == 3:
+        return placed(problem)[0]
+    try:
+        there, motion = placed(problem)
+    except InputError:  # too few points: not known to be turned
+        return mechanism
+    return there if np.trace(motion.rotation) < 2.0 * math.cos(TURNED) else mechanism
 
 
 def placed(problem: Problem) -> tuple[Mechanism, RigidMotion]:

@@ -30,6 +30,8 @@ def refuse_without_length(mechanism: Mechanism, readings: Array, known: Array, s
     readings: (k, N); known: (c, N); sd: (k, N) or (k, 1), all [SI] in the orders of the tape. A
     gap within its noise of 0 says no more than one of 0.
     """
+    if not mechanism.implied:  # no gap is read
+        return
     names, units = mechanism.tape.quantities, mechanism.quantities
     read = np.flatnonzero(np.any(np.isfinite(sd), axis=1)).tolist()
     lengths = [i for i in read if units[names[i]] == "m"]

@@ -24,15 +24,14 @@ def standing(mechanism: Mechanism, readings: NDArray[np.float64]) -> list[int]:
     Not those of instruments, whose readings follow from the machine, nor what is no reading (an
     error of the machine model, taken as 0).
     """
-    seen = {q for family in mechanism.families for q in family.readings}
-    seen |= {*mechanism.implied, *mechanism.disturbances}
     if readings.shape[1] < FEWEST:
         return []
-    return [
-        i
-        for i, name in enumerate(mechanism.tape.quantities)
-        if name not in seen and (readings[i] == readings[i, 0]).all()
-    ]
+    alike = np.flatnonzero((readings == readings[:, :1]).all(axis=1)).tolist()
+    if not alike:
+        return []
+    seen = {q for family in mechanism.families for q in family.readings}
+    seen |= {*mechanism.implied, *mechanism.disturbances}
+    return [i for i in alike if mechanism.tape.quantities[i] not in seen]
 
 
 def standing_exact(
@@ -43,15 +42,14 @@ def standing_exact(
     What they are off by is the same in all poses, and parameters take it up. Not where a loop would
     be left without any reading that is uncertain.
     """
+    alike = standing(mechanism, readings)
+    if not alike:
+        return uncertainty
     names, loops = mechanism.tape.quantities, mechanism.tape.depends_on()
     inside = {i for block in uncertainty.blocks for i in block.indices}
     sd = uncertainty.sd
     uncertain = [bool((row > 0.0).all()) for row in sd]
-    still = [
-        i
-        for i in standing(mechanism, readings)
-        if i not in inside and uncertain[i] and np.isfinite(sd[i]).all()
-    ]
+    still = [i for i in alike if i not in inside and uncertain[i] and np.isfinite(sd[i]).all()]
     moving = {name for i, name in enumerate(names) if uncertain[i] and i not in still}
     if not still or not all(moving.intersection(inputs) for inputs in loops):
         return uncertainty

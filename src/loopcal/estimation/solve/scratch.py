@@ -48,6 +48,7 @@ class _Blas:
         self.lock = threading.Lock()
         self.holders = 0
         self.scipy = False
+        self.limited = False
         self.limit = ExitStack()
 
     def hold(self) -> None:
@@ -59,15 +60,17 @@ class _Blas:
                 if _threaded(blas):  # to set the limit takes as long as a small block
                     _disown()
                     self.limit.enter_context(blas.limit(limits=1, user_api="blas"))
+                    self.limited = True
             self.holders += 1
 
     def release(self) -> None:
         with self.lock:
             self.holders -= 1
-            if not self.holders:
+            if self.limited and not self.holders:
                 _disown()
                 self.limit.close()
                 _disown()
+                self.limited = False
 
 
 def _threaded(blas: ThreadpoolController) -> bool:

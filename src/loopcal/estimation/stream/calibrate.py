@@ -22,7 +22,7 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.methods.registry import names_where
 from loopcal.estimation.model_error import modelled
 from loopcal.estimation.noise.learning import with_model
-from loopcal.estimation.problem.alignment import begins_aligned, placed
+from loopcal.estimation.problem.alignment import begun
 from loopcal.estimation.problem.parallel_axes import refuse_parallel_axes
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
@@ -83,9 +83,8 @@ def calibrate_stream(
         first = Chunk(data, first.noise)
     with one_blas_thread():
         task = _task(mechanism, stream, exact=exact)
-        if begins_aligned(mechanism, fit.start):
-            mechanism, _ = placed(task.problem(first))
-            task = _task(mechanism, stream, exact=exact)
+        mechanism = begun(task.problem(first), fit.start)
+        task = _task(mechanism, stream, exact=exact)
         problem = task.problem(first)
         refuse_parallel_axes(mechanism)
         task = _settled(task, problem)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 READ = (1, SCHEMA)
 """Schemas that can be read."""
+_ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
 _REMEDY = "name a result.json that loopcal wrote, or calibrate again"
 
 
@@ -40,7 +41,7 @@ def _text(value: Any, margin: str = "\n") -> str:
         return "{" + inner + f",{inner}".join(lines) + margin + "}"
     if isinstance(value, list) and not {dict, list}.isdisjoint(map(type, value)):
         return "[" + inner + f",{inner}".join(_text(its, inner) for its in value) + margin + "]"
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    return _ENCODER.encode(value)
 
 
 def write_result(

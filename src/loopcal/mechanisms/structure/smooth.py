@@ -18,7 +18,7 @@ import heapq
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -50,6 +50,7 @@ class Smooth:
 
     joints: tuple[str, ...]
     factors: tuple[float, ...]
+    scales: tuple[float, ...]
     harmonics: tuple[Harmonic, ...]
 
     @classmethod
@@ -63,7 +64,14 @@ class Smooth:
         factors = [
             1.0 if unit == "rad" else math.pi / ranges.get(name, RANGE) for name, unit in joints
         ]
-        return cls(tuple(name for name, _ in joints), tuple(factors), harmonics(scales, count))
+        names = tuple(name for name, _ in joints)
+        return cls(names, tuple(factors), tuple(scales), harmonics(scales, count))
+
+    def following(self, count: int) -> Smooth:
+        """The waves that come after these, up to so many in all, on the same scale."""
+        every = harmonics(self.scales, count)
+        rest = every[len(self.harmonics) :]
+        return replace(self, harmonics=rest)
 
     def features(self, x: Values) -> list[Any]:
         """a_k cos(k . q) and a_k sin(k . q) for each k in turn."""

@@ -1,0 +1,339 @@
+"""Work on the cores of this process by copies of it, which have what they work with already.
+
+A forked copy begins at once, with every tape and engine that is made. Only what became of a piece
+is sent, and of it only what is new: what the copy was given comes back as itself. Whoever is free
+takes the next piece, this process as well. A piece whose copy is lost is done here.
+"""
+
+from __future__ import annotations
+
+import gc
+import io
+import os
+import pickle
+import select
+import signal
+import struct
+import sys
+import threading
+import warnings
+from array import array
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from types import FunctionType, ModuleType
+from typing import Any, Never
+
+from loopcal.execution.executor import (
+    Crew,
+    Done,
+    Executor,
+    InProcess,
+    Piece,
+    Shared,
+    Value,
+    done,
+)
+from loopcal.execution.local import Threads
+from loopcal.expressions.choice import engine_threads, use_threads
+
+_LEAVES = (str, bytes, int, float, complex, type, FunctionType, ModuleType, type(None))
+_LONGEST = 1_000
+"""Longer sequences are sent whole: they are data, not objects that others refer to."""
+_NOTICE = struct.Struct("<IIQ")
+"""Which copy has done which piece, and how many bytes it has written of it."""
+_SIGNALS = {signal.SIGINT, signal.SIGTERM}
+_role = threading.local()
+
+
+def own_cores() -> Executor:
+    """Who shares work among the cores of this process; this process where only one is its own.
+
+    Forked copies where that is safe: on Linux, where no other Python thread may hold a lock that
+    the copy would wait for. Elsewhere threads, which run Python one at a time.
+    """
+    count = use_threads()
+    if count == 1 or getattr(_role, "works", False):
+        return InProcess()
+    return Forked(count) if _safe() else Threads(count)
+
+
+def helping() -> bool:
+    """Whether this is a forked copy: whatever else it changes or tells than its value is lost."""
+    return getattr(_role, "helps", False)
+
+
+@contextmanager
+def waits_only(thread: threading.Thread) -> Generator[None, None, None]:
+    """Fork although this thread lives: it waits for an event, and holds nothing meanwhile."""
+    _WAITING.add(thread)
+    try:
+        yield
+    finally:
+        _WAITING.discard(thread)
+
+
+_WAITING = set[threading.Thread]()
+
+
+def _safe() -> bool:
+    busy = [one for one in threading.enumerate() if one not in _WAITING]
+    return sys.platform == "linux" and busy == [threading.main_thread()]
+
+
+@dataclass(frozen=True)
+class Forked(Executor):
+    """This process and forked copies of it, so many in all.
+
+    >>> from loopcal.execution.executor import gathered
+    >>> gathered(Forked(2), pow, 2, range(5))
+    [1, 2, 4, 8, 16]
+    """
+
+    workers: int
+
+    @contextmanager
+    def crew(
+        self, work: Callable[[Shared, Piece], Value], shared: Shared
+    ) -> Generator[Crew, None, None]:
+        """Copies that are made for each run, and end with it."""
+
+        def outcomes(pieces: Sequence[Piece]) -> Generator[Done[Value], None, None]:
+            return _outcomes(_Job(work, shared, pieces), self.workers)
+
+        yield outcomes
+
+    def ready(self) -> str:
+        """Where pieces will be done."""
+        return f"{self.workers} forked process{'es' if self.workers > 1 else ''}"
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What all copies have: the work, what it is done with, and the pieces."""
+
+    work: Callable[[Any, Any], Any]
+    shared: Any
+    pieces: Sequence[Any]
+
+    def done(self, number: int) -> Done[Any]:
+        """Do one piece on one core."""
+        _role.works = True
+        try:
+            with engine_threads(1):
+                return done(self.work, self.shared, self.pieces[number], number)
+        finally:
+            _role.works = False
+
+
+@dataclass
+class _Queue:
+    """Numbers that nobody has taken yet: copies share the place where they read on in a file.
+
+    Its lock keeps two from taking the same number, which reading such a file does not.
+    """
+
+    file: int
+
+    @classmethod
+    def of(cls, count: int) -> _Queue:
+        """All numbers below a count."""
+        file = os.memfd_create("loopcal")
+        with os.fdopen(os.dup(file), "wb") as written:
+            written.write(array("I", range(count)).tobytes())
+        os.lseek(file, 0, os.SEEK_SET)
+        return cls(file)
+
+    def next(self) -> int | None:
+        """The next number; None where all are taken."""
+        import fcntl  # not on every system
+
+        fcntl.lockf(self.file, fcntl.LOCK_EX)  # two that read such a file at once read the same
+        try:
+            read = os.read(self.file, array("I").itemsize)
+        finally:
+            fcntl.lockf(self.file, fcntl.LOCK_UN)
+        return array("I", read)[0] if read else None
+
+
+@dataclass
+class _Copy:
+    """A forked copy of this process; results: the file that it writes to, read: bytes so far."""
+
+    pid: int
+    results: int
+    read: int = 0
+
+    def take(self, size: int) -> bytes:
+        """The next bytes that it has written."""
+        self.read += size
+        return os.pread(self.results, size, self.read - size)
+
+    def end(self) -> None:
+        """End it, whatever it does."""
+        with suppress(ProcessLookupError):
+            os.kill(self.pid, signal.SIGKILL)
+        with suppress(ChildProcessError):
+            os.waitpid(self.pid, 0)
+        os.close(self.results)
+
+
+@dataclass
+class _Copies:
+    """Forked copies at work. notices: where they tell; alive: closed where this process ends."""
+
+    job: _Job
+    queue: _Queue
+    known: Mapping[int, object]
+    notices: tuple[int, int] = field(default_factory=os.pipe)
+    alive: tuple[int, int] = field(default_factory=os.pipe)
+    begun: list[_Copy] = field(default_factory=list)
+
+    def begin(self, count: int) -> None:
+        """Fork so many copies, or fewer where the system gives no more."""
+        for which in range(count):
+            heard = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)  # until the copy is known
+            try:
+                results = os.memfd_create("loopcal")
+                try:
+                    pid = _fork()
+                except OSError:
+                    os.close(results)
+                    break
+                if pid == 0:
+                    self._work(which, results, heard)
+                self.begun.append(_Copy(pid, results))
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, heard)
+        os.close(self.notices[1])  # who reads sees the end when the last copy has ended
+
+    def _work(self, which: int, results: int, signals: set[int]) -> Never:
+        """In a copy: do pieces until there are none, and end without a word to anybody else."""
+        try:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # this is its parent's business
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+            signal.pthread_sigmask(signal.SIG_SETMASK, signals)
+            os.close(self.alive[1])
+            threading.Thread(target=_end_with, args=(self.alive[0],), daemon=True).start()
+            gc.freeze()  # to look through what was there before would copy it page by page
+            _role.helps = True
+            with warnings.catch_warnings(record=True) as heard:
+                while (number := self.queue.next()) is not None:
+                    heard.clear()
+                    outcome = self.job.done(number)
+                    told = [(one.message, one.category, one.filename, one.lineno) for one in heard]
+                    sent = _pickled((outcome, told), self.known)
+                    _write(results, sent)
+                    os.write(self.notices[1], _NOTICE.pack(which, number, len(sent)))
+            os._exit(0)
+        finally:
+            os._exit(1)  # what it was doing is done by its parent, who tells what is wrong with it
+
+    def found(self, *, wait: bool) -> Generator[Done[Any], None, None]:
+        """What they have done since; wait: until all of them have ended."""
+        if not self.begun:
+            return
+        notices = self.notices[0]
+        while wait or select.select([notices], [], [], 0.0)[0]:
+            notice = os.read(notices, _NOTICE.size)
+            if not notice:
+                return
+            which, _, size = _NOTICE.unpack(notice)
+            outcome, told = _Reader(io.BytesIO(self.begun[which].take(size)), self.known).load()
+            for message, category, name, line in told:
+                warnings.warn_explicit(message, category, name, line)
+            yield outcome
+
+    def end(self) -> None:
+        """End all of them."""
+        for one in self.begun:
+            one.end()
+        for file in (self.notices[0], *self.alive, self.queue.file):
+            os.close(file)
+
+
+def _outcomes(job: _Job, workers: int) -> Generator[Done[Any], None, None]:
+    """What became of every piece, in the order of completion."""
+    count = len(job.pieces)
+    missing = dict.fromkeys(range(count))
+    helpers = min(workers, count) - 1
+    known = _within(job.shared, job.pieces) if helpers > 0 else {}
+    copies = _Copies(job, _Queue.of(count), known)
+    try:
+        number = copies.queue.next()  # the first piece is done here
+        copies.begin(helpers)
+        while number is not None:
+            outcome = job.done(number)
+            del missing[number]
+            yield outcome
+            number = copies.queue.next()
+            for outcome in copies.found(wait=False):
+                del missing[outcome.number]
+                yield outcome
+        for outcome in copies.found(wait=True):
+            del missing[outcome.number]
+            yield outcome
+    finally:
+        copies.end()
+    for number in missing:
+        yield job.done(number)
+
+
+def _fork() -> int:
+    with warnings.catch_warnings():
+        # From 3.12 on Python warns of threads that it does not know, such as those of engines:
+        # a copy has none of them, and uses none.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return os.fork()
+
+
+def _end_with(parent: int) -> None:
+    """The parent's end of the pipe is closed when the parent has ended."""
+    os.read(parent, 1)
+    os._exit(1)
+
+
+def _write(file: int, content: bytes) -> None:
+    rest = memoryview(content)
+    while rest:
+        rest = rest[os.write(file, rest) :]
+
+
+def _within(*given: object) -> dict[int, object]:
+    """All objects that others are made of, by identity, but for lists and dictionaries, which a
+    copy may have filled."""
+    found: dict[int, object] = {}
+    waiting = list(given)
+    while waiting:
+        one = waiting.pop()
+        if id(one) in found or isinstance(one, _LEAVES):
+            continue
+        found[id(one)] = one
+        if isinstance(one, tuple | list | frozenset | set | Mapping):
+            if len(one) <= _LONGEST:
+                waiting += one.values() if isinstance(one, Mapping) else one
+        else:
+            waiting += getattr(one, "__dict__", {}).values()
+    return {number: one for number, one in found.items() if not isinstance(one, list | dict)}
+
+
+def _pickled(value: object, known: Mapping[int, object]) -> bytes:
+    class Writer(pickle.Pickler):
+        def persistent_id(self, one: object) -> int | None:
+            return id(one) if id(one) in known else None
+
+    written = io.BytesIO()
+    Writer(written, pickle.HIGHEST_PROTOCOL).dump(value)
+    return written.getvalue()
+
+
+class _Reader(pickle.Unpickler):
+    """Reads what a copy has written; what both knew before is that again."""
+
+    def __init__(self, file: io.BytesIO, known: Mapping[int, object]) -> None:
+        super().__init__(file)
+        self._known = known
+
+    def persistent_load(self, identity: int) -> object:
+        """The object that the copy meant."""
+        return self._known[identity]

@@ -1,0 +1,89 @@
+"""Waves that a smooth discrepancy leaves out are errors that neighbouring poses share."""
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from analyses.gauntlet_worlds import World
+from analyses.smooth_errors import shifted
+from loopcal.estimation.noise.further_waves import _gained, shared
+from loopcal.mechanisms.structure.smooth import Smooth
+
+
+def _rows(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """D (120, 12) with D^T D + P = I, Z (120, 8), and a root of P."""
+    t = rng.uniform(0.0, 6.0, 120)
+    J = np.column_stack([np.cos(k * t + 0.3 * k) for k in range(12)])
+    prior = np.diag(np.linspace(0.0, 4.0, 12))
+    root = np.linalg.inv(np.linalg.cholesky(J.T @ J + prior)).T
+    # the waves that follow are not orthogonal to those of the fit at these poses
+    Z = np.column_stack([np.cos((k + 0.5) * t) for k in range(8, 16)]) / np.sqrt(8)
+    return J @ root, Z, np.sqrt(prior) @ root
+
+
+def test_the_covariance_is_that_of_fits_whose_errors_neighbours_share() -> None:
+    rng = np.random.default_rng(1)
+    D, Z, P = _rows(rng)
+    tau = 1.5
+    off, gained = [], []
+    for _ in range(1500):
+        v, b, u = rng.standard_normal(120), rng.standard_normal(8), rng.standard_normal(12)
+        e = v + tau * Z @ b
+        z = D.T @ e + P.T @ u  # the errors of the estimates
+        off.append(z)
+        found = _gained(D, Z, e - D @ z)
+        gained.append(np.zeros((12, 12)) if found is None else found)
+    true = np.cov(np.array(off).T)
+    told = np.eye(12) + np.mean(gained, axis=0)
+    assert np.trace(true) > 1.15 * 12  # else there is nothing to tell
+    error = np.abs(true - told).max() / np.diag(true).max()
+    assert error < 0.1
+
+
+def test_independent_errors_gain_next_to_nothing() -> None:
+    rng = np.random.default_rng(2)
+    D, Z, P = _rows(rng)
+    gained = []
+    for _ in range(600):
+        e = rng.standard_normal(120)
+        z = D.T @ e + P.T @ rng.standard_normal(12)
+        found = _gained(D, Z, e - D @ z)
+        gained.append(0.0 if found is None else float(np.trace(found)))
+    assert -0.2 < np.mean(gained) / 12 < 0.02
+
+
+def test_smooth_errors_widen_the_regions_where_no_pose_was_measured() -> None:
+    trial, _ = shifted(
+        World(poses=150).made(np.random.default_rng(3)), 1.0, np.random.default_rng(4)
+    )
+    result = lc.calibrate(
+        trial.mechanism,
+        trial.readings,
+        noise=trial.noise,
+        method="least-squares",
+        model_error="structured",
+    )
+    problem, root = result.problem, result.spectrum.root
+    gained = shared(problem, result.solution.corrections, result.pose_equations(), root)
+    assert gained is not None
+    assert np.linalg.eigvalsh(np.eye(len(gained)) + gained).min() > 0.0
+    plain = root @ root.T
+    waves = [i for i, name in enumerate(result.estimated) if name.startswith("discrepancy_")]
+    assert np.diag(result.covariance)[waves].sum() > 1.1 * np.diag(plain)[waves].sum()
+
+
+def test_without_a_discrepancy_nothing_is_gained() -> None:
+    trial = World(poses=40).made(np.random.default_rng(5))
+    result = lc.calibrate(
+        trial.mechanism, trial.readings, noise=trial.noise, method="least-squares"
+    )
+    at = result.solution.corrections, result.pose_equations(), result.spectrum.root
+    assert shared(result.problem, *at) is None
+
+
+@pytest.mark.parametrize("count", [12, 30])
+def test_the_waves_that_follow_are_none_of_those_before(count: int) -> None:
+    own = Smooth.of([(f"q{i}", "rad") for i in range(6)], {}, count)
+    following = own.following(60)
+    every = [h.orders for h in (*own.harmonics, *following.harmonics)]
+    assert len(every) == len(set(every)) == 60
