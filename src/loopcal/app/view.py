@@ -14,6 +14,7 @@ from loopcal.app import words
 from loopcal.app.pictures import GRID
 from loopcal.app.session import Session
 from loopcal.errors import LoopcalError
+from loopcal.presentation.shown import with_unit
 
 WHOLE = 100
 """Rows of a table that is shown without turning its pages."""
@@ -31,6 +32,8 @@ class View:
     poses: tuple[str, ...] = ()
     """Ids of the poses of the result that is shown."""
     refresh: Callable[[], Any] = lambda: None
+    follows: Callable[[], bool] = lambda: False
+    """Shows in the step as it stands what has changed; False where it is drawn anew."""
     follow: list[Callable[[], Any]] = field(default_factory=list)
     """What is called when a control changes."""
 
@@ -84,9 +87,28 @@ def _tell(why: str) -> None:
     ui.notify(why, type="negative", multi_line=True, timeout=15_000, close_button=True)
 
 
+def stale(view: View) -> None:
+    """Whether the result is of the project as it stands; where not, what a first fit of it says."""
+    session, refit = view.session, view.session.refit()
+    source = session.source()
+    if refit is None or source is None or source.document.accuracy is None:
+        if session.state().stale:
+            ui.label(words.STALE).classes("care")
+        return
+    sizes = source.document.accuracy.after.rms, refit.accuracy.rms
+    before, after = (with_unit(size or 0.0, refit.unit) for size in sizes)
+    with ui.element("div").classes("provisional"):
+        told = words.PROVISIONAL.format(before=before, after=after, label=refit.label)
+        ui.label(told).classes("care")
+        if not refit.converged:
+            ui.label(words.NOT_CONVERGED).classes("bad")
+        ui.label(words.JUDGING if session.worker.busy else words.UNJUDGED)
+
+
 def title(view: View, label: str) -> None:
     """The head of a step."""
     view.follow.clear()
+    view.follows = lambda: False
     ui.label(label).classes("text-h5").props("role=heading aria-level=1")
     ui.label(words.STEPS[view.step]).classes("text-body1 q-mb-sm")
 
