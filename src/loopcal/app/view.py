@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from nicegui import ui
+from nicegui import run, ui
 
 from loopcal.app import words
 from loopcal.app.pictures import GRID
@@ -52,14 +52,15 @@ class View:
 
     def act(self, do: Callable[[], Any]) -> bool:
         """Do something that a user asked for, and show why where it cannot be done."""
-        try:
-            do()
-        except LoopcalError as error:
-            _tell(str(error))
-            return False
-        except Exception as error:
-            logging.getLogger(__name__).exception("cannot be done")
-            _tell(words.NOT_DONE.format(fault=f"{type(error).__name__}: {error}"))
+        return self._done(_complaint(do))
+
+    async def act_aside(self, do: Callable[[], Any]) -> bool:
+        """The same in a thread: what reads many rows keeps no other page waiting."""
+        return self._done(await run.io_bound(_complaint, do))
+
+    def _done(self, complaint: str | None) -> bool:
+        if complaint is not None:
+            _tell(complaint)
             return False
         self.refresh()
         return True
@@ -72,14 +73,26 @@ class View:
         """Run, and wait; whether it ended well."""
         if not self.run(what, *line):
             return False
-        run = self.session.worker.run
-        while run is not None and run.code is None:
+        its = self.session.worker.run
+        while its is not None and its.code is None:
             await asyncio.sleep(0.1)
-        return run is not None and run.code == 0
+        return its is not None and its.code == 0
 
     def project_name(self) -> str:
         """Of the project file in the folder."""
         return self.session.folder.project.name
+
+
+def _complaint(do: Callable[[], Any]) -> str | None:
+    """Why something cannot be done; None where it is."""
+    try:
+        do()
+    except LoopcalError as error:
+        return str(error)
+    except Exception as error:
+        logging.getLogger(__name__).exception("cannot be done")
+        return words.NOT_DONE.format(fault=f"{type(error).__name__}: {error}")
+    return None
 
 
 def _tell(why: str) -> None:

@@ -76,7 +76,7 @@ def _parameter(p: Found) -> list[str]:
     expected = "unknown" if sd is None else significant(in_unit(sd, unit), 3)
     sds = ["", "fixed"] if p["fixed"] else [prior, expected]
     shown = "" if unit == "1" else unit_shown(unit)
-    return [p["name"], f"{in_unit(p['nominal'], unit):z.6g}", *sds, shown, p["kind"]]
+    return [p["name"], f"{round(in_unit(p['nominal'], unit), 9):z.6g}", *sds, shown, p["kind"]]
 
 
 def _range(q: Found) -> list[str]:

@@ -291,10 +291,10 @@ def _selected(linked: _Linked) -> None:
     ui.label(f"pose {poses[0]} to {poses[-1]}, rms {errors.rms(view.selected):.3g} {errors.unit}")
     _ends(linked)
 
-    def do(act: Callable[[str], Any], kept: str) -> None:
+    async def do(act: Callable[[str], Any], kept: str) -> None:
         chosen = list(view.selected)
         view.selected.clear()
-        if not view.act(partial(act, str(view.kept[kept] or words.REASONS[kept][0]))):
+        if not await view.act_aside(partial(act, str(view.kept[kept] or words.REASONS[kept][0]))):
             view.selected[:] = chosen
 
     reason(view, "shifted", words.REASONS["shifted"])
