@@ -5,6 +5,8 @@ sds learnt. Counted: parameters within their 95 % interval, by the normal distri
 sds (as if these were known) and by Student's t with Kenward and Roger's covariance; joint 95 %
 regions of points predicted at new poses; false alarms of `compare` at 5 %, by chi-squared as if
 the sds were known, and by F.
+
+    python -m analyses.small_samples [DRAWS [FIRST]]
 """
 
 from __future__ import annotations
@@ -118,13 +120,13 @@ def counted(case: Case, poses: int, seeds: range) -> list[Drawn]:
     return [drawn for drawn in found if drawn is not None]
 
 
-def main(draws: int) -> None:
-    """Print one row per case and number of poses."""
+def main(draws: int, first: int = 0) -> None:
+    """Print one row per case and number of poses; first: the first draw, a new seed each."""
     print("| learnt | poses | parameters | points | `compare` |")
     print("| --- | --- | --- | --- | --- |")
     for case in CASES:
         for poses in POSES:
-            found = counted(case, poses, range(draws))
+            found = counted(case, poses, range(first, first + draws))
             inside = {
                 name: 100.0 * np.array([getattr(d, name) for d in found])
                 for name in ("normal", "student", "points_normal", "points")
@@ -144,4 +146,4 @@ def main(draws: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 500)
+    main(*map(int, sys.argv[1:3] or ["500"]))

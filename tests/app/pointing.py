@@ -49,7 +49,7 @@ class Hand:
     def brush(self, label: str, begin: float, end: float) -> None:
         """Drag over the points of a figure between two values of its x axis."""
         plot = self.page.get_by_label(label, exact=True)
-        plot.scroll_into_view_if_needed()
+        plot.evaluate("e => e.scrollIntoView({block: 'center'})")
         plot.locator(".nsewdrag").first.wait_for()
         box = plot.locator(".nsewdrag").first.bounding_box()
         low, high = plot.evaluate(
@@ -62,6 +62,21 @@ class Hand:
         self.page.mouse.up()
         self.page.get_by_text(re.compile("poses selected")).wait_for()
 
+    def frame_in_space(self) -> None:
+        """Draw a frame around all points of the figure in space."""
+        pane = self.page.locator(".pane")
+        pane.evaluate("e => e.scrollIntoView({block: 'center'})")
+        box = pane.bounding_box()
+        ends = [(box["x"] + s * box["width"], box["y"] + s * box["height"]) for s in (0.01, 0.99)]
+        self.page.mouse.move(*ends[1])
+        self.page.mouse.down()
+        self.page.mouse.move(*ends[0], steps=4)
+        self.page.mouse.up()
+
     def sees(self, text: str | re.Pattern[str]) -> None:
         """Wait until the page shows this."""
         self.page.get_by_text(text).first.wait_for()
+
+    def sees_stale(self) -> None:
+        """Wait until the page says that the result is not of the project as it stands."""
+        self.sees(re.compile("The project has changed since this result|Provisional: error"))

@@ -98,7 +98,7 @@ def test_from_two_files_to_a_urdf_by_keyboard(browser: Any, tmp_path: Path) -> N
         keys.press("Select")
         keys.sees("30 of 60 poses selected")
         keys.press("Reflector moved here")
-        keys.sees("The project has changed since this result")
+        keys.sees_stale()
         keys.choose("Method", "implicit-loop")
         keys.run("Calibrate")
         keys.step("Deploy")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import threading
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,8 @@ from tests.app.plain_command import command
 pytest.importorskip("tomlkit", reason="tomlkit is absent; `pip install .[app]` installs it")
 
 LOOPS = """
+import shutil
+import threading
 from pathlib import Path
 Path(__file__).with_name("was-run").touch()
 def loops(x, p):
@@ -94,6 +98,30 @@ def test_the_log_has_the_beginning_and_the_end_of_a_run_in_their_order(tmp_path:
     assert kinds == ["begun", "ended", "begun", "ended"]
     assert session.folder.log().unfinished() is None
     assert session.finished == 2
+
+
+def test_an_act_is_fitted_at_once_and_the_last_result_stays(hostile: Path, tmp_path: Path) -> None:
+    shutil.copytree(hostile, tmp_path / "arm")
+    session = Session(tmp_path / "arm", command)
+    source = session.source()
+    assert source is not None
+    before = (session.folder.result / "result.json").read_bytes()
+    session.excluded(source.table.poses[:3], "bad reading")
+    for _ in range(1200):
+        if not session.refits.going:
+            break
+        threading.Event().wait(0.05)
+    found = session.refit()
+    assert found is not None
+    assert found.table.poses == source.table.poses[3:]
+    shown = found.shown_in(source.document)
+    assert shown.verdict is None  # nothing is judged yet
+    assert shown.validation is None
+    assert (session.folder.result / "result.json").read_bytes() == before
+    session.folder.undo()
+    assert session.refit() is None  # the result is of this project again
+    with pytest.raises(InputError, match="all poses are selected"):
+        session.excluded(source.table.poses, "bad reading")
 
 
 @pytest.mark.parametrize("seed", [1, 2])

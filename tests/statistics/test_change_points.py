@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import loopcal as lc
+from analyses.gauntlet_kinds import KINDS
 from loopcal.chi_squared import tail
 from loopcal.document.change_points import Change, ChangePoint
 from loopcal.statistics.change_points import _log_tail
@@ -290,3 +291,21 @@ def test_a_pose_in_which_no_loop_holds_is_passed_over() -> None:
     blank = {q: np.where(np.arange(60) == 7, np.nan, data[q]) for q in "xyz"}
     whole, part = (lc.find_shifts(fitted(its)) for its in (data, data.with_readings(blank)))
     assert whole.found == part.found == ()
+
+
+@pytest.mark.parametrize(
+    ("kind", "named"), [("neighbours off by 4 sds", 5), ("six axes along a path", 0)]
+)
+def test_a_step_without_a_sharp_edge_leaves_the_verdict_open(kind: str, named: int) -> None:
+    codes = []
+    for seed in range(6):
+        trial = KINDS[kind].world.made(np.random.default_rng([98, 700 + seed]))
+        result = lc.calibrate(
+            trial.mechanism,
+            trial.readings,
+            noise=trial.noise,
+            method="implicit-loop",
+            model_error="structured",
+        )
+        codes.append(lc.verdict(result).sound.code == "drift-or-model")
+    assert sum(codes) == named

@@ -43,8 +43,8 @@ LINKED = "/linked.js"
 TIP = 'anchor="center right" self="center left"'
 SAID = 1_500
 """Characters of what a failed run said that are shown at once; the end of it."""
-LOOKS_EVERY = 0.4
-"""Seconds between looks at the folder."""
+LOOKS_EVERY, LISTENS_EVERY = 0.4, 0.1
+"""Seconds between looks at the folder, and at the fit that goes on."""
 STYLE = """
 :root { --good: #17693a; --care: #8a4b00; --bad: #b3261e; --none: #525964; }
 body.body--dark { --good: #6fdc9a; --care: #ffb95c; --bad: #ff9a90; --none: #a8b0bb; }
@@ -71,6 +71,9 @@ body .tip { background: #333; color: #fff; font-size: 0.85rem; max-width: 22rem;
 .q-uploader__list { min-height: 1.5rem; padding: 4px 8px; }
 .linked :is(.selectionlayer, .outline-controllers) { display: none; }
 .linked .select-outline { pointer-events: none !important; }
+.linked .pane { position: absolute; z-index: 2; cursor: crosshair; touch-action: none; }
+.linked .pane div { position: absolute; border: 2px dashed #d55e00; background: #d55e0022; }
+.provisional { border-left: 4px solid var(--care); padding: 0.25rem 0.75rem; width: 100%; }
 .command { max-width: 100%; } .command pre { padding-right: 2.5rem; white-space: pre-wrap; }
 .q-table td { white-space: normal; overflow-wrap: anywhere; }
 .step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }
@@ -93,7 +96,7 @@ async def build(session: Session) -> None:
     ui.add_head_html(f'<script src="{LINKED}"></script>')
     ui.colors(primary="#0b5cad")
     view = View(session)
-    known = {"version": session.version, "finished": session.finished}
+    known = _known(session)
     alive: list[Callable[[], Any]] = []
 
     with ui.header(elevated=False).classes("items-center q-px-md"):
@@ -138,27 +141,34 @@ async def build(session: Session) -> None:
                 waiting.set_visibility(True)
                 background_tasks.create(draw_once_read())
             return
-        known.update(version=session.version, finished=session.finished)
+        session.look_ahead()
+        known.update(_known(session))
         for step in steps(session.state()):
             lights[step.key].show(step, chosen=step.key == view.step)
-        content.refresh()
+        if not view.follows():
+            content.refresh()
         running.refresh()
 
     def show(key: str) -> None:
-        view.step = key
+        view.step, view.follows = key, lambda: False
         draw()
 
     def look() -> None:
         if waiting.visible:
             return
         if session.version != known["version"]:
-            own = session.going or session.finished != known["finished"]
+            now = _known(session)
+            own = session.going or any(now[k] != known[k] for k in ("finished", "refit"))
             draw()
             if not own:
                 ui.notify(words.CHANGED)
         elif session.going:
             for follow in alive:
                 follow()
+
+    def listen() -> None:
+        if not waiting.visible and id(session.refits.found) != known["refit"]:
+            draw()
 
     view.refresh = draw
     with drawer:
@@ -169,6 +179,13 @@ async def build(session: Session) -> None:
         running()
     lights[view.step].show(steps(session.state())[0], chosen=True)
     ui.timer(LOOKS_EVERY, look)
+    ui.timer(LISTENS_EVERY, listen)
+
+
+def _known(session: Session) -> dict[str, int]:
+    """What a page has drawn."""
+    refit = id(session.refits.found)
+    return {"version": session.version, "finished": session.finished, "refit": refit}
 
 
 def _shown(view: View) -> None:

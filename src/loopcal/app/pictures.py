@@ -30,6 +30,8 @@ SIZE = "distance"
 """The error of a pose as one number: the length of its differences."""
 GRID = "rgba(128,128,128,0.3)"
 _SOLID = "#9aa1aa"
+_BRUSHED = {"dragmode": "select", "selectdirection": "d"}
+"""A frame is as it is drawn; by default plotly takes a narrow one for a band across all."""
 _PLAIN = {"displaylogo": False, "displayModeBar": False, "scrollZoom": False, "responsive": True}
 _SPATIAL = {**_PLAIN, "scrollZoom": True}
 
@@ -177,6 +179,21 @@ class Errors:
         """(N,) readings of a joint, in the unit shown."""
         return self.source.table.readings[name] / factor(self._unit(name))
 
+    @property
+    def solid(self) -> bool:
+        """Whether the figure in space has three dimensions."""
+        return len(self._outputs()) == 3
+
+    def seen(self, frame: Mapping[str, Sequence[float]]) -> Framed:
+        """(N,) each: where the figure in space shows the poses. Of three dimensions, the frame's
+        matrix (16 numbers, column by column) takes points to its axes."""
+        at = [self.source.table.readings[name] for name in self._outputs()]
+        if not self.solid:
+            return at[0], at[1]
+        matrix = np.array(frame["matrix"], dtype=float).reshape(4, 4).T
+        x, y, _, w = matrix @ np.array([*at, np.ones(len(self.size))])
+        return x / w, y / w
+
     def framed(self, of: Framed, frame: Mapping[str, Sequence[float]]) -> list[int] | None:
         """Positions of all poses in a frame of a flat figure, also of those that are not drawn;
         None where all are drawn."""
@@ -195,10 +212,10 @@ class Errors:
 
     def in_space(self) -> dict[str, Any] | None:
         """Measured points coloured by the size of the error."""
-        outputs = self._outputs()
+        outputs, solid = self._outputs(), self.solid
         if len(outputs) < 2:
             return None
-        table, solid = self.source.table, len(outputs) == 3
+        table = self.source.table
         keys = dict(zip("xyz", [table.readings[n][self.drawn] for n in outputs], strict=False))
         trace = self._points("scatter3d" if solid else "scatter", **keys)
         trace["marker"] |= {
@@ -214,7 +231,7 @@ class Errors:
         if solid:
             more: dict[str, Any] = {"scene": _space(titles)}
         else:
-            more = {f"{k}axis": axis(t) for k, t in zip("xy", titles, strict=True)}
+            more = {f"{k}axis": axis(t) for k, t in zip("xy", titles, strict=True)} | _BRUSHED
         return {
             "data": [trace, self._ring(trace)],
             "layout": look(420, showlegend=False, uirevision="space", **more),
@@ -253,7 +270,7 @@ class Errors:
                 rangemode="tozero" if what == SIZE else "normal",
             ),
         }
-        drawn = look(height, dragmode="select", showlegend=False, **head, **more)
+        drawn = look(height, showlegend=False, **_BRUSHED, **head, **more)
         return {"data": data, "layout": drawn, "config": _PLAIN}
 
     def _points(self, kind: str, **at: NDArray[Any]) -> dict[str, Any]:

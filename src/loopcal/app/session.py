@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
 from loopcal.app.action import Action
+from loopcal.app.refits import Asked, Refits
 from loopcal.app.steps import State
 from loopcal.app.worker import Command, Run, Worker
 from loopcal.document.change_points import ChangePoints
@@ -21,7 +23,9 @@ from loopcal.files.project.project_folder import RESULT, ProjectFolder
 from loopcal.files.project.stream import load_sample
 from loopcal.measurements.dataset import Dataset
 from loopcal.report.source import Source, read_source
+from loopcal.statistics.continued import Ending
 from loopcal.statistics.shifted import COLUMN, ids_are_numbers
+from loopcal.workflow.refitting import Refit
 
 OF_A_MACHINE = {
     *("calibrate", "check", "compare", "export", "fleet", "noise", "plan", "predict"),
@@ -41,6 +45,7 @@ class Session:
         self.function = None if function is None else _absolute(function)
         self._loops = None if function is None else load_function(function)
         self.worker = Worker(command, self._begun, self._ended)
+        self.refits = Refits(self.worker.context, self.function)
         self.last: dict[str, Run] = {}  # of each command, since the server started
         self.finished = 0
         self._noted: Run | None = None
@@ -52,7 +57,8 @@ class Session:
     @property
     def version(self) -> int:
         """Another number whenever a file of the folder has changed."""
-        return hash((tuple(self.folder.listed()), id(self.worker.run), self.going))
+        found = id(self.refits.found)
+        return hash((tuple(self.folder.listed()), id(self.worker.run), self.going, found))
 
     @property
     def going(self) -> bool:
@@ -69,8 +75,45 @@ class Session:
         return read_project(self.folder.project, text=text, mechanism=self._loops)
 
     def start(self, action: Action) -> Run:
-        """Run a command in the folder."""
-        return self.worker.start(action, str(self.folder.path))
+        """Run a command in the folder; before a calibration ends, its fit is looked at."""
+        run = self.worker.start(action, str(self.folder.path))
+        if action.words[0] == "calibrate" and "--out" not in action.words:
+            named = dict(pairwise(action.words))
+            self._refit(named.get("--method"))
+        return run
+
+    def look_ahead(self) -> None:
+        """Fit a project that has changed since its result, from where that ended."""
+        if self.state().stale and not self.worker.busy:
+            asked = self.refits.asked
+            if asked is None or (asked.text, asked.result) != (
+                self.folder.text(),
+                self._result_at(),
+            ):
+                self._refit(None)
+
+    def _refit(self, method: str | None) -> None:
+        source, text = self.source(), self.folder.text()
+        if source is None or text is None or source.document.accuracy is None:
+            return
+        asked = Asked(text, self._result_at(), method)
+        if asked != self.refits.asked:
+            ending = Ending.of(source.document, source.table.poses)
+            self.refits.begin(asked, self.folder.project, ending)
+
+    def refit(self) -> Refit | None:
+        """The fit of the project as it stands, from where the last result ended; None where that
+        result is of this project, or nothing is known yet."""
+        asked, found = self.refits.asked, self.refits.found
+        if asked is None or found is None:
+            return None
+        current = (asked.text, asked.result) == (self.folder.text(), self._result_at())
+        return found if current and (self._calibrates or self.state().stale) else None
+
+    @property
+    def _calibrates(self) -> bool:
+        run = self.worker.run
+        return self.going and run is not None and run.action.words[0] == "calibrate"
 
     def _begun(self, action: Action) -> None:
         self.folder.noted("begun", action.what, {"command": action.command})
@@ -207,7 +250,10 @@ class Session:
         self._write(with_value(text, keys, value), what, reason)
 
     def excluded(self, poses: Sequence[str], reason: str) -> None:
-        """Leave poses out."""
+        """Leave poses out. Raises InputError where none would be left."""
+        loaded = self.readings()
+        if loaded is not None and set(loaded.dataset.poses) <= set(poses):
+            raise _all_selected()
         text = without_poses(self.folder.text() or "", poses)
         shown = ", ".join(poses[:8]) + (f" and {len(poses) - 8} more" if len(poses) > 8 else "")
         self._write(text, f"left out {shown}", reason)
@@ -237,9 +283,11 @@ class Session:
         data = self._numbered(names)
         known = set(run)
         here = [i for i, pose in enumerate(data.poses) if pose in known]
-        if not here or len(here) == len(data.poses):
+        if len(here) == len(data.poses):
+            raise _all_selected()
+        if not here:
             raise InputError(
-                "all poses are selected" if here else "no pose of the selection is in use",
+                "no pose of the selection is in use",
                 code="invalid-value",
                 remedy="select a part of the run",
             )
@@ -273,6 +321,13 @@ class Session:
     def _write(self, text: str, what: str, reason: str) -> None:
         self.read(text)  # raises where it would not be read
         self.folder.change(text, what, reason)
+        self.look_ahead()
+
+
+def _all_selected() -> InputError:
+    return InputError(
+        "all poses are selected", code="invalid-value", remedy="select a part of the run"
+    )
 
 
 def _files(data: DataSpec) -> tuple[str, ...]:
@@ -281,7 +336,7 @@ def _files(data: DataSpec) -> tuple[str, ...]:
 
 def _that_count(inputs: Mapping[str, Any]) -> dict[str, Any]:
     """What a calibration follows from."""
-    return {key: value for key, value in inputs.items() if key not in ("record", "title")}
+    return {key: value for key, value in inputs.items() if key not in ("record", "title", "plan")}
 
 
 def _absolute(function: str) -> str:

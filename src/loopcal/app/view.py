@@ -8,12 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from nicegui import ui
+from nicegui import run, ui
 
 from loopcal.app import words
 from loopcal.app.pictures import GRID
 from loopcal.app.session import Session
 from loopcal.errors import LoopcalError
+from loopcal.presentation.shown import with_unit
 
 WHOLE = 100
 """Rows of a table that is shown without turning its pages."""
@@ -31,6 +32,8 @@ class View:
     poses: tuple[str, ...] = ()
     """Ids of the poses of the result that is shown."""
     refresh: Callable[[], Any] = lambda: None
+    follows: Callable[[], bool] = lambda: False
+    """Shows in the step as it stands what has changed; False where it is drawn anew."""
     follow: list[Callable[[], Any]] = field(default_factory=list)
     """What is called when a control changes."""
 
@@ -49,14 +52,15 @@ class View:
 
     def act(self, do: Callable[[], Any]) -> bool:
         """Do something that a user asked for, and show why where it cannot be done."""
-        try:
-            do()
-        except LoopcalError as error:
-            _tell(str(error))
-            return False
-        except Exception as error:
-            logging.getLogger(__name__).exception("cannot be done")
-            _tell(words.NOT_DONE.format(fault=f"{type(error).__name__}: {error}"))
+        return self._done(_complaint(do))
+
+    async def act_aside(self, do: Callable[[], Any]) -> bool:
+        """The same in a thread: what reads many rows keeps no other page waiting."""
+        return self._done(await run.io_bound(_complaint, do))
+
+    def _done(self, complaint: str | None) -> bool:
+        if complaint is not None:
+            _tell(complaint)
             return False
         self.refresh()
         return True
@@ -69,14 +73,26 @@ class View:
         """Run, and wait; whether it ended well."""
         if not self.run(what, *line):
             return False
-        run = self.session.worker.run
-        while run is not None and run.code is None:
+        its = self.session.worker.run
+        while its is not None and its.code is None:
             await asyncio.sleep(0.1)
-        return run is not None and run.code == 0
+        return its is not None and its.code == 0
 
     def project_name(self) -> str:
         """Of the project file in the folder."""
         return self.session.folder.project.name
+
+
+def _complaint(do: Callable[[], Any]) -> str | None:
+    """Why something cannot be done; None where it is."""
+    try:
+        do()
+    except LoopcalError as error:
+        return str(error)
+    except Exception as error:
+        logging.getLogger(__name__).exception("cannot be done")
+        return words.NOT_DONE.format(fault=f"{type(error).__name__}: {error}")
+    return None
 
 
 def _tell(why: str) -> None:
@@ -84,9 +100,28 @@ def _tell(why: str) -> None:
     ui.notify(why, type="negative", multi_line=True, timeout=15_000, close_button=True)
 
 
+def stale(view: View) -> None:
+    """Whether the result is of the project as it stands; where not, what a first fit of it says."""
+    session, refit = view.session, view.session.refit()
+    source = session.source()
+    if refit is None or source is None or source.document.accuracy is None:
+        if session.state().stale:
+            ui.label(words.STALE).classes("care")
+        return
+    sizes = source.document.accuracy.after.rms, refit.accuracy.rms
+    before, after = (with_unit(size or 0.0, refit.unit) for size in sizes)
+    with ui.element("div").classes("provisional"):
+        told = words.PROVISIONAL.format(before=before, after=after, label=refit.label)
+        ui.label(told).classes("care")
+        if not refit.converged:
+            ui.label(words.NOT_CONVERGED).classes("bad")
+        ui.label(words.JUDGING if session.worker.busy else words.UNJUDGED)
+
+
 def title(view: View, label: str) -> None:
     """The head of a step."""
     view.follow.clear()
+    view.follows = lambda: False
     ui.label(label).classes("text-h5").props("role=heading aria-level=1")
     ui.label(words.STEPS[view.step]).classes("text-body1 q-mb-sm")
 

@@ -27,6 +27,18 @@ NO_PROJECT = (
 NO_RESULT = "There is no result yet. Calibrate in the step Fit first."
 NO_OUTPUTS = "The result has no outputs that could be compared with readings."
 STALE = "The project has changed since this result. Fit again to see the effect."
+PROVISIONAL = (
+    "Provisional: error {after} rms, {before} in the last result. Fitted by {label}, from where "
+    "the last result ended."
+)
+UNJUDGED = "Nothing is chosen, validated or judged yet. Calibrate for a result that you can use."
+JUDGING = (
+    "The calibration continues: it chooses the method, validates and judges. "
+    "Its result replaces these numbers."
+)
+NOT_CONVERGED = "This fit did not converge."
+PROVISIONAL_PARAMETERS = "Provisional parameters"
+LAST_RESULT = "Last result"
 NO_REGION = "The result states no working region, so loopcal cannot predict over it."
 RUNNING = "running"
 READING = "Reading the files ..."
@@ -53,9 +65,13 @@ REASONS = {
     "shifted": ("reflector slipped", "reflector replaced", "instrument moved", "base moved"),
 }
 SELECTED = "{count:,} of {all:,} poses selected"
-NONE_SELECTED = "No pose is selected. Drag over points of a figure, click one, or name the ends."
+NONE_SELECTED = (
+    "No pose is selected. Drag over points of a figure, click one and Shift-click another, or "
+    "name the ends."
+)
 ENDS = ("From pose", "To pose")
 SELECT = "Select"
+DRAG, DRAG_TURNS, DRAG_SELECTS = "Drag in space", "Drag turns", "Drag selects"
 NO_SUCH_POSE = "The result has no pose {pose}."
 CHOOSE_FILES = "Choose files"
 TOO_LARGE = "The file is larger than an upload may be."
@@ -73,6 +89,12 @@ COLUMNS = (
     "Select a row of the table below: the robot moves to that pose. "
     "If it looks wrong, choose another column or unit."
 )
+PLAN_RANGES = "Ranges of the joints"
+RANGES_HOW = (
+    "Poses are chosen within these ranges. Without an entry the limits of the machine hold, shown "
+    "in grey, or the readings measured already."
+)
+RANGE_ENDS = ("from", "to")
 PLANNED = "Move the slider: the robot moves from pose to pose in the order of the plan."
 COMPARED = (
     "Calibrate with several methods, each validated on ten parts of the poses that its fit does "
@@ -132,6 +154,12 @@ FOLDS = {"": AS_STATED, "5": "5 parts", "10": "10 parts"}
 
 # Labels, headings and buttons.
 CHECK = "Check"
+REMARKS = "What is fixed, and why"
+NOT_APART = "What these poses cannot distinguish"
+CURE, CURE_PLAN = "Poses that would cure it", "The step Plan chooses poses, and writes them."
+EXPECTED, RANGES = "Parameters, and the sds to expect", "Readings"
+EXPECTED_HEAD = ("parameter", "nominal", "prior sd", "expected sd", "unit", "kind")
+RANGE_HEAD = ("quantity", "readings", "smallest", "largest", "sd", "unit")
 DROP_READINGS = "Drop the files of readings here"
 FILES_READINGS = "Files of readings"
 RECOGNISE = "Recognise"

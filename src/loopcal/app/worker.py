@@ -31,7 +31,12 @@ Command = Callable[[Sequence[str]], int]
 """`loopcal.cli.run.main`: a command line in, its exit code out."""
 LINES = 2_000
 """So many lines of a run are kept; of more the last ones."""
-PRELOADED = ["numpy", "polars", "loopcal.workflow.calibration", "loopcal.report.page"]
+LONGEST = 2_000_000
+"""Characters of output that are kept."""
+PRELOADED = [
+    *("numpy", "polars", "loopcal.workflow.calibration", "loopcal.workflow.refitting"),
+    "loopcal.report.page",
+]
 """What the warm process loads beside the command itself."""
 WRITTEN = (0, 4)
 """Exit codes of a run that has written what it makes."""
@@ -49,6 +54,8 @@ class Run:
 
     action: Action
     lines: list[str] = field(default_factory=list)
+    output: str = ""
+    """What it printed on stdout, where it is not too long."""
     progress: str = ""
     code: int | None = None
     cancelled: bool = False
@@ -64,6 +71,8 @@ class Run:
         if stream == "stderr" and text.startswith("\r"):
             self.progress = text.strip()
             return
+        if stream == "stdout" and len(self.output) < LONGEST:
+            self.output += text
         self.lines += text.splitlines()
         del self.lines[:-LINES]
 
@@ -79,11 +88,11 @@ class Worker:
         self, command: Command, begun: Callable[[Action], Any], ended: Callable[[Run], Any]
     ) -> None:
         names = multiprocessing.get_all_start_methods()
-        self._context: Any = multiprocessing.get_context(
+        self.context: Any = multiprocessing.get_context(
             "forkserver" if "forkserver" in names else "spawn"
         )
         if "forkserver" in names:
-            self._context.set_forkserver_preload([command.__module__, *PRELOADED])
+            self.context.set_forkserver_preload([command.__module__, *PRELOADED])
             multiprocessing.forkserver.ensure_running()  # loads while the user looks
         self._command = command
         self._begun, self._ended = begun, ended
@@ -103,9 +112,9 @@ class Worker:
                 assert self.run is not None
                 raise Busy(f"{self.run.action.what} goes on; cancel it or wait")
             self._begun(action)
-            heard, said = self._context.Pipe()
+            heard, said = self.context.Pipe()
             run = Run(action)
-            process = self._context.Process(
+            process = self.context.Process(
                 target=_work, args=(self._command, action.words, folder, said)
             )
             process.start()

@@ -85,6 +85,8 @@ class ChangePoints:
     """Poses that were searched; 0: too many or too few."""
     toml: str = ""
     """The lines of a project or mechanism file that model them."""
+    unsure: tuple[ChangePoint, ...] = ()
+    """Steps without a sharp edge: a slow drift or a smooth model error explains them as well."""
 
     def warnings(self) -> tuple[str, ...]:
         """What was modelled, what was not, and the remedy."""

@@ -117,6 +117,7 @@ def calibrate(
         if any(fault.code not in UNREPAIRED for fault in faults):
             # no fit is of use: a short one, so that there is a result to say so
             short = fitted(problem, fit.tolerance, min(fit.max_iterations, FAULTY))
+            short = replace(short, status=short.status.ended_early())
             return Result(fit, data, problem, short, problem, faults=faults)
         if told is None or not learns:
             found = solved(problem)
@@ -125,6 +126,7 @@ def calibrate(
         if faults:  # nothing is learnt before a fit at the stated sds has come near
             tried = fitted(problem, ROUGHLY, min(fit.max_iterations, TRIED))
             if left := left_after(faults, problem, tried):
+                tried = replace(tried, status=tried.status.ended_early())
                 return Result(fit, data, problem, tried, problem, faults=left)
         from loopcal.estimation.noise.estimation import estimate_noise
 

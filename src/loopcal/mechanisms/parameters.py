@@ -123,8 +123,10 @@ class Parameters:
 
 def _with(parameter: Parameter, changes: Mapping[str, Any]) -> Parameter:
     """The parameter with other values; itself where none differs."""
-    fields = {**vars(parameter), **changes}
-    return parameter if fields == vars(parameter) else Parameter(**fields)
+    own = vars(parameter)
+    if all(own[name] == value for name, value in changes.items()):
+        return parameter
+    return Parameter(**{**own, **changes})
 
 
 def matching(pattern: str, names: Iterable[str], what: str) -> tuple[str, ...]:

@@ -55,6 +55,7 @@ class Cure:
         """As one JSON document, SI."""
         readings: Mapping[str, Array] = self.poses.readings
         return {
+            "words": self.words(),
             "enough": self.enough,
             "condition_number": self.condition,
             "poses": [
@@ -63,7 +64,8 @@ class Cure:
             ],
         }
 
-    def __str__(self) -> str:
+    def words(self) -> str:
+        """How many poses, and what they give."""
         count = len(self.poses)
         number = "infinite" if self.condition is None else significant(self.condition, 3)
         if not self.enough:
@@ -72,15 +74,20 @@ class Cure:
                 f"would be {number}. Widen the ranges ([plan.ranges]), read more quantities, or "
                 "state priors."
             )
+        poses = "pose" if count == 1 else "poses"
+        return f"{count} more {poses} would cure this (condition number {number})"
+
+    def __str__(self) -> str:
+        if not self.enough:
+            return self.words()
+        count = len(self.poses)
         some = range(min(count, _SHOWN))
         units = {q: SHOWN.get(u, u) for q, u in self.poses.units.items()}
         shown = {q: from_si(v, units[q]) for q, v in self.poses.readings.items()}
         rows = [[f"{q} [{units[q]}]" for q in shown]]
         rows += [[significant(float(v[i]), 5) for v in shown.values()] for i in some]
-        poses = "pose" if count == 1 else "poses"
-        words = f"{count} more {poses} would cure this (condition number {number}):"
         rest = [f"and {count - _SHOWN} more (--json)"] if count > _SHOWN else []
-        return "\n".join([words, *columns(rows), *rest])
+        return "\n".join([f"{self.words()}:", *columns(rows), *rest])
 
 
 def cure(mechanism: Mechanism, existing: Dataset, noise: Noise, settings: PlanSettings) -> Cure:

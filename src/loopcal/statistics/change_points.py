@@ -54,13 +54,15 @@ class Shifts:
 
     found: change points in order; level: probability of finding any in independent errors; tested:
     poses that were searched, 0 where there are too many or too few; explained: ids of the poses
-    that fit once the shifts are modelled, empty where none was found.
+    that fit once the shifts are modelled, empty where none was found; unsure: steps without a sharp
+    edge, which slow changes over the run explain as well.
     """
 
     found: tuple[ChangePoint, ...]
     level: float
     tested: int
     explained: frozenset[str] = frozenset()
+    unsure: tuple[ChangePoint, ...] = ()
 
     def __len__(self) -> int:
         return len(self.found)
@@ -152,6 +154,7 @@ class _Search:
                 break
             steps, fit = [best, *steps], fit.beside(self._columns(best)).again()
         smooth = self._smooth(fit, steps)
+        unsure = tuple(self._point(fit, steps, step) for step in smooth)
         for step in smooth:
             fit = self._without(fit, steps, step)
             steps.remove(step)
@@ -170,6 +173,7 @@ class _Search:
             self.level,
             len(order),
             frozenset(self.problem.poses[i] for i in order[np.flatnonzero(fits)].tolist()),
+            unsure,
         )
 
     def _smooth(self, fit: Fitted, steps: Sequence[_Step]) -> list[_Step]:

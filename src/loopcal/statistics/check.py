@@ -126,12 +126,13 @@ class Check:
                 "sd_at_poses": largest_by_unit(self.expected_at_poses),
                 "by": plain(self.expected_at_poses),
             },
+            "said": self.said(),
             "remarks": list(self.mechanism.remarks),
         }
 
-    def __str__(self) -> str:
-        lines = [*_range_table(self), "", *_parameter_table(self), ""]
-        condition = self.identifiability.condition_number
+    def said(self) -> list[str]:
+        """What the poses give, a line each, without the verdict."""
+        condition, lines = self.identifiability.condition_number, []
         if condition is not None:
             lines.append(f"condition number of the poses {significant(condition, 3)}")
         lines += [self.observability.words(), self.identifiability.index.words()]
@@ -139,7 +140,10 @@ class Check:
             f"expected prediction: {words} at 95 % of these poses"
             for words in usual_words(self.expected_at_poses)
         ]
-        lines += self.identifiability.words()
+        return lines + self.identifiability.words()
+
+    def __str__(self) -> str:
+        lines = [*_range_table(self), "", *_parameter_table(self), "", *self.said()]
         if self.mechanism.remarks:
             lines += ["", *self.mechanism.remarks]
         return "\n".join([*lines, "", f"{self.verdict.upper()}  {self.words}"])
@@ -231,7 +235,7 @@ def _verdict(problem: Problem, said: WhatDataSay, loose: set[str]) -> _Verdict:
         return _Verdict(
             "undetermined",
             f"Neither these readings nor the prior determine {names}. Fix a parameter of each "
-            "combination named above, state how well it is known ([prior]), or measure poses "
+            "combination listed, state how well it is known ([prior]), or measure poses "
             "that distinguish it from the others.",
         )
     condition = said.condition_number
@@ -242,7 +246,7 @@ def _verdict(problem: Problem, said: WhatDataSay, loose: set[str]) -> _Verdict:
             f"The condition number of these poses {size}, and poses are good up to "
             f"{SCHROER:.0f}: they are too alike, or too few quantities are read. The fit will "
             f"be valid near these poses only. Spread the joints over their whole ranges, above "
-            f"all the joints of the parameters named above; or state priors from the drawing "
+            f"all the joints of the parameters listed; or state priors from the drawing "
             f"([prior]).",
         )
     share = problem.equations / len(problem.free)

@@ -18,7 +18,9 @@ chi^2 over its degrees of freedom is compared with F (`loopcal.small_samples`).
 
 Where chi-squared rejects the stated sds, C is as large as the residuals. Where the poses of the
 calibrations scatter more than C allows (`scatter`), along the contrasts, a difference counts only
-if it is one under their own covariance as well, by Hotelling's T^2.
+if it is one under their own covariance as well, by Hotelling's T^2. That they do is shown at a
+level of 25 %, as is usual for a test that chooses between two others (Bancroft and Han 1977): were
+any excess enough, chance would take away a fifth to a half of the right alarms.
 
 An error of the machine model moves the parameters otherwise in other poses, by more than any
 residual shows. Two calibrations in different regions are compared by what each says of the region
@@ -34,6 +36,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.chi_squared import tail
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.alignment import align
@@ -56,6 +59,8 @@ from loopcal.statistics.gauge import carried, difference, gauge, moved, values_o
 Array = NDArray[np.float64]
 MOST_POSES = 500
 """Common poses from each calibration, evenly thinned."""
+_CHOOSES = 0.25
+"""p-value below which the poses scatter more than the sds allow."""
 _RANK = 1e-12
 """Variances this far below the largest, of contrasts in sds, are rounding."""
 
@@ -290,14 +295,14 @@ class _ByScatter:
 def _by_scatter(
     a: Calibrated, b: Calibrated, d: Array, C: LearntCovariance, left_out: Array
 ) -> _ByScatter | None:
-    """The test by the scatter of the poses; None where that is not larger than C says."""
+    """The test by the scatter of the poses; None where that does not show to be larger than C."""
     freedom = sum(one.scatter.freedom for one in (a, b) if one.scatter is not None)
     seen = _covariance(a.as_its_scatter, b.as_its_scatter)
     K = _contrasts(C, left_out)
     size = len(K)
     ratio = float(np.trace(seen.through(K).matrix)) / size if size else 0.0
     denominator = freedom - size + 1.0
-    if ratio <= 1.0 or denominator < 1.0:
+    if denominator < 1.0 or tail(freedom * size * ratio, freedom * size) >= _CHOOSES:
         return None
     square = _statistic(d, seen, left_out).value * denominator / freedom
     return _ByScatter(seen, ContrastTest(square, size, denominator), ratio)

@@ -61,7 +61,7 @@ class Findings:
     def added_to(self, document: ResultDocument) -> ResultDocument:
         """The document of the result with these figures."""
         shifts, accuracy = self.shifts, document.accuracy
-        moved = ChangePoints(shifts.found, shifts.level, shifts.tested, self.toml)
+        moved = ChangePoints(shifts.found, shifts.level, shifts.tested, self.toml, shifts.unsure)
         new = replace(moved, found=tuple(p for p in shifts.found if not p.modelled))
         if accuracy is not None:
             nominal = accuracy.nominal or self.nominal

@@ -6,6 +6,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.document.terms import DECISIVE
 from loopcal.mechanisms.structure.structured import DISCREPANCY
 from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import chance
 from loopcal.statistics.rule import LOOSE, Said
 
 SIZE = 3e-3
@@ -83,9 +84,16 @@ def order_or_model(document: ResultDocument) -> Said | None:
     """A smooth model error that a drift along a path would look like.
 
     Where a term that no drift imitates is needed, such as sag, it explains the order of the plain
-    residuals.
+    residuals. What is left beside learnt terms and changes from a pose on may be either.
     """
-    chosen, depends = document.chosen, document.dependence
+    chosen, depends, changes = document.chosen, document.dependence, document.change_points
+    if document.terms and changes is not None and changes.unsure and not changes.found:
+        edge = min(changes.unsure, key=lambda point: point.p_value)
+        return Said(
+            f"Something may have changed along the run near pose {edge.pose} (p = "
+            f"{chance(edge.p_value)}). A slow drift or a smooth model error explains it as well.",
+            edge.p_value,
+        )
     if chosen is None or depends is None or depends.serial:
         return None
     alike = next((one.serial for one in chosen.over if one.serial), None)

@@ -7,7 +7,12 @@ whatever their errors come from: noise, or a machine model that lacks something.
 
 is valid where noise and model are wrong (White 1980), P the prior's precision; the root makes up
 for what the fit took from the residuals (Bell and McCaffrey 2002: CR2). It says nothing of poses
-elsewhere, and few poses know it badly.
+elsewhere, and few poses know it badly: as well as a Wishart matrix whose elements vary as much,
+
+    nu = (1 - n / equations) (tr(P)^2 + tr(P^2)) / sum_i (tr(H_i)^2 + tr(H_i^2)),   P = C sum D^T D,
+
+degrees of freedom (Tipton and Pustejovsky 2015, for good noise): so many as poses less what the
+fit took, and fewer where some poses decide more than others.
 """
 
 from __future__ import annotations
@@ -28,7 +33,7 @@ _LEAST = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """matrix (n, n) [SI] from so many independent poses (freedom)."""
+    """matrix (n, n) [SI], which varies as a Wishart matrix with so many degrees of freedom."""
 
     matrix: Array
     freedom: float
@@ -61,13 +66,17 @@ def scatter(result: Result) -> Scatter | None:
     covariance, rank = result.spectrum.covariance(), result.spectrum.rank
     precision = np.zeros(len(covariance)) if method.exact else 1.0 / np.square(problem.prior_sd)
     found = covariance @ (precision[:, None] * covariance)
+    whole, single = np.zeros_like(covariance), 0.0
     for block in result.pose_equations():
         turned = rows_times(block.D, covariance)
         own = np.eye(block.E.shape[1]) - turned @ block.D.transpose(0, 2, 1)
         values, vectors = np.linalg.eigh(own)
+        whole += np.einsum("brn,brm->nm", turned, block.D)
+        single += float(np.square((1.0 - values).sum(axis=1)).sum() + np.square(1.0 - values).sum())
         root = vectors / np.sqrt(np.maximum(values, _LEAST))[:, None, :]
         freed = np.einsum("brs,bts,bt->br", root, vectors, block.E)
         pulls = np.einsum("brn,br->bn", turned, freed)
         found = found + pulls.T @ pulls
-    poses, equations = len(problem.poses), max(solution.equations, 1)
-    return Scatter(found, max(poses * (1.0 - rank / equations), 1.0))
+    poses = (np.trace(whole) ** 2 + np.trace(whole @ whole)) / max(single, 1e-300)
+    left = 1.0 - rank / max(solution.equations, 1)
+    return Scatter(found, max(float(poses) * left, 1.0))

@@ -85,6 +85,8 @@ def test_learnt_sds_are_not_sought_in_a_file_at_fault_and_every_face_says_so() -
     result = lc.calibrate(given.nominal(2), readings, noise=noise, method="implicit-loop")
     assert result.estimate is None
     assert result.status.iterations <= 3
+    assert result.status.reason == "file_at_fault"  # not the limit that a user could raise
+    assert not result.status.converged
     assert [fault.code for fault in result.faults] == ["rows-shifted"]
     assert lc.find_outliers(result).columns == result.faults
     assert str(result).splitlines()[2].startswith("FILE AT FAULT")

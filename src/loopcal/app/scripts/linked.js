@@ -5,19 +5,30 @@
 const linked = {
   chosen: [],
 
-  /* Select these poses. */
-  select(positions) {
+  last: null,
+  frames: false,
+  shift: false,
+
+  /* Select these poses; space: also in space, which is slower to draw, after the marks. */
+  select(positions, space = true) {
     linked.chosen = positions;
     for (const figure of document.querySelectorAll(".linked.js-plotly-plot"))
       if (figure.data?.[0].type === "scatter") linked.mark(figure);
-    requestAnimationFrame(linked.ring); // space is slower to draw: marks come first
+    linked.overlay();
+    if (space) requestAnimationFrame(linked.ring);
   },
 
   /* Take the selection of an event of plotly and tell it on. Where an event has neither points nor
-     a frame, nobody has selected: plotly has drawn a figure again. */
+     a frame, nobody has selected: plotly has drawn a figure again. A click with Shift selects all
+     poses since the last click. */
   take(event, emit) {
     if (!event?.points.length && !event?.range) return;
-    const positions = event.points.map((point) => point.customdata);
+    let positions = event.points.map((point) => point.customdata);
+    if (!event.range && positions.length === 1) {
+      const [begin, end] = [linked.last ?? positions[0], positions[0]].sort((a, b) => a - b);
+      if (!linked.shift) linked.last = positions[0];
+      else positions = Array.from({ length: end - begin + 1 }, (_, i) => begin + i);
+    }
     linked.select(positions);
     requestAnimationFrame(linked.unframe);
     emit(positions, event.range ?? null);
@@ -58,21 +69,123 @@ const linked = {
     }
   },
 
-  /* Ring the selected poses in space. */
+  /* Ring the selected poses in space: the marks alone, where they were drawn before. */
   ring() {
     const chosen = new Set(linked.chosen);
     for (const figure of document.querySelectorAll(".linked.js-plotly-plot")) {
       const [trace, ring] = figure.data ?? [];
       if (!ring) continue;
       const where = trace.customdata.flatMap((position, i) => (chosen.has(position) ? [i] : []));
-      const at = Object.fromEntries(
-        ["x", "y", "z"].filter((k) => trace[k]).map((k) => [k, [where.map((i) => trace[k][i])]]),
-      );
-      linked.plotly((Plotly) => Plotly.restyle(figure, at, [1]));
+      const axes = ["x", "y", "z"].filter((k) => trace[k]);
+      const at = Object.fromEntries(axes.map((k) => [k, where.map((i) => trace[k][i])]));
+      const scene = figure._fullLayout.scene?._scene;
+      const drawn = scene?.traces[figure._fullData[1].uid];
+      if (!drawn) {
+        const moved = Object.fromEntries(axes.map((k) => [k, [at[k]]]));
+        linked.plotly((Plotly) => Plotly.restyle(figure, moved, [1]));
+        continue;
+      }
+      Object.assign(ring, at);
+      drawn.update(Object.assign(figure._fullData[1], at));
+      scene.glplot.redraw();
     }
+  },
+
+  /* Whether a drag in space draws a frame, instead of turning it. */
+  framing(on) {
+    linked.frames = on;
+    linked.overlay();
+  },
+
+  /* A pane over each figure in space that takes the frame, where one is drawn. */
+  overlay() {
+    for (const figure of document.querySelectorAll(".linked.js-plotly-plot")) {
+      const scene = figure._fullLayout?.scene?._scene;
+      if (!scene) continue;
+      let pane = figure.querySelector(".pane");
+      if (!pane) {
+        pane = document.createElement("div");
+        pane.className = "pane";
+        pane.addEventListener("pointerdown", (event) => linked.frame(figure, pane, event));
+        figure.append(pane);
+        linked.hear(figure);
+      }
+      const box = scene.container.getBoundingClientRect(), all = figure.getBoundingClientRect();
+      Object.assign(pane.style, {
+        display: linked.frames ? "block" : "none",
+        left: `${box.left - all.left}px`,
+        top: `${box.top - all.top}px`,
+        width: `${box.width}px`,
+        height: `${box.height}px`,
+      });
+    }
+  },
+
+  /* A click with Shift in space, which plotly keeps to itself. */
+  hear(figure) {
+    let under = null;
+    figure.on("plotly_hover", (event) => (under = event.points[0]));
+    figure.on("plotly_unhover", () => (under = null));
+    figure.addEventListener("pointerup", (event) => {
+      if (event.shiftKey && under) figure.emit("plotly_click", { points: [under] });
+    }, true);
+  },
+
+  /* Draw a frame from here, and select the poses that are seen inside of it. */
+  frame(figure, pane, begin) {
+    const drawn = document.createElement("div");
+    pane.replaceChildren(drawn);
+    pane.setPointerCapture(begin.pointerId);
+    const ends = (event) => {
+      const box = pane.getBoundingClientRect();
+      const ends = [begin, event].map((e) => [e.clientX - box.left, e.clientY - box.top]);
+      const [x, y] = [0, 1].map((k) => ends.map((end) => end[k]).sort((a, b) => a - b));
+      return { x, y, box };
+    };
+    pane.onpointermove = (event) => {
+      const { x, y } = ends(event);
+      const at = { left: x[0], top: y[0], width: x[1] - x[0], height: y[1] - y[0] };
+      for (const [name, size] of Object.entries(at)) drawn.style[name] = `${size}px`;
+    };
+    pane.onpointerup = (event) => {
+      pane.onpointermove = pane.onpointerup = null;
+      pane.replaceChildren();
+      const { x, y, box } = ends(event);
+      const range = {
+        x: x.map((v) => (2 * v) / box.width - 1),
+        y: y.map((v) => 1 - (2 * v) / box.height).reverse(),
+        matrix: linked.matrix(figure._fullLayout.scene._scene),
+      };
+      const { data: [trace] } = figure;
+      const inside = trace.customdata.flatMap((position, i) => {
+        const [u, v, , w] = linked.times(range.matrix, [trace.x[i], trace.y[i], trace.z[i], 1]);
+        const within = (value, [low, high]) => low <= value / w && value / w <= high;
+        return within(u, range.x) && within(v, range.y) ? [position] : [];
+      });
+      if (inside.length) {
+        const points = inside.map((customdata) => ({ customdata }));
+        figure.emit("plotly_selected", { points, range });
+      } else figure.emit("plotly_deselect");
+    };
+  },
+
+  /* What takes a point [of the data] to the screen: 16 numbers, column by column. */
+  matrix(scene) {
+    const { projection, view, model } = scene.glplot.cameraParams;
+    const units = [0, 1, 2, 3].map((k) => [0, 1, 2, 3].map((i) => (i === k ? 1 : 0)));
+    return units.flatMap((unit) => {
+      const scaled = unit.map((value, i) => value * (scene.dataScale[i] ?? 1));
+      return [model, view, projection].reduce((point, m) => linked.times(m, point), scaled);
+    });
+  },
+
+  times(matrix, point) {
+    return [0, 1, 2, 3].map((row) => point.reduce((sum, v, k) => sum + matrix[4 * k + row] * v, 0));
   },
 
   async plotly(use) {
     use((await import("nicegui-plotly")).Plotly);
   },
 };
+
+addEventListener("pointerdown", (event) => (linked.shift = event.shiftKey), true);

@@ -1,12 +1,21 @@
-"""What the readings can determine, before a fit."""
+"""What the readings can determine, before a fit: as `loopcal check --json` says it."""
 
 from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from nicegui import ui
 
 from loopcal.app import words
 from loopcal.app.controls import offer, printed
-from loopcal.app.view import View
+from loopcal.app.view import View, heading, table
+from loopcal.presentation.rounding import significant
+from loopcal.presentation.shown import in_unit, unit_shown
+
+Found = Mapping[str, Any]
+GRADES = {"good": "good", "weak": "care", "undetermined": "bad"}
 
 
 def show(view: View) -> None:
@@ -14,5 +23,65 @@ def show(view: View) -> None:
     if view.session.project() is None:
         ui.label(view.session.objection() or words.NO_PROJECT).classes("printed")
         return
-    offer(view, words.CHECK, lambda: ("check", view.project_name()))
-    printed(view, "check")
+    offer(view, words.CHECK, lambda: ("check", view.project_name(), "--json"))
+    run = view.session.last.get("check")
+    if run is None:
+        return
+    if run.code == 0 and run.output.strip():
+        _found(json.loads(run.output))
+    else:
+        printed(view, "check")
+
+
+def _found(found: Found) -> None:
+    for warning in found["warnings"]:
+        ui.label(warning).classes("care")
+    apart = [one["words"] for one in found["identifiability"]["weak_directions"]]
+    with ui.card().classes("w-full").props("flat bordered"):
+        ui.label(found["words"]).classes(f"text-subtitle1 {GRADES[found['verdict']]}")
+        for line in found["said"]:
+            if line not in apart:
+                ui.label(line)
+        if found["remarks"]:
+            with ui.expansion(words.REMARKS).classes("w-full"):
+                for line in found["remarks"]:
+                    ui.label(line)
+    if apart:
+        heading(words.NOT_APART)
+        for line in apart:
+            ui.label(line)
+    if found["cure"] is not None:
+        _cure(found["cure"], {q["name"]: q["unit"] for q in found["quantities"]})
+    heading(words.EXPECTED)
+    table(words.EXPECTED_HEAD, [_parameter(p) for p in found["parameters"]])
+    heading(words.RANGES)
+    table(words.RANGE_HEAD, [_range(q) for q in found["quantities"]])
+
+
+def _cure(cure: Found, units: Mapping[str, str]) -> None:
+    """The poses to measure besides."""
+    heading(words.CURE)
+    ui.label(cure["words"])
+    poses: Sequence[Found] = cure["poses"]
+    if cure["enough"] and poses:
+        head = [f"{q} [{unit_shown(units[q])}]" for q in poses[0]]
+        rows = [[f"{in_unit(v, units[q]):z.2f}" for q, v in pose.items()] for pose in poses]
+        table(["no.", *head], [[str(i), *row] for i, row in enumerate(rows, 1)], pagination=10)
+    ui.label(words.CURE_PLAN)
+
+
+def _parameter(p: Found) -> list[str]:
+    unit, known, sd = p["unit"], p["prior_sd"], p["expected_sd"]
+    prior = "flat" if known is None else significant(in_unit(known, unit), 3)
+    expected = "unknown" if sd is None else significant(in_unit(sd, unit), 3)
+    sds = ["", "fixed"] if p["fixed"] else [prior, expected]
+    shown = "" if unit == "1" else unit_shown(unit)
+    return [p["name"], f"{round(in_unit(p['nominal'], unit), 9):z.6g}", *sds, shown, p["kind"]]
+
+
+def _range(q: Found) -> list[str]:
+    ends = [
+        "" if q[k] is None else f"{in_unit(q[k], q['unit']):z.6g}" for k in ("smallest", "largest")
+    ]
+    sd = "" if q["sd"] is None else significant(in_unit(q["sd"], q["unit"]), 3)
+    return [q["name"], f"{q['readings']:,}", *ends, sd, unit_shown(q["unit"])]

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-from nicegui import ui
+from nicegui import background_tasks, ui
 
 from loopcal.app import words
 from loopcal.app.controls import reason
 from loopcal.app.pictures import SIZE, Errors, Framed
-from loopcal.app.view import View, heading, table
+from loopcal.app.view import View, heading, stale, table
 from loopcal.app.views.fit import offer_fit
 from loopcal.document.change_points import ChangePoints
-from loopcal.document.result_document import ResultDocument
 from loopcal.report.tables import outlier_table
 
 TAKE = "(event) => linked.take(event, emit)"
 """The page marks what an event of plotly selects (linked.js); its positions and range travel."""
 NONE = "() => linked.none(emit)"
+NEXT = 0.02
+"""Seconds between figures that are drawn again."""
 LISTED = 200
 """Rows of the table of selected poses."""
 
@@ -31,15 +34,35 @@ class _Linked:
     def __init__(self, view: View, errors: Errors) -> None:
         self.view, self.errors = view, errors
         self.panel = ui.refreshable(lambda: _selected(self))
+        self.around = ui.refreshable(lambda place: place(self))
+        self._plots: list[tuple[Any, Callable[[Errors], dict[str, Any] | None]]] = []
 
-    def plot(self, drawn: dict[str, Any], label: str, of: Framed | None = None) -> None:
-        """Draw a figure that takes part; of: what its axes show, where a frame can be drawn."""
+    @property
+    def what(self) -> str:
+        """The error that is shown."""
+        kept = str(self.view.kept.setdefault("diagnose.shown", SIZE))
+        return kept if kept in self.errors.shown else SIZE
+
+    def plot(
+        self,
+        make: Callable[[Errors], dict[str, Any] | None],
+        label: str,
+        of: Callable[[], Framed] | None = None,
+    ) -> None:
+        """Draw a figure that takes part, if it can be drawn; of: what its axes show, where a frame
+        can be drawn."""
+        drawn = make(self.errors)
+        if drawn is None:
+            return
         plot = ui.plotly(drawn).classes("w-full linked").props(f'aria-label="{label}"')
+        self._plots.append((plot, make))
 
         def taken(event: Any) -> None:
             positions, frame = [int(i) for i in event.args[0]], event.args[1]
-            whole = None if of is None or frame is None else self.errors.framed(of, frame)
-            self.keep(positions if whole is None else whole)
+            if frame is not None:
+                axes = self.errors.seen(frame) if of is None else of()
+                positions = self.errors.framed(axes, frame) or positions
+            self.keep(positions)
 
         for event in ("plotly_selected", "plotly_click"):
             plot.on(event, taken, js_handler=TAKE)
@@ -52,56 +75,124 @@ class _Linked:
 
     def select(self, positions: Sequence[int]) -> None:
         """Select these poses in every figure."""
-        drawn = np.intersect1d(self.errors.drawn, list(positions))
-        ui.run_javascript(f"linked.select({drawn.tolist()})")
+        self.mark(positions)
         self.keep(positions)
+
+    def mark(self, positions: Sequence[int], *, space: bool = True) -> None:
+        """Mark these poses in every figure; space: also in space, which is slow to draw."""
+        drawn = np.intersect1d(self.errors.drawn, list(positions)).tolist()
+        ui.run_javascript(f"linked.select({drawn}, {str(space).lower()})")
+
+    def follow(self, errors: Errors) -> bool:
+        """Show other errors in the figures that are there; False where these cannot."""
+        own = self.errors
+        if list(errors.shown) != list(own.shown) or errors.joints != own.joints:
+            return False
+        self.errors = errors
+        if errors.source.table is own.source.table and errors.steps == own.steps:
+            soon = self.view.session.refits.going  # then all is drawn again
+            self.mark(self.view.selected, space=not soon)
+        else:
+            self.draw()
+        self.panel.refresh()
+        self.around.refresh()
+        return True
+
+    def draw(self) -> None:
+        """Draw the figures that are there again with what is selected, the first ones first.
+
+        The browser shows each before it draws the next."""
+        errors = self.errors
+        drawn = np.intersect1d(errors.drawn, self.view.selected).tolist()
+        ui.run_javascript(f"linked.chosen = {drawn}")
+
+        async def each() -> None:
+            for plot, make in self._plots:
+                if self.errors is errors and not plot.is_deleted:
+                    plot.update_figure(make(errors))
+                    await asyncio.sleep(NEXT)
+
+        background_tasks.create(each())
 
 
 def show(view: View) -> None:
     """The step."""
-    source = view.session.source()
-    if source is None:
-        ui.label(words.NO_RESULT)
-        return
-    view.select_among(source.table.poses)
-    errors = Errors.of(source, view.session.steps(), view.selected)
+    errors = _errors(view)
     if errors is None:
-        ui.label(words.NO_OUTPUTS)
+        ui.label(words.NO_RESULT if view.session.source() is None else words.NO_OUTPUTS)
         return
-    if view.session.state().stale:
-        ui.label(words.STALE).classes("care")
-    if len(errors.drawn) < len(errors.size):
-        ui.label(words.NOT_WHOLE.format(shown=len(errors.drawn), all=len(errors.size)))
     linked = _Linked(view, errors)
-    what = view.kept.setdefault("diagnose.shown", SIZE)
-    what = what if what in errors.shown else SIZE
+
+    def follow() -> bool:
+        now = _errors(view)
+        return now is not None and linked.follow(now)
+
+    view.follows = follow
+    linked.around(_head)
     with ui.element("div").classes("beside"):
         with ui.column().classes("figures"):
-            shown = ui.toggle(list(errors.shown), value=what, on_change=partial(_show, view))
-            shown.props('no-caps aria-label="error shown"')
-            over = errors.numbers, errors.shown[what]
-            linked.plot(errors.over_poses(what), "error over the poses", over)
-            space = errors.in_space()
-            if space is not None:
-                linked.plot(space, "error in space")
-            with ui.element("div").classes("tiles"):
-                for name in errors.joints:
-                    over = errors.joint(name), errors.shown[what]
-                    linked.plot(errors.over_joint(name, what), f"error over {name}", over)
+            _figures(linked)
         with ui.column().classes("acts"):
-            heading(words.SELECTED_POSES)
-            _from_to(linked)
-            linked.panel()
-            ui.button(words.SELECT_NONE, on_click=partial(linked.select, [])).props("outline")
-            _undo(view)
-            heading(words.FIT_AGAIN)
-            offer_fit(view)
-            _found(view, source.document, linked)
+            _acts(linked)
 
 
-def _show(view: View, event: Any) -> None:
-    view.keep("diagnose.shown", event.value)
-    view.refresh()
+def _errors(view: View) -> Errors | None:
+    """Those of the result, or of the first fit since the project has changed."""
+    source, refit = view.session.source(), view.session.refit()
+    if source is None:
+        return None
+    if refit is not None:
+        source = replace(source, table=refit.table, document=refit.shown_in(source.document))
+    view.select_among(source.table.poses)
+    return Errors.of(source, view.session.steps(), view.selected)
+
+
+def _head(linked: _Linked) -> None:
+    stale(linked.view)
+    errors = linked.errors
+    if len(errors.drawn) < len(errors.size):
+        ui.label(words.NOT_WHOLE.format(shown=len(errors.drawn), all=len(errors.size)))
+
+
+def _figures(linked: _Linked) -> None:
+    view, errors = linked.view, linked.errors
+
+    def other(event: Any) -> None:
+        view.keep("diagnose.shown", event.value)
+        linked.draw()
+
+    shown = ui.toggle(list(errors.shown), value=linked.what, on_change=other)
+    shown.props('no-caps aria-label="error shown"')
+
+    def over(name: str | None) -> Framed:
+        across = linked.errors.numbers if name is None else linked.errors.joint(name)
+        return across, linked.errors.shown[linked.what]
+
+    linked.plot(lambda e: e.over_poses(linked.what), "error over the poses", partial(over, None))
+    if errors.solid:
+        ways = {False: words.DRAG_TURNS, True: words.DRAG_SELECTS}
+        turn = ui.toggle(ways, value=False).props(f'no-caps aria-label="{words.DRAG}"')
+        turn.on_value_change(lambda e: ui.run_javascript(f"linked.framing({str(e.value).lower()})"))
+    linked.plot(lambda e: e.in_space(), "error in space")
+    with ui.element("div").classes("tiles"):
+        for name in errors.joints:
+
+            def make(e: Errors, name: str = name) -> dict[str, Any]:
+                return e.over_joint(name, linked.what)
+
+            linked.plot(make, f"error over {name}", partial(over, name))
+
+
+def _acts(linked: _Linked) -> None:
+    view = linked.view
+    heading(words.SELECTED_POSES)
+    _from_to(linked)
+    linked.panel()
+    ui.button(words.SELECT_NONE, on_click=partial(linked.select, [])).props("outline")
+    linked.around(lambda _: _undo(view))
+    heading(words.FIT_AGAIN)
+    offer_fit(view)
+    linked.around(_found)
 
 
 def _undo(view: View) -> None:
@@ -112,8 +203,12 @@ def _undo(view: View) -> None:
         ui.button(label, on_click=undo, icon="undo").props("outline")
 
 
-def _found(view: View, document: ResultDocument, linked: _Linked) -> None:
+def _found(linked: _Linked) -> None:
     """What loopcal has found by itself, with the poses to look at."""
+    view, source = linked.view, linked.view.session.source()
+    if source is None:
+        return
+    document = source.document
     changes = document.change_points
     found = () if changes is None else changes.found
     outliers = outlier_table(document)
@@ -196,10 +291,10 @@ def _selected(linked: _Linked) -> None:
     ui.label(f"pose {poses[0]} to {poses[-1]}, rms {errors.rms(view.selected):.3g} {errors.unit}")
     _ends(linked)
 
-    def do(act: Callable[[str], Any], kept: str) -> None:
+    async def do(act: Callable[[str], Any], kept: str) -> None:
         chosen = list(view.selected)
         view.selected.clear()
-        if not view.act(partial(act, str(view.kept[kept] or words.REASONS[kept][0]))):
+        if not await view.act_aside(partial(act, str(view.kept[kept] or words.REASONS[kept][0]))):
             view.selected[:] = chosen
 
     reason(view, "shifted", words.REASONS["shifted"])

@@ -9,7 +9,7 @@ from nicegui import ui
 
 from loopcal.app import words
 from loopcal.app.controls import choice, offer, page
-from loopcal.app.view import View, heading, table
+from loopcal.app.view import View, heading, stale, table
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.errors import LoopcalError
@@ -21,6 +21,7 @@ from loopcal.report.page import QUESTIONS
 from loopcal.report.tables import accuracy_tables, model_table
 from loopcal.units import to_si
 
+PARAMETER_HEAD = ("parameter", "nominal", "calibrated", "change", "sd", "unit")
 MARKS = {"yes": "good", "open": "care", "no": "bad"}
 
 
@@ -35,9 +36,12 @@ def show(view: View) -> None:
     if source is None:
         ui.label(words.NO_RESULT)
     else:
-        if view.session.state().stale:
-            ui.label(words.STALE).classes("care")
-        document = source.document
+        stale(view)
+        document, refit = source.document, view.session.refit()
+        if refit is not None:
+            heading(words.PROVISIONAL_PARAMETERS)
+            table(PARAMETER_HEAD, _rows(refit.shown_in(document)))
+            heading(words.LAST_RESULT)
         _verdict(document)
         with ui.row():
             page(f"{view.session.folder.result.name}/report.html", words.OPEN_WHOLE_REPORT)
@@ -49,7 +53,7 @@ def show(view: View) -> None:
             heading(models.caption)
             table(models.head, models.rows)
         heading(words.PARAMETERS)
-        table(("parameter", "nominal", "calibrated", "change", "sd", "unit"), _rows(document))
+        table(PARAMETER_HEAD, _rows(document))
     _side_by_side(view)
 
 

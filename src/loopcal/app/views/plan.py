@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nicegui import ui
 
 from loopcal.app import words
 from loopcal.app.controls import choice, download, number, offer, page, pulses, text
-from loopcal.app.pictures import end_points, machine_figure, moved
+from loopcal.app.pictures import end_points, joints_of, machine_figure, moved
 from loopcal.app.view import View, heading, table
 from loopcal.files.project.project_file import Project
-from loopcal.files.project.project_folder import PLAN_DOCUMENT
+from loopcal.files.project.project_folder import LOG, PLAN_DOCUMENT
+from loopcal.mechanisms.limits import Limit, joint_limits
 from loopcal.presentation.shown import in_unit, unit_shown, with_unit
 
 OLD, ENDS = "", (".csv", ".tsv", ".txt", ".xlsx", ".parquet")
@@ -37,6 +38,7 @@ def show(view: View) -> None:
         choice(view, "plan.candidates", words.CHOOSE_AMONG, {OLD: "random poses", **tables})
         choice(view, "plan.program", words.PROGRAM_POSES, words.PROGRAMS)
         text(view, "pulses", words.PULSES)
+    _ranges(view, project)
 
     def line() -> Sequence[str]:
         kept = view.kept
@@ -51,6 +53,61 @@ def show(view: View) -> None:
 
     offer(view, words.CHOOSE_POSES, line)
     _planned(view, project)
+    drawn = _follows_from(view)
+    view.follows = lambda: _follows_from(view) == drawn
+
+
+def _follows_from(view: View) -> object:
+    """What the step shows, but the ranges: these stay as they are being written."""
+    session = view.session
+    project = session.project()
+    inputs = {} if project is None else {k: v for k, v in project.inputs.items() if k != "plan"}
+    own = (LOG, session.folder.project.name)
+    files = [(f.name, f.modified) for f in session.folder.listed() if f.name not in own]
+    return files, inputs, session.finished, project is None
+
+
+def _ranges(view: View, project: Project) -> None:
+    """[plan.ranges]: how far each joint may go, where limits of the machine do not say it."""
+    joints = [q for q in joints_of(project.mechanism) if q in project.mechanism.quantities]
+    stated: Mapping[str, Any] = project.inputs.get("plan", {}).get("ranges", {})
+    limits = joint_limits(project.mechanism)
+    known = all(q in limits or q in stated for q in joints)
+    with ui.expansion(words.PLAN_RANGES, value=not known).classes("w-full"):
+        ui.label(words.RANGES_HOW).classes("text-body2")
+        with ui.grid(columns="auto 1fr 1fr auto").classes("items-center w-full max-w-xl"):
+            for q in joints:
+                _range(view, q, project.mechanism.quantities[q], stated.get(q), limits.get(q))
+
+
+def _range(view: View, q: str, si: str, stated: Any, limit: Limit | None) -> None:
+    """The ends of one joint, stated as soon as both are there."""
+    unit = stated.get("unit", "1") if stated else unit_shown(si)
+    before = (stated["from"], stated["to"]) if stated else (None, None)
+    ends = () if limit is None else (limit.low, limit.high)
+    shown = [f"{in_unit(v, si):z.4g}" for v in ends] if not stated else []
+    ui.label(q)
+    boxes = []
+    for i, label in enumerate(words.RANGE_ENDS):
+        box = ui.number(label, value=before[i]).props(f'aria-label="{q} {label}" dense')
+        if shown:
+            box.props(f'placeholder="{shown[i]}" stack-label')
+        boxes.append(box)
+    ui.label("" if unit == "1" else unit)
+
+    def state() -> None:
+        nonlocal before
+        given = tuple(box.value for box in boxes)
+        if given == before or (None in given) != (given == (None, None)):
+            return
+        before = low, high = given
+        value = None if low is None else {"from": low, "to": high, "unit": unit}
+        keys = ["plan", "ranges", q]
+        view.act(lambda: view.session.changed(keys, value, words.PLAN_RANGES))
+
+    for box in boxes:
+        box.on("blur", state)
+        box.on("keydown.enter", state)
 
 
 def _planned(view: View, project: Project) -> None:

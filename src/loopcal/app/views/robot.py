@@ -104,7 +104,7 @@ def _slider(name: str, unit: str, move: Any) -> None:
 
     def at(event: Any) -> None:
         move(float(event.value))
-        told.set_text(f"{in_unit(float(event.value), unit):.1f} {unit_shown(unit)}")
+        told.set_text(f"{in_unit(float(event.value), unit):z.1f} {unit_shown(unit)}")
 
     slider.on_value_change(at)
 

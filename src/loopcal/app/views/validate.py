@@ -111,7 +111,7 @@ class _Pose:
         """Predict the pose as it stands."""
         for name, label in self.words.items():
             unit = self.probe.units[name]
-            label.set_text(f"{in_unit(self.joints[name], unit):.2f} {unit_shown(unit)}")
+            label.set_text(f"{in_unit(self.joints[name], unit):z.2f} {unit_shown(unit)}")
         given = {name: self.joints[name] for name in self.probe.spans}
         self.told.clear()
         with self.told:

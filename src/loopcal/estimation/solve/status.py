@@ -10,6 +10,9 @@ REASONS = {
         "The iterations allowed ran out before the gradient was small. Allow more "
         "(fit.max_iterations), or start nearer: check nominal values, units and joint signs."
     ),
+    "file_at_fault": (
+        "The file is at fault, so the fit ended early. Correct what is named and calibrate again."
+    ),
     "stalled": (
         "No step lowers chi-squared any further although its gradient is not small. Check the "
         "nominal values and units, scale sds that differ by many orders of magnitude, or give "
@@ -51,6 +54,12 @@ class Status:
         """The status for a reason, with its cause and remedy."""
         message = f"{REASONS[reason]} {detail}".strip()
         return cls(reason == "converged", reason, message, iterations, evaluations)
+
+    def ended_early(self) -> Status:
+        """The same where more iterations would be of no use, for the file is at fault."""
+        if self.reason != "max_iterations":
+            return self
+        return Status.of("file_at_fault", self.iterations, self.evaluations)
 
 
 def weakness(names: tuple[str, ...]) -> str:

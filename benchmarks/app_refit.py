@@ -1,0 +1,96 @@
+"""How long the app takes from an act of diagnosis to the errors of the fit that follows it.
+
+    python -m benchmarks.app_refit FOLDER [--acts 6]
+
+FOLDER holds a project with a result; the work is done on a copy. A hand leaves poses out in
+Chromium, one run of them after the other, and at last calibrates by each of some methods. A time
+begins with the click and ends in the frame in which the page says how large the error of the new
+fit is and the figure of errors holds the points of that fit. It needs Chromium, playwright and
+NiceGUI (`make partners`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+import time
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from tests.app.pointing import Hand
+from tests.app.serving import serving
+from tests.browser import chromium
+
+METHODS = ("auto", "least-squares", "implicit-loop")
+WATCH = """
+() => {
+  const told = () => document.querySelector('.provisional')?.innerText.split('\\n')[0] ?? '';
+  const points = () => {
+    const y = document.querySelector('.linked.js-plotly-plot')?.data?.[0].y;
+    return y ? String(Array.from(y).slice(0, 50)) : '';
+  };
+  const before = [told(), points()];
+  window.took = null;
+  addEventListener('click', () => {
+    const begun = performance.now();
+    const look = () => {
+      const now = [told(), points()];
+      if (now[0] && now[1] && now[1] !== before[1])
+        window.took = performance.now() - begun;
+      else requestAnimationFrame(look);
+    };
+    requestAnimationFrame(look);
+  }, {capture: true, once: true});
+}
+"""
+
+
+def acts(folder: Path, count: int) -> tuple[list[float], dict[str, tuple[float, float]]]:
+    """Milliseconds after each act, and after each calibration until first and last numbers."""
+    found, calibrated = [], {}
+    with serving(folder) as served, chromium() as browser:
+        page: Any = browser.new_page(viewport={"width": 1440, "height": 900})
+        page.set_default_timeout(120_000)
+        page.goto(served.address)
+        hand = Hand(page, folder)
+        hand.step("Diagnose")
+        page.get_by_label("error over the poses", exact=True).locator(".nsewdrag").first.wait_for()
+        page.wait_for_timeout(3000)
+        for i in range(count):
+            hand.brush("error over the poses", 100.0 + 40 * i, 130.0 + 40 * i)
+            page.wait_for_timeout(1500)
+            page.evaluate(WATCH)
+            hand.press("Exclude")
+            page.wait_for_function("window.took !== null", timeout=15_000)
+            found.append(page.evaluate("window.took"))
+        for method in METHODS:
+            hand.choose("Method", f"{method}: ")
+            page.wait_for_timeout(1500)
+            page.evaluate(WATCH)
+            begun = time.perf_counter()
+            hand.run("Calibrate", "")
+            last = 1e3 * (time.perf_counter() - begun)
+            calibrated[method] = (page.evaluate("window.took") or float("nan"), last)
+        page.close()
+    return found, calibrated
+
+
+def main() -> None:
+    """Print the median, the least and the largest."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--acts", type=int, default=6)
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as copy:
+        work = Path(copy) / "work"
+        shutil.copytree(asked.folder, work)
+        found, calibrated = acts(work, asked.acts)
+    print(f"after an act: median {median(found):.0f} ms, {min(found):.0f} to {max(found):.0f} ms")
+    for method, (first, last) in calibrated.items():
+        print(f"{method}: first numbers after {first:.0f} ms, the whole after {last:.0f} ms")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,126 @@
+"""A fit that goes on from where an earlier calibration of the machine ended.
+
+The method "auto" fits every candidate anew, validates and compares them. Here only the candidate
+that it took last is fitted again: with what it took as changed during the run, and without the
+poses that it discarded, from the parameters and the learnt sizes of the model error with which it
+ended. Learnt sds are learnt again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from loopcal.document.change_points import ChangePoint
+from loopcal.document.result_document import ResultDocument
+from loopcal.errors import InputError
+from loopcal.estimation.result import Result
+from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.statistics.candidates import Entrant, entrants
+from loopcal.statistics.case import Case, taken
+from loopcal.statistics.changes import NUMBER
+from loopcal.statistics.shifted import with_shifts
+from loopcal.statistics.validation import NEARLY
+
+
+@dataclass(frozen=True)
+class Ending:
+    """Where a calibration ended.
+
+    method: the candidate that "auto" took, empty for a named method; label: of its fit; poses:
+    ids of those used; values, nominal, sds: of the parameters [SI], sds of the prior, where it has
+    one; changes: what it modelled as changed during the run; outliers: poses that it discarded.
+    """
+
+    method: str
+    label: str
+    poses: tuple[str, ...]
+    values: Mapping[str, float]
+    nominal: Mapping[str, float]
+    sds: Mapping[str, float]
+    changes: tuple[ChangePoint, ...] = ()
+    outliers: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, document: ResultDocument, poses: Sequence[str]) -> Ending:
+        """From the content of result.json, and the poses of the fit."""
+        used, found = set(poses), document.change_points
+        return cls(
+            "" if document.chosen is None else document.chosen.method,
+            document.method_label or "",
+            tuple(poses),
+            {p.name: p.value for p in document.parameters},
+            {p.name: p.nominal for p in document.parameters},
+            {p.name: p.prior_sd for p in document.parameters if p.prior_sd},
+            () if found is None else tuple(p for p in found.found if p.modelled),
+            tuple(o.pose for o in document.outliers or () if o.pose not in used),
+        )
+
+
+def continued(case: Case, ending: Ending) -> Result:
+    """The calibration by its stated method, or by the candidate that "auto" took last, from where
+    an earlier one ended.
+
+    Raises InputError where the machine has other parameters than the calibrated one, and for what
+    cannot be calibrated.
+    """
+    if case.fit.method.choice:
+        case = _chosen(_as_found(case, ending), ending.method).case
+    machine = case.fit.with_prior(case.mechanism)
+    beyond = {name for names in machine.effects.values() for name in names}
+    new = [n for n in machine.parameters.names if n not in ending.values and n not in beyond]
+    if new:
+        raise InputError(
+            f"the earlier calibration has no parameter {new[0]!r}",
+            code="unsupported",
+            remedy="calibrate this machine first",
+        )
+    machine = _as_it_ended(machine, ending, learnt=case.fit.label == ending.label)
+    start = {n: v for n, v in ending.values.items() if n in machine.parameters.names}
+    measured = all(q in case.data.readings for q in machine.quantities)
+    fit = replace(case.fit, start=start, prior=None, tolerance=case.fit.tolerance or NEARLY)
+    own = replace(case, mechanism=machine, fit=fit, trusted=True, near={} if measured else None)
+    return own.calibrated()
+
+
+def _chosen(case: Case, name: str) -> Entrant:
+    """The candidate of this name, else the first."""
+    able = [one for one in entrants(case) if not one.drawn]
+    return next((one for one in able if one.name == name), able[0])
+
+
+def _as_it_ended(machine: Mechanism, ending: Ending, *, learnt: bool) -> Mechanism:
+    """The machine around the nominal values of the earlier calibration; learnt: with the sds of
+    its model error too, which another method would not have."""
+    names = machine.parameters.names
+    machine = machine.with_nominal({n: v for n, v in ending.nominal.items() if n in names})
+    if not learnt:
+        return machine
+    sds = {n: sd for n, sd in ending.sds.items() if n in names}
+    return machine.with_parameters(machine.parameters.with_prior(sds))
+
+
+def _as_found(case: Case, ending: Ending) -> Case:
+    """The case with the changes that the earlier calibration modelled, but those that the project
+    states by now, and without its outliers."""
+    stated = {name.rpartition("_from")[0] for n in case.mechanism.effects.values() for name in n}
+    poses = case.data.poses
+    moved = [_moved(p, ending.poses, set(poses)) for p in ending.changes]
+    found = [p for p in moved if p is not None and stated.isdisjoint(p.names)]
+    if found:
+        made = with_shifts(case.mechanism, case.data, found, column=NUMBER)
+        case = replace(case, mechanism=made.mechanism, data=made.data)
+    gone = np.flatnonzero(np.isin(poses, ending.outliers))
+    if not gone.size:
+        return case
+    kept = np.setdiff1d(np.arange(len(poses)), gone)
+    return replace(case, data=case.data.without_outliers(gone), noise=taken(case.noise, kept))
+
+
+def _moved(point: ChangePoint, order: Sequence[str], here: set[str]) -> ChangePoint | None:
+    """A change at its pose, or at the next one where that is left out."""
+    after = order[order.index(point.pose) :] if point.pose in order else ()
+    pose = next((pose for pose in after if pose in here), None)
+    return None if pose is None else replace(point, pose=pose)
