@@ -22,10 +22,13 @@ Source: Rao (1971), estimation of variance components by quadratic forms.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loopcal.estimation.dependence.seen import Seen
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
@@ -55,17 +58,24 @@ def shared(
     names = problem.mechanism.tape.quantities
     here = {q: problem.readings[i] + corrections[i] for i, q in enumerate(names)}
     known, further = (np.array(waves.features(here)) for waves in (smooth, following))
-    k = root.shape[1]
-    D, Z, E = [], [], []
+    N, k = len(problem.poses), root.shape[1]
+    y, A, M = (
+        np.zeros((N, len(rows))),
+        np.zeros((N, len(rows), k)),
+        np.zeros((N, *2 * (len(rows),))),
+    )
+    square, count = 0.0, 0
     for block in equations:
-        F, G = known[:, block.poses].T, further[:, block.poses].T
-        D.append(rows_times(block.D, root).reshape(-1, k))
-        E.append(block.E.ravel())
-        # the squares of the known features sum to 1 in every pose
-        shifts = [np.einsum("brf,bf->br", block.D[:, :, row], F) for row in rows]
-        waves = [X[:, :, None] * G[:, None, :] for X in shifts]
-        Z.append(np.concatenate(waves, axis=2).reshape(len(E[-1]), -1))
-    return _gained(*(np.concatenate(parts) for parts in (D, Z, E)))
+        F = known[:, block.poses].T
+        # what a shift of the body does: the squares of the known features sum to 1 in every pose
+        X = np.stack([np.einsum("brf,bf->br", block.D[:, :, row], F) for row in rows], axis=1)
+        y[block.poses] = np.einsum("bqr,br->bq", X, block.E)
+        A[block.poses] = rows_times(X @ block.D, root)
+        M[block.poses] = X @ np.swapaxes(X, 1, 2)
+        square, count = square + float(np.square(block.E).sum()), count + block.E.size
+    informed = root / problem.prior_sd[:, None]
+    H = np.eye(k) - informed.T @ informed
+    return _gained(_Sums.of(Seen(y, A, M), further.T), H, square, count)
 
 
 def _columns(problem: Problem, smooth: Smooth) -> list[list[int]]:
@@ -78,17 +88,37 @@ def _columns(problem: Problem, smooth: Smooth) -> list[list[int]]:
     return [[place[n] for n in row] for row in wanted if all(n in place for n in row)]
 
 
-def _gained(D: Array, Z: Array, E: Array) -> Array | None:
-    H, B, ZZ = D.T @ D, D.T @ Z, Z.T @ Z
+@dataclass(frozen=True)
+class _Sums:
+    """Over all poses: B = D^T Z (k, w), ZZ = Z^T Z (w, w) and seen = Z^T E (w,)."""
+
+    B: Array
+    ZZ: Array
+    seen: Array
+
+    @classmethod
+    def of(cls, shifts: Seen, G: Array) -> _Sums:
+        """Of poses as shifts of the body see them, and waves G (N, f): Z = X G, axis by axis."""
+        q, f = shifts.y.shape[1], G.shape[1]
+        ZZ = np.zeros((q, f, q, f))
+        for a, b in combinations_with_replacement(range(q), 2):
+            ZZ[a, :, b] = (G * shifts.M[:, a, b, None]).T @ G
+            ZZ[b, :, a] = ZZ[a, :, b]
+        B = np.concatenate([shifts.A[:, a].T @ G for a in range(q)], axis=1)
+        return cls(B, ZZ.reshape(q * f, q * f), (shifts.y.T @ G).ravel())
+
+
+def _gained(sums: _Sums, H: Array, square: float, count: int) -> Array | None:
+    """(k, k) what the covariance of z gains; square: E^T E of so many equations."""
+    B = sums.B
     BB, HB = B.T @ B, H @ B
-    C = ZZ - BB
-    cross = float(np.trace(ZZ) - 2.0 * np.trace(BB) + np.sum(B * HB))
-    trace, square = float(np.trace(H)), float(np.sum(H * H))
-    system = np.array([[len(E) - 2.0 * trace + square, cross], [cross, float(np.sum(C * C))]])
-    seen = Z.T @ E
+    C = sums.ZZ - BB
+    cross = float(np.trace(sums.ZZ) - 2.0 * np.trace(BB) + np.sum(B * HB))
+    trace, squares = float(np.trace(H)), float(np.sum(H * H))
+    system = np.array([[count - 2.0 * trace + squares, cross], [cross, float(np.sum(C * C))]])
     moments = [
-        float(E @ E) - (trace - square),
-        float(seen @ seen) - float(np.trace(BB) - np.sum(B * HB)),
+        square - (trace - squares),
+        float(sums.seen @ sums.seen) - float(np.trace(BB) - np.sum(B * HB)),
     ]
     white, waves = np.linalg.solve(system, moments)
     if not (waves > 0.0 and white > 0.0):
