@@ -16,6 +16,8 @@ from loopcal.workflow.projects import new_project
 from loopcal.workflow.refitting import run_refit
 from loopcal.workflow.simulation import run_simulation
 
+pytest.importorskip("tomlkit", reason="tomlkit is absent; `pip install .[app]` installs it")
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -269,19 +269,44 @@ def _outliers(document: ResultDocument) -> Said | None:
     poses = 0 if tests is None else tests.poses
     whole = 0.5 * _CHANCE / poses if poses else 1.0
     single = whole / max(len(document.data.quantities), 1) if poses else 1.0
+    spare = math.inf
     if tests is not None and tests.by_residuals:
         whole, single = whole**_UNLIKE, single**_UNLIKE
+        spare = _spare(document)
     found = [
         entry
         for entry in document.outliers or ()
-        if entry.p_value <= (whole if entry.quantity is None else single)
+        if _by_few(entry.p_value, spare) <= (whole if entry.quantity is None else single)
     ]
     bad = list(dict.fromkeys(entry.pose for entry in found))
-    if not bad:
+    if not bad or (tests is not None and tests.by_residuals and _too_few(document, len(bad))):
         return None
     named = ", ".join(bad[:5]) + (", ..." if len(bad) > 5 else "")
     count = f"{len(bad)} poses do" if len(bad) > 1 else "1 pose does"
     return Said(f"{count} not fit the others ({named}).", float(len(bad)))
+
+
+def _too_few(document: ResultDocument, bad: int) -> bool:
+    """Whether the poses without the bad ones are too few to tell: any few can be fitted exactly."""
+    tested = 0 if document.outlier_tests is None else document.outlier_tests.poses
+    return 2 * tested < document.data.used or 2 * bad > tested
+
+
+def _spare(document: ResultDocument) -> float:
+    """Degrees of freedom that the residuals have as a scale; inf: unknown."""
+    index, chi = document.identifiability.calibration_index, document.chi_squared
+    if chi is not None:
+        return max(float(chi.degrees_of_freedom), 1.0)
+    left = math.inf if index is None else index.value - document.identifiability.rank
+    return max(left, 1.0)
+
+
+def _by_few(p: float, spare: float) -> float:
+    """The p-value of what has p beside a known scale, where the scale has so many degrees of
+    freedom: exp(-x / 2) becomes (1 + x / nu)^(-(nu + 1) / 2), as from the normal to Student's t."""
+    if math.isinf(spare) or p <= 0.0:
+        return p
+    return math.exp(-0.5 * (spare + 1.0) * math.log1p(-2.0 * math.log(p) / spare))
 
 
 def _mounting(document: ResultDocument) -> Said | None:
