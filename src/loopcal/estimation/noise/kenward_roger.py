@@ -35,14 +35,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.estimation.noise.further_waves import shared
-from loopcal.estimation.noise.linear_model import columns, projected
+from loopcal.estimation.noise.linear_model import projected
 from loopcal.estimation.noise.variances import owners
 from loopcal.estimation.products import rows_times
 from loopcal.lazy import cached_property
 from loopcal.small_samples import LearntCovariance
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from loopcal.estimation.noise.estimation import NoiseEstimate
     from loopcal.estimation.problem.pose_equations import PoseEquations
@@ -130,15 +130,15 @@ class _Term:
 class _Sensors:
     """What the readings say of c sensor components, in directions z.
 
-    root: (n, k); first: (c, k, k) = Z_j; second: (c, c, k, k) = Q_jk; ratios: (c,) learnt ones;
-    information: (c, c) on them.
+    root: (n, k); first: (c, k, k) = Z_j; ratios: (c,) learnt ones; information: (c, c) on them;
+    second: sum_jk W_jk Q_jk, (k, k), of a symmetric W (c, c).
     """
 
     root: Array
     first: Array
-    second: Array
     ratios: Array
     information: Array
+    second: Callable[[Array], Array]
 
 
 def learnt_parameters(
@@ -163,7 +163,7 @@ def learnt_parameters(
     matters = np.linalg.norm(along, axis=(1, 2)) > _CERTAIN
     errors, along = errors[:, matters], along[matters]
     c, W = len(sensors.ratios), errors @ errors.T
-    added = np.tensordot(W[:c, :c], sensors.second, 2)
+    added = sensors.second(W[:c, :c])
     added += np.tensordot(np.diag(W)[c:], first[c:], 1)
     flat = along.reshape(-1, len(added))
     added -= flat.T @ flat
@@ -180,9 +180,9 @@ def _by_sums(estimate: NoiseEstimate, prior: Array) -> _Sensors:
     share = np.eye(root.shape[1]) - informed.T @ informed
     each = 1.0 / ratios
     first = np.multiply.outer(each, share)
-    second = np.multiply.outer(np.outer(each, each), share)
     count = estimate.solution.equations - 2.0 * np.trace(share) + np.square(share).sum()
-    return _Sensors(root, first, second, ratios, 0.5 * count * np.outer(each, each))
+    information = 0.5 * count * np.outer(each, each)
+    return _Sensors(root, first, ratios, information, lambda W: float(each @ W @ each) * share)
 
 
 def _by_pose(estimate: NoiseEstimate) -> _Sensors:
@@ -190,18 +190,16 @@ def _by_pose(estimate: NoiseEstimate) -> _Sensors:
     ratios = estimate.ratios
     at = projected(estimate.model, ratios)
     assert at is not None  # the estimate was made there
-    c, rank = len(ratios), at.root.shape[1]
-    second = np.zeros((c, c, rank, rank))
-    for Y, W, owner in at.blocks:
-        places = [columns(owner, j) for j in range(c)]
-        parts = [(W[:, :, its] @ Y[:, its]).reshape(-1, rank) for its in places]
-        for j in range(c):
-            for k in range(j, c):
-                second[j, k] += parts[j].T @ parts[k]
-    for j in range(c):
-        for k in range(j):
-            second[j, k] = second[k, j].T
-    return _Sensors(at.root, at.first, second, ratios, at.information)
+    blocks, rank = at.blocks, at.root.shape[1]
+
+    def second(W: Array) -> Array:
+        total = np.zeros((rank, rank))
+        for Y, loadings, owner in blocks:
+            weights = W[np.ix_(owner, owner)] * (np.swapaxes(loadings, 1, 2) @ loadings)
+            total += (weights @ Y).reshape(-1, rank).T @ Y.reshape(-1, rank)
+        return total
+
+    return _Sensors(at.root, at.first, ratios, at.information, second)
 
 
 def _errors(sensors: _Sensors, first: Array, terms: Sequence[_Term]) -> Array:
