@@ -11,8 +11,10 @@ import pytest
 from analyses.app_robustness import finished, killed, made
 from loopcal.app.action import Action
 from loopcal.app.session import Session
+from loopcal.app.steps import State, steps
 from loopcal.errors import InputError
 from loopcal.files.paths import INSIDE
+from loopcal.files.project.project_folder import Entry
 from tests.app.plain_command import command
 
 pytest.importorskip("tomlkit", reason="tomlkit is absent; `pip install .[app]` installs it")
@@ -145,3 +147,13 @@ def test_a_fault_in_an_act_is_shown_in_a_sentence_and_logged(
         "This is a fault of loopcal; please report it."
     ]
     assert "ZeroDivisionError" in caplog.text
+
+
+def test_the_light_of_a_check_is_what_it_says_of_the_poses() -> None:
+    for verdict, light in (("good", "good"), ("weak", "care"), ("undetermined", "bad")):
+        told = {"command": "loopcal check project.toml --json", "code": 0, "verdict": verdict}
+        run = Entry(1, "2026-01-01T00:00:00Z", "ended", "Check", told)
+        state = State(True, None, None, stale=False, files=(), runs={"check": run})
+        step = next(one for one in steps(state) if one.key == "check")
+        assert step.light == light
+        assert verdict in step.words

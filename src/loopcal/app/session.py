@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -32,6 +33,15 @@ OF_A_MACHINE = {
     *("simulate", "update", "verify"),
 }
 """Commands that take loops written in Python."""
+
+
+def checked(run: Run) -> Mapping[str, Any] | None:
+    """What `check --json` found; None where it failed, or said more than is kept."""
+    try:
+        found: Mapping[str, Any] | None = json.loads(run.output) if run.code == 0 else None
+    except ValueError:
+        return None
+    return found
 
 
 class Session:
@@ -121,6 +131,8 @@ class Session:
     def _ended(self, run: Run) -> None:
         self.last[run.action.words[0]] = run
         told = {"command": run.action.command, "code": run.code, "cancelled": run.cancelled}
+        if run.action.words[0] == "check" and (found := checked(run)) is not None:
+            told["verdict"] = found["verdict"]
         self.folder.noted("ended", run.action.what, told)
         self.finished += 1
         self._noted = run

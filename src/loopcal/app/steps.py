@@ -10,6 +10,8 @@ from loopcal.files.project.project_folder import Entry, Listed
 
 LIGHTS = ("none", "good", "care", "bad")
 """Not begun, done, done with something to look at, wrong."""
+GRADES = {"good": "good", "weak": "care", "undetermined": "bad"}
+"""The light of what a check says of the poses."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ def steps(state: State) -> list[Step]:
         Step("robot", "Robot", *_made(state, "a robot")),
         Step("data", "Data", *_made(state, "readings")),
         Step("plan", "Plan", *_ran(state, "plan", "which poses to measure")),
-        Step("check", "Check", *_ran(state, "check", "what the poses can determine")),
+        Step("check", "Check", *_checked(state)),
         Step("fit", "Fit", *_fit(state)),
         Step("diagnose", "Diagnose", *_diagnose(state)),
         Step("validate", "Validate", *_validate(state)),
@@ -63,6 +65,17 @@ def _ran(state: State, command: str, what: str) -> tuple[str, str]:
         return "none", f"not asked yet: {what}"
     code = run.told.get("code")
     return ("good", "done") if code == 0 else ("bad", f"ended with code {code}")
+
+
+def _checked(state: State) -> tuple[str, str]:
+    light, said = _ran(state, "check", "what the poses can determine")
+    run = state.runs.get("check")
+    verdict = None if run is None else run.told.get("verdict")
+    return (
+        (light, said)
+        if verdict is None
+        else (GRADES[str(verdict)], f"what the poses can determine: {verdict}")
+    )
 
 
 def _fit(state: State) -> tuple[str, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,12 +9,13 @@ from nicegui import ui
 
 from loopcal.app import words
 from loopcal.app.controls import offer, printed
+from loopcal.app.session import checked
+from loopcal.app.steps import GRADES
 from loopcal.app.view import View, heading, table
 from loopcal.presentation.rounding import significant
 from loopcal.presentation.shown import in_unit, unit_shown
 
 Found = Mapping[str, Any]
-GRADES = {"good": "good", "weak": "care", "undetermined": "bad"}
 
 
 def show(view: View) -> None:
@@ -27,8 +27,8 @@ def show(view: View) -> None:
     run = view.session.last.get("check")
     if run is None:
         return
-    if run.code == 0 and run.output.strip():
-        _found(json.loads(run.output))
+    if (found := checked(run)) is not None:
+        _found(found)
     else:
         printed(view, "check")
 
