@@ -107,7 +107,7 @@ def test_halves_of_measured_sets_give_the_table_12_that_the_documentation_tells(
         assert all(fit.status.converged for fit in one.fits)
     inside = [sum(abs(p.z) <= 1.96 for p in one.compared.parameters) for one in grid]
     assert inside == [19, 21]  # least squares: by the scatter of its poses
-    assert grid[0].compared.p_value < 0.05 < grid[1].compared.p_value
+    assert 0.05 < grid[0].compared.p_value < 0.1 < grid[1].compared.p_value
     assert max(grid[0].elsewhere + grid[1].elsewhere) < 0.09e-3
     for basic, new in zip(
         workspace[0].compared.parameters, workspace[1].compared.parameters, strict=True

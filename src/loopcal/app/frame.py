@@ -158,7 +158,7 @@ async def build(session: Session) -> None:
             return
         if session.version != known["version"]:
             now = _known(session)
-            own = session.going or any(now[k] != known[k] for k in ("finished", "refit"))
+            own = session.going or now["finished"] != known["finished"]
             draw()
             if not own:
                 ui.notify(words.CHANGED)
@@ -167,8 +167,11 @@ async def build(session: Session) -> None:
                 follow()
 
     def listen() -> None:
-        if not waiting.visible and id(session.refits.found) != known["refit"]:
-            draw()
+        found = id(session.refits.found)
+        if not waiting.visible and found != known["refit"]:
+            if view.shows_refit:
+                draw()
+            known["refit"] = found
 
     view.refresh = draw
     with drawer:

@@ -67,8 +67,7 @@ class Session:
     @property
     def version(self) -> int:
         """Another number whenever a file of the folder has changed."""
-        found = id(self.refits.found)
-        return hash((tuple(self.folder.listed()), id(self.worker.run), self.going, found))
+        return hash((tuple(self.folder.listed()), id(self.worker.run), self.going))
 
     @property
     def going(self) -> bool:

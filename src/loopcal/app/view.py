@@ -15,6 +15,7 @@ from loopcal.app.pictures import GRID
 from loopcal.app.session import Session
 from loopcal.errors import LoopcalError
 from loopcal.presentation.shown import with_unit
+from loopcal.workflow.refitting import Refit
 
 WHOLE = 100
 """Rows of a table that is shown without turning its pages."""
@@ -36,6 +37,13 @@ class View:
     """Shows in the step as it stands what has changed; False where it is drawn anew."""
     follow: list[Callable[[], Any]] = field(default_factory=list)
     """What is called when a control changes."""
+    shows_refit: bool = False
+    """Whether the step shows a first fit of a changed project: else none draws it anew."""
+
+    def refit(self) -> Refit | None:
+        """The first fit of a project that has changed since its result, as `Session.refit`."""
+        self.shows_refit = True
+        return self.session.refit()
 
     def keep(self, name: str, value: Any) -> None:
         """Remember what a control says."""
@@ -102,7 +110,7 @@ def _tell(why: str) -> None:
 
 def stale(view: View) -> None:
     """Whether the result is of the project as it stands; where not, what a first fit of it says."""
-    session, refit = view.session, view.session.refit()
+    session, refit = view.session, view.refit()
     source = session.source()
     if refit is None or source is None or source.document.accuracy is None:
         if session.state().stale:
@@ -121,7 +129,7 @@ def stale(view: View) -> None:
 def title(view: View, label: str) -> None:
     """The head of a step."""
     view.follow.clear()
-    view.follows = lambda: False
+    view.follows, view.shows_refit = lambda: False, False
     ui.label(label).classes("text-h5").props("role=heading aria-level=1")
     ui.label(words.STEPS[view.step]).classes("text-body1 q-mb-sm")
 

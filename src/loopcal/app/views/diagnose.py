@@ -138,7 +138,7 @@ def show(view: View) -> None:
 
 def _errors(view: View) -> Errors | None:
     """Those of the result, or of the first fit since the project has changed."""
-    source, refit = view.session.source(), view.session.refit()
+    source, refit = view.session.source(), view.refit()
     if source is None:
         return None
     if refit is not None:

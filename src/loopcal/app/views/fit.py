@@ -37,7 +37,7 @@ def show(view: View) -> None:
         ui.label(words.NO_RESULT)
     else:
         stale(view)
-        document, refit = source.document, view.session.refit()
+        document, refit = source.document, view.refit()
         if refit is not None:
             heading(words.PROVISIONAL_PARAMETERS)
             table(PARAMETER_HEAD, _rows(refit.shown_in(document)))
