@@ -1,4 +1,4 @@
-"""Looks ahead: a fit from where the last result ended, in a process of its own.
+"""Fits from where the last result ended, in a separate process.
 
 It writes nothing, so the folder has the last complete result until a calibration replaces it.
 """

@@ -128,9 +128,9 @@ class _Job:
 
 @dataclass
 class _Queue:
-    """Numbers that nobody has taken yet: copies share the place where they read on in a file.
+    """Numbers of the pieces that are left: all copies read on at one place of one file.
 
-    Its lock keeps two from taking the same number, which reading such a file does not.
+    A lock keeps two copies from taking the same number. Without it they can read at the same place.
     """
 
     file: int

@@ -271,7 +271,7 @@ def _all_fitted(
 ) -> tuple[list[Judged], Plan | None]:
     """Candidates with their fits of all poses, and a plan, side by side.
 
-    known: fits at hand, by name. Of fits in other processes nobody is told.
+    known: fits at hand, by name. Iterations in other processes are not told.
     """
 
     def fitted(_: None, one: Entrant | None) -> Judged | Plan | None:

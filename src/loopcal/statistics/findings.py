@@ -157,7 +157,7 @@ def _asked(result: Result, what: Callable[[Result], object]) -> dict[str, Any]:
 
 def _poses(result: Result) -> None:
     if not result.faults and not result.memory.get(COLUMNS):
-        with suppress(LoopcalError):  # where columns are wrong, nobody asks for poses
+        with suppress(LoopcalError):  # wrong columns matter more than poses
             find_poses(result)
 
 

@@ -18,9 +18,9 @@ const linked = {
     if (space) requestAnimationFrame(linked.ring);
   },
 
-  /* Take the selection of an event of plotly and tell it on. Where an event has neither points nor
-     a frame, nobody has selected: plotly has drawn a figure again. A click with Shift selects all
-     poses since the last click. */
+  /* Take the selection of an event of plotly and tell it on. An event without points and frame is
+     no selection: plotly sends it when it draws a figure again. A click with Shift selects all poses
+     since the last click. */
   take(event, emit) {
     if (!event?.points.length && !event?.range) return;
     let positions = event.points.map((point) => point.customdata);

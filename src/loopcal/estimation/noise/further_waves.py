@@ -82,9 +82,8 @@ def _columns(problem: Problem, smooth: Smooth) -> list[list[int]]:
     """The estimated coefficients of the discrepancy, by position, for each axis."""
     names = [problem.mechanism.parameters.names[i] for i in problem.free]
     place = {name: i for i, name in enumerate(names)}
-    parts = [f"{part}{i}" for i in range(1, len(smooth.harmonics) + 1) for part in ("cos", "sin")]
     axes = ("x", "y", "z", "rx", "ry", "rz")
-    wanted = [[f"{DISCREPANCY}_{axis}_{part}" for part in parts] for axis in axes]
+    wanted = [[f"{DISCREPANCY}_{axis}_{part}" for part in smooth.parts] for axis in axes]
     return [[place[n] for n in row] for row in wanted if all(n in place for n in row)]
 
 

@@ -169,9 +169,8 @@ def _out_of_round(at: _Fitted, joint: str) -> TermPart:
 
 def _remaining(at: _Fitted, smooth: Smooth, unit: str) -> list[TermPart]:
     """How large a smooth discrepancy is, and on which joints it depends."""
-    waves = [f"{part}{i}" for i in range(1, len(smooth.harmonics) + 1) for part in ("cos", "sin")]
     axes = ("x", "y", "z") if unit == "m" else ("rx", "ry", "rz")
-    rows = [[f"{DISCREPANCY}_{axis}_{wave}" for wave in waves] for axis in axes]
+    rows = [[f"{DISCREPANCY}_{axis}_{wave}" for wave in smooth.parts] for axis in axes]
     rows = [row for row in rows if row and row[0] in at.values]
     if not rows:
         return []

@@ -73,6 +73,12 @@ class Smooth:
         rest = every[len(self.harmonics) :]
         return replace(self, harmonics=rest)
 
+    @property
+    def parts(self) -> list[str]:
+        """What the features are called, in their order: cos1, sin1, cos2, ..."""
+        numbers = range(1, len(self.harmonics) + 1)
+        return [f"{part}{i}" for i in numbers for part in ("cos", "sin")]
+
     def features(self, x: Values) -> list[Any]:
         """a_k cos(k . q) and a_k sin(k . q) for each k in turn."""
         found: list[Any] = []

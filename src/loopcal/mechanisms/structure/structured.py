@@ -342,8 +342,7 @@ def _coefficients(
     body = mechanism.body
     if body is None or smooth is None:
         return [], []
-    parts = [f"{part}{i}" for i in range(1, len(smooth.harmonics) + 1) for part in ("cos", "sin")]
-    rows = {axis: [f"discrepancy_{axis}_{part}" for part in parts] for axis in body.axes}
+    rows = {axis: [f"discrepancy_{axis}_{part}" for part in smooth.parts] for axis in body.axes}
     shifts = [its for axis, its in rows.items() if len(axis) == 1]
     turns = [its for axis, its in rows.items() if len(axis) == 2 and body.turns]
     return shifts, turns
