@@ -15,20 +15,15 @@ reader stands in a fresh clone.
 from __future__ import annotations
 
 import doctest
-import io
-import os
 import re
 import shlex
 import subprocess
 import textwrap
 from collections.abc import Iterator
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
-from loopcal.cli import main
 from tests import command_line
 
 FENCE = re.compile(r"^(?P<indent> *)(?P<ticks>`{3,}|~{3,})(?P<info>[^`]*)$")
@@ -168,15 +163,7 @@ def typed(line: str, folder: Path, *, together: bool) -> subprocess.CompletedPro
             timeout=300,
             check=False,
         )
-    out = io.StringIO()
-    err = out if together else io.StringIO()
-    with (
-        patch.dict(os.environ, command_line.environment()),
-        redirect_stdout(out),
-        redirect_stderr(err),
-    ):
-        code = main(arguments)
-    return subprocess.CompletedProcess(line, code, out.getvalue(), err.getvalue())
+    return command_line.run_here(*arguments, cwd=folder, together=together)
 
 
 def alike(shown: str, printed: str) -> bool:
