@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 
 ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
-ARGUMENTS += ["--enable-unsafe-swiftshader"]
+ARGUMENTS += ["--enable-unsafe-swiftshader", "--disable-gpu-compositing"]
+"""Without a graphics processor: figures in space by SwiftShader, the page itself without it."""
 
 
 @dataclass

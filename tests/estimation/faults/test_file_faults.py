@@ -14,7 +14,7 @@ from analyses.file_faults import FAULTS, GOOD, ROUGH, draw
 from analyses.instruments import setup
 from loopcal.estimation.calibrate import started
 from loopcal.estimation.faults.misfit import beside, misfit
-from loopcal.estimation.faults.search import NEAR, column_faults
+from loopcal.estimation.faults.search import NEAR, column_faults, suspicious
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
 from loopcal.statistics.verdict import verdict_of
@@ -52,6 +52,21 @@ def test_a_search_on_good_readings_finds_nothing() -> None:
     held = nominal.with_parameters(nominal.parameters.with_fixed(given.held))
     problem = started(held, made.dataset, given.noise, "auto")
     assert column_faults(problem) == column_faults(problem, suspected=False) == ()
+
+
+@pytest.mark.parametrize("fault", [GOOD, "joints in gon, declared deg", "readings one row late"])
+def test_a_coarse_sensor_is_no_fault_of_the_file_and_hides_none(fault: str) -> None:
+    """The drawing misses by a tenth of the spread, as 0.1 rad of the second joint say it must."""
+    given = setup("two-link point")
+    noise = lc.Noise({q: 0.1 if q == "phi3" else 1e-4 for q in given.truth.quantities})
+    made = lc.simulate(given.truth, given.driven, noise=noise, seed=2)
+    readings = dict(made.dataset.readings)
+    if fault in FAULTS:
+        FAULTS[fault].change(readings, ["phi2", "phi3"], np.random.default_rng(0))
+    problem = started(given.nominal(2), made.dataset.with_readings(readings), noise, "auto")
+    assert misfit(problem).share > 3 * NEAR
+    assert suspicious(problem) is (fault != GOOD)
+    assert suspicious(problem, stated=False)  # learnt sds may begin anywhere
 
 
 def test_a_misfit_has_no_unit_of_length() -> None:
