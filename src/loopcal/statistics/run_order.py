@@ -29,7 +29,8 @@ def told_by_joints(joints: Array) -> float:
     if spare < 1:
         return 1.0
     left = time - columns @ np.linalg.lstsq(columns, time, rcond=None)[0]
-    return 1.0 - float(left @ left) / spare * (N - 1) / float(time @ time)
+    explained: float = 1.0 - float(left @ left) / spare * (N - 1) / float(time @ time)
+    return explained
 
 
 def path_cosines(joints: Array) -> int:
@@ -39,8 +40,10 @@ def path_cosines(joints: Array) -> int:
     phase = np.pi * (np.arange(N) + 0.5) / N
     cosines = np.cos(np.outer(phase, np.arange(1, N // (2 * MOST) + 1))) * np.sqrt(2.0 / N)
     shares = np.cumsum(np.square(cosines.T @ scaled), axis=0) / np.square(scaled).sum(axis=0)
-    enough = np.flatnonzero(shares.min(axis=1) >= DESCRIBED) if shares.size else []
-    return 2 * (int(enough[0]) + 1) if len(enough) else 0
+    if not shares.size:
+        return 0
+    enough = np.flatnonzero(shares.min(axis=1) >= DESCRIBED)
+    return 2 * (int(enough[0]) + 1) if enough.size else 0
 
 
 def _scaled(joints: Array) -> Array:
