@@ -113,7 +113,7 @@ def calibrate(
             refuse_collapse(problem.mechanism, *arrays, priors=not fit.solver.exact)
         faults: tuple[ColumnFault, ...] = ()
         if not trusted and isinstance(fit.start, str):
-            faults = column_faults(problem, suspected=False)
+            faults = column_faults(problem, suspected=False, stated=_stated(told))
         if any(fault.code not in UNREPAIRED for fault in faults):
             # no fit is of use: a short one, so that there is a result to say so
             short = fitted(problem, fit.tolerance, min(fit.max_iterations, FAULTY))
@@ -183,9 +183,15 @@ def may_be_faulty(mechanism: Mechanism, data: Dataset, noise: Noise | None, fit:
     with one_blas_thread():
         try:
             at = _prepared(mechanism, data, noise, fit)
-            return suspicious(started(at.mechanism, at.data, at.noise, fit.start))
+            problem = started(at.mechanism, at.data, at.noise, fit.start)
+            return suspicious(problem, stated=_stated(at.noise))
         except (InputError, NoTrustworthyResult):
             return True
+
+
+def _stated(noise: Noise | None) -> bool:
+    """Whether the sds say how large the noise is, because none of them is learnt."""
+    return noise is not None and not noise.estimate
 
 
 def left_after(

@@ -24,15 +24,18 @@ COARSE, HALF, SIXTH = 0.1, 0.5, 1.0 / 6.0
 """An sd [m or rad] beyond the first, that is so large a share of the spread of its readings, and of
 their rms: repeated readings of one length spread little."""
 _LIKELY = {"m": "mm", "rad": "deg"}
+_LEAST = {"m": LONG, "rad": TURNS}
+"""Values up to these are in order whatever was read."""
 _FINER = {"m": "mm", "rad": "mrad"}
 
 
 def refuse_other_units(mechanism: Mechanism, dataset: Dataset, noise: Noise | None) -> None:
     """Raise InputError, with the likely unit, for a nominal value or an sd in another unit."""
-    longest = {si: _largest(mechanism, dataset, si) for si in _LIKELY}
     for parameter in mechanism.parameters:
         size, si = abs(parameter.nominal), parameter.unit
-        read = longest.get(si)
+        if si not in _LEAST or size <= _LEAST[si]:
+            continue
+        read = _largest(mechanism, dataset, si)
         if read is None:
             continue
         far = size > max(LONG, TIMES * read) if si == "m" else size > TURNS >= read
@@ -46,11 +49,13 @@ def refuse_other_units(mechanism: Mechanism, dataset: Dataset, noise: Noise | No
             )
     for name, sd in _scalar_sds(mechanism, noise):
         si, values = mechanism.quantities[name], dataset.readings.get(name)
-        if si not in _FINER or values is None or not np.isfinite(values).any():
+        if si not in _FINER or values is None or not COARSE <= sd < math.inf:
+            continue
+        if not np.isfinite(values).any():
             continue
         spread = float(np.nanstd(values))
         rms = float(np.sqrt(np.nanmean(np.square(values))))
-        if math.isfinite(sd) and sd >= max(COARSE, HALF * spread, SIXTH * rms):
+        if sd >= max(HALF * spread, SIXTH * rms):
             raise InputError(
                 f"the sd of {name!r} is {sd:g} {si}, and its readings spread by {spread:.3g} {si}: "
                 f"the sd looks like {_FINER[si]}",

@@ -148,28 +148,17 @@ def beside(problem: Problem, steps: int = _STEPS) -> Callable[[Problem], float]:
         start = _fitted(taken(problem, good), _begun(problem), names, steps)
     except InputError:
         return lambda other: math.inf
-    columns = np.zeros((problem.count, len(scales.loops), len(names)))
-    its = [problem.names.index(n) for n in names]
-    sweeper = Sweeper(problem)
-    sweeper.at(start)
-    for pattern, block in sweeper.blocks(np.broadcast_to(0.0, problem.readings.shape)):
-        found = sweeper.engine(pattern).evaluate(block.corrected, block.known)
-        loops = np.array(pattern.loops, dtype=np.intp)
-        J = found.by_parameter[its]
-        at = np.arange(problem.count)[block.poses]
-        columns[np.ix_(at, loops)] = J.transpose(2, 1, 0) / scales.loops[loops]
+    linear = _Linear.at(problem, start, names, scales)
 
     def share(other: Problem) -> float:
         e = np.array(list(residuals(other, start).values())) / _scales(other).loops
-        e = np.where(np.isfinite(e), e, 0.0).T
-        left = e
+        left = e = np.where(np.isfinite(e), e, 0.0).T
         for _ in range(_ROUNDS):
             away = np.sqrt(np.square(left).sum(axis=1))
             if not np.isfinite(away).all():
                 return math.inf
             good = _better(away, MOST)
-            J = columns[good].reshape(-1, len(names))
-            left = e - columns @ np.linalg.lstsq(J, e[good].ravel(), rcond=None)[0]
+            left = np.asarray(e + linear.columns @ linear.step(e, good))
         return float(np.sqrt(np.square(left[good]).sum(axis=1).mean()))
 
     return share
@@ -189,6 +178,84 @@ def at_start(problem: Problem) -> float:
     if not np.isfinite(away).any():
         return math.inf
     return float(np.nanquantile(away, MOST, method="higher"))
+
+
+def missed(problem: Problem, near: float, *, noisy: bool) -> bool:
+    """Whether the nominal machine, placed as well as can be, misses the readings by a larger share.
+
+    noisy: by one that also exceeds what noise of the sds makes, to first order. Most often one
+    linear step from where the machine stands shows that it does not.
+    """
+    scales, limit = _scales(problem), near
+    if not unread(problem):
+        try:
+            away = scales.shares(problem, problem.start)
+            if _least(away) <= near:
+                return False
+            names = undrawn(problem.mechanism) or problem.names
+            linear = _Linear.at(problem, problem.start, names, scales)
+            limit = math.hypot(near, _least(linear.noise)) if noisy else near
+            moved = problem.start.copy()
+            moved[linear.free] += linear.step(linear.loops, _better(away, MOST))
+            if _least(scales.shares(problem, moved)) <= limit:
+                return False
+        except InputError:
+            pass
+    return not misfit(problem).share <= limit
+
+
+def _least(away: Array) -> float:
+    """Root mean square over the better part of the poses; infinite where none is known."""
+    if not np.isfinite(away).any():
+        return math.inf
+    good = _better(away, MOST)
+    share = math.sqrt(float(np.square(away[good]).mean()))
+    return share if math.isfinite(share) else math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """The scaled loops (N, m) at some parameters, and their change (N, m, n) with some of them.
+
+    free: (n,) positions of these; noise: (N,) shares from the noise of the readings alone.
+    """
+
+    free: NDArray[np.intp]
+    loops: Array
+    columns: Array
+    noise: Array
+
+    @classmethod
+    def at(
+        cls, problem: Problem, parameters: Array, names: tuple[str, ...], scales: _Scales
+    ) -> _Linear:
+        """At parameters (n_all,), by the named ones."""
+        its = [problem.names.index(n) for n in names]
+        values = np.zeros((problem.count, len(scales.loops)))
+        columns = np.zeros((*values.shape, len(names)))
+        sd = np.where(np.isfinite(problem.uncertainty.sd), problem.uncertainty.sd, 0.0)
+        sd = np.broadcast_to(sd, problem.readings.shape)
+        sweeper, noise = Sweeper(problem), np.full(problem.count, np.nan)
+        sweeper.at(parameters)
+        for pattern, block in sweeper.blocks(np.broadcast_to(0.0, problem.readings.shape)):
+            found = sweeper.engine(pattern).evaluate(block.corrected, block.known)
+            rows = np.array(pattern.loops, dtype=np.intp)
+            by = scales.loops[rows]
+            at = np.ix_(np.arange(problem.count)[block.poses], rows)
+            values[at] = (found.f / by).T
+            columns[at] = (found.by_parameter[its] / by).transpose(2, 1, 0)
+            own = found.by_quantity * sd[:, None, block.poses] / by
+            noise[block.poses] = np.sqrt(np.square(own).sum(axis=(0, 1)))
+        return cls(problem.free[its], values, columns, noise)
+
+    def step(self, loops: Array, good: NDArray[np.intp]) -> Array:
+        """The step (n,) that brings these loops (N, m) nearest to zero in some poses.
+
+        Loops without a derivative, as a distance of zero, have no part in it.
+        """
+        J, missing = self.columns[good].reshape(-1, len(self.free)), -loops[good].ravel()
+        known = np.isfinite(J).all(axis=1) & np.isfinite(missing)
+        return np.asarray(np.linalg.lstsq(J[known], missing[known], rcond=None)[0], dtype=float)
 
 
 def fit_of_all(problem: Problem, iterations: int) -> float:

@@ -22,10 +22,10 @@ from loopcal.document.plain import known
 from loopcal.errors import InputError
 from loopcal.estimation.faults.misfit import (
     HALF,
-    at_start,
     beside,
     fit_of_all,
     misfit,
+    missed,
     mounting,
     undrawn,
     unread,
@@ -68,14 +68,17 @@ some ten seconds of one core, whatever the machine."""
 _SAMPLE, _FEW, _FEWEST, _MOST, _STEPS, _FIRST, _BEST = 120, 40, 10, 3, 15, 3, 8
 
 
-def column_faults(problem: Problem, *, suspected: bool = True) -> tuple[ColumnFault, ...]:
+def column_faults(
+    problem: Problem, *, suspected: bool = True, stated: bool = True
+) -> tuple[ColumnFault, ...]:
     """The faults of a whole file, the gravest first.
 
     suspected: whether something else than the drawing speaks for a fault already; otherwise they
-    are only sought where the machine as drawn misses the readings by more than a drawing may.
+    are only sought where the machine as drawn misses the readings by more than a drawing and their
+    noise may; stated: the sds say what that is, because none of them is learnt.
     """
-    file = _File(problem)
-    if file.blind or not (suspected or file.suspicious):
+    file = _File(problem, stated)
+    if not (suspected or file.suspicious) or file.blind:
         return ()  # loops that unread quantities close meet altered readings as well
     still = file.still
     if still:
@@ -87,21 +90,24 @@ def column_faults(problem: Problem, *, suspected: bool = True) -> tuple[ColumnFa
             break
         repair, told = fault
         found.append(told)
-        file = _File(repair.problem)
+        file = _File(repair.problem, stated)
     return tuple(found) or _hopeless(file.problem)
 
 
-def suspicious(problem: Problem) -> bool:
+def suspicious(problem: Problem, *, stated: bool = True) -> bool:
     """Whether `column_faults` would seek any where nothing but the drawing speaks for a fault."""
-    file = _File(problem)
-    return not file.blind and file.suspicious
+    return _File(problem, stated).suspicious
 
 
 @dataclass(frozen=True, eq=False)
 class _File:
-    """The readings of a problem as they stand, and what the machine as drawn says of them."""
+    """The readings of a problem as they stand, and what the machine as drawn says of them.
+
+    stated: whether the sds say how large their noise is.
+    """
 
     problem: Problem
+    stated: bool
 
     @cached_property
     def seen(self) -> list[tuple[Family, Array, Array]]:
@@ -127,15 +133,17 @@ class _File:
 
     @property
     def suspicious(self) -> bool:
-        """Whether the machine as drawn misses the readings by more than a drawing may.
+        """Whether the machine as drawn misses the readings by more than a drawing and noise may.
 
         Always without what the drawing does not state: a machine of which nothing says what is
         drawn and what is not gives no measure before its fit.
         """
         if not undrawn(self.problem.mechanism):
             return False
-        limit = NEAR + mounting(self.some)
-        return at_start(self.some) > limit and self.left > limit
+        if unread(self.problem) and self.blind:
+            return False
+        near = NEAR + mounting(self.some)
+        return missed(self.some, near, noisy=self.stated) and not self.blind
 
     @property
     def still(self) -> tuple[ColumnFault, ...]:
@@ -157,6 +165,8 @@ class _File:
 
 def _thinned(problem: Problem, most: int) -> Problem:
     N = problem.count
+    if most >= N:
+        return problem
     return taken(problem, np.unique(np.linspace(0, N - 1, min(N, most)).round().astype(np.intp)))
 
 
