@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from loopcal.app.pictures import Errors
+from loopcal.app.pictures import Errors, joints_of, machine_figure
 from loopcal.app.predicting import Probe
+from loopcal.files.project.project_file import read_project
 from loopcal.mechanisms.outputs import cartesian, levers, point_family
 from loopcal.report.drawn import distances
 from loopcal.report.source import Source, read_source
@@ -65,3 +68,15 @@ def test_the_map_shows_points_and_sds_of_lengths(source: Source) -> None:
     lengths = [np.linalg.norm(slope) for slope in slopes]
     assert np.allclose(levers(family, one)[:, 0], lengths, rtol=1e-6)
     assert float(np.median(found.sd)) < 1e-3
+
+
+def test_an_arm_that_lies_in_a_plane_has_room_in_every_direction(tmp_path: Path) -> None:
+    """Axes without extent would leave the figure empty."""
+    assert run("new", tmp_path / "arm", "--mechanism", "serial").returncode == 0
+    mechanism = read_project(tmp_path / "arm" / "project.toml").mechanism
+    drawn = machine_figure(mechanism, dict.fromkeys(joints_of(mechanism), 0.0))
+    assert drawn is not None
+    arm, *others = (np.array([trace[k] for k in "xyz"]) for trace in drawn["data"])
+    assert np.ptp(arm, axis=1).min() < 1e-9
+    shown = np.ptp(np.hstack([arm, *others]), axis=1)
+    assert shown.min() > 0.3 * shown.max()

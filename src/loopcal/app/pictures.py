@@ -82,6 +82,7 @@ def machine_figure(
     if flat:
         more: dict[str, Any] = {"xaxis": axis("x [m]"), "yaxis": axis("y [m]", scaleanchor="x")}
     else:
+        data.append(_room(points))
         camera = {"eye": {"x": 2.0, "y": 2.0, "z": 1.1}}
         more = {"scene": _space([f"{k} [m]" for k in keys], camera)}
     return {
@@ -89,6 +90,16 @@ def machine_figure(
         "layout": look(420, showlegend=False, uirevision="machine", **more),
         "config": _SPATIAL,
     }
+
+
+def _room(points: Array) -> dict[str, Any]:
+    """A trace that nobody sees: it keeps room in every direction about an arm in a plane."""
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    half = 0.25 * (high - low).max()
+    corners = 0.5 * (low + high) + half * np.array([[-1.0], [1.0]])
+    marker = {"size": 1, "opacity": 0.0}
+    own = {"type": "scatter3d", "mode": "markers", "marker": marker, "hoverinfo": "skip"}
+    return {**own, **_at("xyz", corners)}
 
 
 def moved(mechanism: Mechanism, joints: Mapping[str, float]) -> dict[str, Any]:
