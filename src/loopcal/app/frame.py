@@ -67,6 +67,10 @@ body.body--light a.nicegui-link { color: #0b5cad; }
 @media (max-width: 1199px) {
   .diagnose { grid-template: "main" auto "parts" auto "rest" auto / minmax(0, 1fr); }
 }
+.columns { display: grid; gap: 0.5rem 1rem; width: 100%; align-items: center;
+           grid-template-columns: fit-content(40%) minmax(7rem, 1fr) 5rem; }
+.columns > * { min-width: 0; } .q-select .q-field__native > span { white-space: normal; }
+.q-btn-group { flex-wrap: wrap; max-width: 100%; overflow-wrap: break-word; }
 .tiles { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr));
          gap: 0.5rem; width: 100%; }
 .file { display: inline-flex; align-items: center; gap: 0.4rem; min-height: 44px; }
