@@ -57,6 +57,20 @@ body.body--light a.nicegui-link { color: #0b5cad; }
            overflow-wrap: anywhere; }
 .beside { display: flex; flex-wrap: wrap; gap: 1rem; width: 100%; align-items: flex-start; }
 .figures { flex: 3 1 420px; min-width: 0; } .acts { flex: 1 1 320px; min-width: 0; }
+.diagnose { display: grid; gap: 0 1rem; width: 100%; align-items: start;
+  grid-template: "main parts" auto "rest parts" 1fr / minmax(0, 3fr) minmax(20rem, 1fr); }
+.main { grid-area: main; } .parts { grid-area: parts; } .rest { grid-area: rest; }
+.parts { display: grid; gap: 0 1.5rem;
+         grid-template-columns: repeat(auto-fit, minmax(300px, 1fr)); }
+.ends { display: grid; gap: 0.25rem 1rem; width: 100%;
+        grid-template-columns: repeat(auto-fit, minmax(13rem, 1fr)); }
+@media (max-width: 1199px) {
+  .diagnose { grid-template: "main" auto "parts" auto "rest" auto / minmax(0, 1fr); }
+}
+.columns { display: grid; gap: 0.5rem 1rem; width: 100%; align-items: center;
+           grid-template-columns: fit-content(40%) minmax(7rem, 1fr) 5rem; }
+.columns > * { min-width: 0; } .q-select .q-field__native > span { white-space: normal; }
+.q-btn-group { flex-wrap: wrap; max-width: 100%; overflow-wrap: break-word; }
 .tiles { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr));
          gap: 0.5rem; width: 100%; }
 .file { display: inline-flex; align-items: center; gap: 0.4rem; min-height: 44px; }
@@ -79,6 +93,9 @@ body .tip { background: #333; color: #fff; font-size: 0.85rem; max-width: 22rem;
 .step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }
 .q-btn { min-height: 44px; text-transform: none; }
 .q-btn:focus-visible { outline: 3px solid #0072b2; outline-offset: 2px; }
+@media (prefers-reduced-motion: reduce) {
+  * { transition-duration: 0.01ms !important; animation-duration: 0.01ms !important; }
+}
 @layer theme { /* of important rules the first layer wins */
   body.body--light .q-btn.step { color: #1f2328 !important; }
   body.body--dark .q-btn.step { color: #e6e6e6 !important; }
