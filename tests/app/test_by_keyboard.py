@@ -92,7 +92,8 @@ def test_from_two_files_to_a_urdf_by_keyboard(browser: Any, cell: tuple[Served, 
     keys.choose("Method", "least-squares")
     keys.run("Calibrate", "exit code 4")
     keys.step("Diagnose")
-    keys.type("From pose", str(SLIPPED))
+    keys.reach("From pose: one pose earlier")
+    keys.type("From pose", str(SLIPPED))  # the field follows its button
     page.keyboard.press("Enter")
     keys.sees("30 of 60 poses selected")
     keys.press("Reflector moved here")
