@@ -34,8 +34,9 @@ LINES = 2_000
 LONGEST = 2_000_000
 """Characters of output that are kept."""
 PRELOADED = [
-    *("numpy", "polars", "loopcal.workflow.calibration", "loopcal.workflow.refitting"),
-    "loopcal.report.page",
+    *("numpy", "polars", "scipy.linalg", "loopcal.workflow.calibration"),
+    *("loopcal.workflow.refitting", "loopcal.files.project.project_schema"),
+    *("loopcal.files.machines.registry", "loopcal.report.page"),
 ]
 """What the warm process loads beside the command itself."""
 WRITTEN = (0, 4)
