@@ -57,6 +57,16 @@ body.body--light a.nicegui-link { color: #0b5cad; }
            overflow-wrap: anywhere; }
 .beside { display: flex; flex-wrap: wrap; gap: 1rem; width: 100%; align-items: flex-start; }
 .figures { flex: 3 1 420px; min-width: 0; } .acts { flex: 1 1 320px; min-width: 0; }
+.diagnose { display: grid; gap: 0 1rem; width: 100%; align-items: start;
+  grid-template: "main parts" auto "rest parts" 1fr / minmax(0, 3fr) minmax(20rem, 1fr); }
+.main { grid-area: main; } .parts { grid-area: parts; } .rest { grid-area: rest; }
+.parts { display: grid; gap: 0 1.5rem;
+         grid-template-columns: repeat(auto-fit, minmax(300px, 1fr)); }
+.ends { display: grid; gap: 0.25rem 1rem; width: 100%;
+        grid-template-columns: repeat(auto-fit, minmax(13rem, 1fr)); }
+@media (max-width: 1199px) {
+  .diagnose { grid-template: "main" auto "parts" auto "rest" auto / minmax(0, 1fr); }
+}
 .tiles { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr));
          gap: 0.5rem; width: 100%; }
 .file { display: inline-flex; align-items: center; gap: 0.4rem; min-height: 44px; }

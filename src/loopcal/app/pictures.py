@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -158,6 +158,13 @@ class Errors:
             for name, values in readings.items()
             if name not in outputs and np.nanmax(values) > np.nanmin(values)
         ]
+
+    def between(self, low: float, high: float) -> Errors | None:
+        """The same of the poses with these numbers alone; None where there are none."""
+        here = np.flatnonzero((low <= self.numbers) & (self.numbers <= high))
+        kept = here[thinned(np.nan_to_num(self.size[here]), MOST).index]
+        steps = tuple(at for at in self.steps if low <= at <= high)
+        return replace(self, drawn=kept, steps=steps) if len(here) else None
 
     def over_poses(self, what: str = SIZE) -> dict[str, Any]:
         """The error over the poses in their order."""

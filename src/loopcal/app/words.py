@@ -70,7 +70,12 @@ NONE_SELECTED = (
     "name the ends."
 )
 ENDS = ("From pose", "To pose")
-SELECT = "Select"
+STEPPERS = {-1: ("chevron_left", "one pose earlier"), 1: ("chevron_right", "one pose later")}
+RUN, RUN_RMS = "pose {first} to {last}", "pose {first} to {last}, rms {rms}"
+RUNS = "Select a run between them:"
+ZOOM_IN, ZOOM_OUT = "Zoom in", "Show all poses"
+MOVED_HERE = "{what} moved here"
+BY_LOOPCAL = "found by loopcal"
 DRAG, DRAG_TURNS, DRAG_SELECTS = "Drag in space", "Drag turns", "Drag selects"
 NO_SUCH_POSE = "The result has no pose {pose}."
 CHOOSE_FILES = "Choose files"
@@ -231,7 +236,6 @@ OUTPUT = "Output"
 EXCLUDE_BAD = ("Exclude 1 pose", "Exclude {count} poses")
 EXCLUDED = "Excluded: pose {poses}"
 UNDO = "Undo: {what}"
-SELECT_FROM = "Select from pose {pose} on"
 BY_METHOD = "Method: {label}"
 DOWNLOAD = "Download {name}"
 DROP_ROBOT = "Drop the {kind} here"

@@ -1,0 +1,147 @@
+"""The poses selected in the linked figures: the ends of their run, and what is done with them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from nicegui import ui
+
+from loopcal.app import words
+from loopcal.app.controls import reason
+from loopcal.app.view import heading, table
+from loopcal.app.views.linked import Linked
+
+LISTED = 200
+"""Rows of the table of selected poses."""
+
+
+def offer_selection(linked: Linked) -> None:
+    """The panel."""
+    heading(words.SELECTED_POSES)
+    told = ui.label().classes("text-subtitle1")
+
+    def count() -> None:
+        chosen, every = linked.view.selected, len(linked.errors.size)
+        some = words.SELECTED.format(count=len(chosen), all=every)
+        told.set_text(some if chosen else words.NONE_SELECTED)
+
+    _ends(linked)
+    _zoom(linked)
+    acts = ui.refreshable(lambda: _acts(linked))
+    acts()
+    linked.heard += [count, acts.refresh]
+    count()
+
+
+def _run(linked: Linked) -> tuple[int, int] | None:
+    """Positions of the ends of the selected run, of all poses where none is selected; None where
+    the selection is no run."""
+    chosen = linked.view.selected or range(len(linked.errors.size))
+    first, last = chosen[0], chosen[-1]
+    return (first, last) if last - first + 1 == len(chosen) else None
+
+
+def _ends(linked: Linked) -> None:
+    """The ends of the run by their ids, or moved by one pose: a finger is not as exact."""
+    boxes: list[Any] = []
+    buttons: list[Any] = []
+
+    def poses() -> tuple[str, ...]:
+        return linked.errors.source.table.poses
+
+    def move(end: int, position: int) -> None:
+        """Put one end there; the other one stays, as far as it can."""
+        other = (_run(linked) or (0, len(poses()) - 1))[1 - end]
+        if 0 <= position < len(poses()):
+            ends = (
+                (position, max(position, other)) if end == 0 else (min(position, other), position)
+            )
+            linked.select(range(ends[0], ends[1] + 1))
+
+    def step(end: int, by: int) -> None:
+        run = _run(linked)
+        if run is not None:
+            move(end, run[end] + by)
+
+    def named(end: int) -> None:
+        given, run = str(boxes[end].value).strip(), _run(linked)
+        if not given or (run is not None and given == poses()[run[end]]):
+            return
+        if given in poses():
+            move(end, poses().index(given))
+        else:
+            ui.notify(words.NO_SUCH_POSE.format(pose=given), type="negative")
+
+    def show() -> None:
+        run = _run(linked)
+        for end, box in enumerate(boxes):
+            box.set_value("" if run is None else poses()[run[end]])
+        for button in buttons:
+            button.set_enabled(run is not None)
+
+    def stepper(end: int, by: int) -> None:
+        icon, said = words.STEPPERS[by]
+        button = ui.button(icon=icon, on_click=partial(step, end, by)).props("outline")
+        buttons.append(button.props(f'aria-label="{words.ENDS[end]}: {said}"'))
+
+    with ui.element("div").classes("ends"):
+        for end, label in enumerate(words.ENDS):
+            with ui.row().classes("items-center no-wrap q-gutter-x-xs"):
+                stepper(end, -1)
+                box = ui.input(label).classes("col").props("dense")
+                for event in ("blur", "keydown.enter"):
+                    box.on(event, partial(named, end))
+                boxes.append(box)
+                stepper(end, +1)
+    linked.heard.append(show)
+    show()
+
+
+def _zoom(linked: Linked) -> None:
+    """What the figure over the poses shows in its whole width."""
+    with ui.row().classes("q-gutter-xs"):
+        near = ui.button(words.ZOOM_IN, icon="zoom_in").props("outline")
+        near.on_click(lambda: linked.zoom(linked.view.selected))
+        far = ui.button(words.ZOOM_OUT, icon="zoom_out").props("outline")
+        far.on_click(lambda: linked.zoom([]))
+        none = ui.button(words.SELECT_NONE, on_click=partial(linked.select, [])).props("outline")
+
+    def show() -> None:
+        for button in (near, none):
+            button.set_enabled(bool(linked.view.selected))
+        far.set_enabled(linked.span is not None)
+
+    linked.heard.append(show)
+    show()
+
+
+def _acts(linked: Linked) -> None:
+    """What can be done with the selected poses, and their errors."""
+    view, errors = linked.view, linked.errors
+    if not view.selected:
+        return
+    poses = [errors.source.table.poses[i] for i in view.selected]
+    rms = f"{errors.rms(view.selected):.3g} {errors.unit}"
+    ui.label(words.RUN_RMS.format(first=poses[0], last=poses[-1], rms=rms))
+
+    async def do(act: Callable[[str], Any], kept: str) -> None:
+        chosen = list(view.selected)
+        view.selected.clear()
+        if not await view.act_aside(partial(act, str(view.kept[kept] or words.REASONS[kept][0]))):
+            view.selected[:] = chosen
+
+    reason(view, "shifted", words.REASONS["shifted"])
+    for what, names in view.session.moved().items():
+        act = partial(view.session.shifted, names, poses)
+        moved = ui.button(words.MOVED_HERE.format(what=what)).props("unelevated")
+        moved.on_click(partial(do, act, "shifted"))
+    reason(view, "excluded", words.REASONS["excluded"])
+    exclude = partial(view.session.excluded, poses)
+    ui.button(words.EXCLUDE, on_click=partial(do, exclude, "excluded")).props("unelevated")
+    rows = [
+        [p, *(f"{values[i]:.3g}" for values in errors.shown.values())]
+        for p, i in zip(poses[:LISTED], view.selected, strict=False)
+    ]
+    table(["pose", *(f"{name} [{errors.unit}]" for name in errors.shown)], rows, pagination=10)
