@@ -44,9 +44,7 @@ class Refits:
     context: that the process comes from; tell: called when a fit has ended.
     """
 
-    def __init__(
-        self, context: Any, tell: Callable[[], Any], function: str | None = None
-    ) -> None:
+    def __init__(self, context: Any, tell: Callable[[], Any], function: str | None = None) -> None:
         self._context, self._tell, self._function = context, tell, function
         self._lock = threading.Lock()
         self._fitter: _Fitter | None = None
@@ -55,8 +53,10 @@ class Refits:
         self.going = False
 
     def begin(self, asked: Asked, project: Path, ending: Ending) -> None:
-        """Fit; a fit that goes on is of use no longer."""
+        """Fit, unless that was asked last; another fit that goes on is of use no longer."""
         with self._lock:
+            if asked == self.asked:
+                return
             if self.going:
                 self._end()
             self.asked, self.found, self.going = asked, None, True

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from threading import Lock
+from threading import Event, Lock, Thread
 from typing import Any
 
 from loopcal.app.action import Action
+from loopcal.app.news import News
 from loopcal.app.refits import Asked, Refits
 from loopcal.app.steps import State
 from loopcal.app.worker import Command, Run, Worker
@@ -33,6 +36,8 @@ OF_A_MACHINE = {
     *("simulate", "update", "verify"),
 }
 """Commands that take loops written in Python."""
+LOOKS_EVERY = 0.4
+"""Seconds between looks at the folder, for what other programs change."""
 
 
 def checked(run: Run) -> Mapping[str, Any] | None:
@@ -54,14 +59,16 @@ class Session:
         self.folder = ProjectFolder(folder)
         self.function = None if function is None else _absolute(function)
         self._loops = None if function is None else load_function(function)
-        self.worker = Worker(command, self._begun, self._ended)
-        self.refits = Refits(self.worker.context, self.function)
+        self.news = News()
+        self.worker = Worker(command, self._begun, self._ended, self.news.tell)
+        self.refits = Refits(self.worker.context, self.news.tell, self.function)
         self.last: dict[str, Run] = {}  # of each command, since the server started
         self.finished = 0
         self._noted: Run | None = None
         self._source: tuple[int, Source | None, str] | None = None
         self._loaded: tuple[object, LoadedData | None, str] | None = None
-        self._reading = Lock()
+        self._shown: tuple[Source, Refit | None, Source] | None = None
+        self._reading, self._changed = Lock(), Event()
         self._read: tuple[str, Project | None, str] | None = None
 
     @property
@@ -89,35 +96,76 @@ class Session:
         if action.words[0] == "calibrate" and "--out" not in action.words:
             named = dict(pairwise(action.words))
             self._refit(named.get("--method"))
+        self.look()
         return run
 
-    def look_ahead(self) -> None:
+    def watch(self) -> None:
+        """From now on look at the folder, also for what other programs change there, in a thread:
+        a changed project is fitted, and the pages are told."""
+        Thread(target=self._watched, daemon=True).start()
+
+    def look(self) -> None:
+        """Look at the folder now: something was done there."""
+        self._changed.set()
+
+    def _watched(self) -> None:
+        seen = None
+        while True:
+            self._changed.wait(LOOKS_EVERY)
+            self._changed.clear()
+            with suppress(LoopcalError, OSError):  # the page says why
+                now = self.version
+                if now != seen:
+                    seen = now
+                    try:
+                        self._look_ahead()
+                    finally:
+                        self.news.tell()
+
+    def _look_ahead(self) -> None:
         """Fit a project that has changed since its result, from where that ended."""
-        if self.state().stale and not self.worker.busy:
-            asked = self.refits.asked
-            if asked is None or (asked.text, asked.result) != (
-                self.folder.text(),
-                self._result_at(),
-            ):
-                self._refit(None)
+        if self.worker.busy:
+            return
+        if not self.stale:
+            self.refits.end()
+        elif not self._asked_last():
+            self._refit(None)
+
+    def _asked_last(self) -> bool:
+        """Whether the project as it stands was fitted last, by whatever method."""
+        asked = self.refits.asked
+        now = self.folder.text(), self._result_at()
+        return asked is not None and (asked.text, asked.result) == now
 
     def _refit(self, method: str | None) -> None:
         source, text = self.source(), self.folder.text()
         if source is None or text is None or source.document.accuracy is None:
             return
-        asked = Asked(text, self._result_at(), method)
-        if asked != self.refits.asked:
-            ending = Ending.of(source.document, source.table.poses)
-            self.refits.begin(asked, self.folder.project, ending)
+        ending = Ending.of(source.document, source.table.poses)
+        self.refits.begin(Asked(text, self._result_at(), method), self.folder.project, ending)
 
     def refit(self) -> Refit | None:
         """The fit of the project as it stands, from where the last result ended; None where that
         result is of this project, or nothing is known yet."""
-        asked, found = self.refits.asked, self.refits.found
-        if asked is None or found is None:
+        found = self.refits.found
+        if found is None or not self._asked_last():
             return None
-        current = (asked.text, asked.result) == (self.folder.text(), self._result_at())
-        return found if current and (self._calibrates or self.state().stale) else None
+        return found if self._calibrates or self.stale else None
+
+    def shown(self) -> Source | None:
+        """The result, with what the first fit of a changed project found; as before while such a
+        fit goes on."""
+        source, refit = self.source(), self.refit()
+        before = self._shown if self._shown is not None and self._shown[0] is source else None
+        if source is None:
+            return None
+        if before is None or (before[1] is not refit and not self.refits.going):
+            found = source
+            if refit is not None:
+                document = refit.shown_in(source.document)
+                found = replace(source, table=refit.table, document=document)
+            self._shown = before = source, refit, found
+        return before[2]
 
     @property
     def _calibrates(self) -> bool:
@@ -135,6 +183,7 @@ class Session:
         self.folder.noted("ended", run.action.what, told)
         self.finished += 1
         self._noted = run
+        self.look()
 
     def project(self) -> Project | None:
         """The project as it stands; None where there is none or it cannot be read."""
@@ -193,9 +242,6 @@ class Session:
     def state(self) -> State:
         """What the lights of the steps follow from."""
         source = self.source()
-        files = self.folder.listed()
-        times = {file.name: file.modified for file in files}
-        result = times.get(f"{self.folder.result.name}/{RESULT}", 0)
         runs = {
             str(e.told.get("command", "")).split(" ")[1]: e
             for e in self.folder.log().entries
@@ -205,18 +251,20 @@ class Session:
             project=self.folder.text() is not None,
             objection=self.objection(),
             document=None if source is None else source.document,
-            stale=self._stale(source, times, result),
-            files=files,
+            stale=self.stale,
+            files=self.folder.listed(),
             runs=runs,
         )
 
-    def _stale(self, source: Source | None, times: Mapping[str, int], result: int) -> bool:
+    @property
+    def stale(self) -> bool:
         """Whether the result is of another project, or of other readings, than there are now."""
-        project = self.project()
+        source, project = self.source(), self.project()
         if source is None or project is None:
             return False
         changed = _that_count(project.inputs) != _that_count(source.document.inputs)
         files = () if project.data is None else _files(project.data)
+        times, result = self._times(), self._result_at() or 0
         return changed or any(times.get(file, 0) > result for file in files)
 
     def robot(self) -> tuple[str | None, str | None]:
@@ -332,7 +380,7 @@ class Session:
     def _write(self, text: str, what: str, reason: str) -> None:
         self.read(text)  # raises where it would not be read
         self.folder.change(text, what, reason)
-        self.look_ahead()
+        self._look_ahead()
 
 
 def _all_selected() -> InputError:
