@@ -65,13 +65,6 @@ class Refits:
             with suppress(OSError):  # killed a moment ago: the thread that listens says so
                 self._fitter.connection.send((project, ending, asked.method))
 
-    def end(self) -> None:
-        """End a fit that goes on; it has found nothing."""
-        with self._lock:
-            if self.going:
-                self._end()
-            self.asked, self.found = None, None
-
     @property
     def pid(self) -> int | None:
         """Of the process; None where there is none."""

@@ -123,12 +123,9 @@ class Session:
                         self.news.tell()
 
     def _look_ahead(self) -> None:
-        """Fit a project that has changed since its result, from where that ended."""
-        if self.worker.busy:
-            return
-        if not self.stale:
-            self.refits.end()
-        elif not self._asked_last():
+        """Fit the project as it stands from where its result ended. Before it has changed, that
+        loads what the next fit needs."""
+        if not self.worker.busy and not self._asked_last():
             self._refit(None)
 
     def _asked_last(self) -> bool:
@@ -153,13 +150,14 @@ class Session:
         return found if self._calibrates or self.stale else None
 
     def shown(self) -> Source | None:
-        """The result, with what the first fit of a changed project found; as before while such a
-        fit goes on."""
+        """The result, with what the first fit of a changed project found; while such a fit goes
+        on, what was shown before it."""
         source, refit = self.source(), self.refit()
         before = self._shown if self._shown is not None and self._shown[0] is source else None
         if source is None:
             return None
-        if before is None or (before[1] is not refit and not self.refits.going):
+        waits = self.refits.going and self.stale
+        if before is None or (before[1] is not refit and not waits):
             found = source
             if refit is not None:
                 document = refit.shown_in(source.document)
