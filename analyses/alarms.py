@@ -51,8 +51,8 @@ def _worlds() -> dict[str, tuple[str, World | Parallel]]:
             found[f"{instrument}, {poses}"] = size, world
     for machine, size, poses in (("six", SMALL, 20), ("six", LARGE, 250), ("scara", LARGE, 100)):
         found[f"{machine}, {poses}, no sds"] = size, World(machine, poses=poses, stated=None)
-    found["six, 40, path"] = MIDDLE, World(poses=40, path=True)
-    found["six, 150, path"] = LARGE, World(poses=150, path=True)
+    found["six, 40, path"] = MIDDLE, World(poses=40, order="path")
+    found["six, 150, path"] = LARGE, World(poses=150, order="path")
     found["six, 100, sds learnt"] = LARGE, World(poses=100, learnt=True, stated=3.0)
     found["planar, 15, sds learnt"] = SMALL, World("planar", poses=15, learnt=True, stated=3.0)
     return found

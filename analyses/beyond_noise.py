@@ -45,7 +45,7 @@ class Seen:
 
 def drifting(persistence: float, sd: float, rng: Rng) -> Seen:
     """A tracker that drifts along a path."""
-    world = World(poses=150, path=True, event=wandering(persistence, sd))
+    world = World(poses=150, order="path", event=wandering(persistence, sd))
     trial = world.made(rng)
     result = calibrated(trial)
     told = lc.verdict(result)

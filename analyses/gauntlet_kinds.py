@@ -54,13 +54,13 @@ def _backlash(arm: Arm, rng: Rng) -> Arm:
     return replace(arm, backlash=4e-4)
 
 
-def _worn_all_over(arm: Arm, rng: Rng) -> Arm:
+def worn_all_over(arm: Arm, rng: Rng) -> Arm:
     """A light arm that bends, with gears and backlash of its own."""
     bent = replace(_gears(arm, rng), yielding=2e-5, bending=6e-6)
     return replace(bent, backlash=2e-4)
 
 
-def _bending(arm: Arm, rng: Rng) -> Arm:
+def bending(arm: Arm, rng: Rng) -> Arm:
     return replace(arm, yielding=2e-5, bending=6e-6)
 
 
@@ -204,7 +204,7 @@ _ANONYMOUS = World(stated=None)
 _WIRE = World(instrument="wire", sd=1e-4, poses=150)
 _CAMERA = World(instrument="camera", sd=3e-4, poses=100)
 _LONG = World(poses=150)
-_PATH = World(poses=150, path=True)
+_PATH = World(poses=150, order="path")
 
 CLEAN = (
     Kind("six axes, 80 poses", _TRACKER, True),
@@ -299,15 +299,15 @@ FAULTY = (
         World(poses=350, worn=_sag, stated=None),
         cause="gravity",
     ),
-    Kind("UR, sag", World("ur", poses=80, worn=_bending), cause="gravity"),
+    Kind("UR, sag", World("ur", poses=80, worn=bending), cause="gravity"),
     Kind(
         "UR, sag, gears and backlash, no sd stated",
-        World("ur", poses=120, worn=_worn_all_over, stated=None),
+        World("ur", poses=120, worn=worn_all_over, stated=None),
         cause="gravity|gear|unexplained",
     ),
     Kind(
         "small region, sag, three reflectors",
-        World("irb", "three reflectors", poses=60, share=0.25, worn=_bending),
+        World("irb", "three reflectors", poses=60, share=0.25, worn=bending),
         cause=NEAR,
     ),
     Kind("gears", replace(_LONG, worn=_gears), cause="gear|harmonic"),
@@ -332,7 +332,7 @@ FAULTY = (
     Kind("wire zero shifted", replace(_WIRE, event=_rezeroed), cause="from pose .* zero"),
     Kind(
         "wire zero shifted twice, sag",
-        World("irb", "wire", poses=120, sd=2e-4, worn=_bending, event=_rezeroed_twice),
+        World("irb", "wire", poses=120, sd=2e-4, worn=bending, event=_rezeroed_twice),
         cause="from pose .* zero",
     ),
     Kind("a drift too small to matter", World(poses=300, event=_creeping), placed=True),

@@ -97,7 +97,8 @@ class World:
     "camera"; share: of each joint's range that is measured; sd [m], encoder [rad]: true noise;
     stated: factor of the sds that the user states, None if none are stated; worn: what the arm is
     beyond its geometry; event: what happens meanwhile; tamper: what the file makes of it;
-    believed: what the user takes for the drawing; path: poses follow one another closely;
+    believed: what the user takes for the drawing; order: "random", "path" where poses follow one
+    another closely, "sweep" where the first joint turns on and never back;
     tool: where the target truly is, less the drawing [m]; rounded: step [rad] of recorded joints.
     """
 
@@ -112,7 +113,7 @@ class World:
     event: Event = _nothing
     tamper: Tamper = _untouched
     believed: Callable[[dict[str, float]], dict[str, float]] = lambda nominal: nominal
-    path: bool = False
+    order: str = "random"
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rounded: float = 0.0
     learnt: bool = False
@@ -159,8 +160,10 @@ class World:
             )
 
         q = drawn(box, self.poses, rng)
-        if self.path:
+        if self.order == "path":
             q = _along(box, self.poses, rng)
+        if self.order == "sweep":
+            q = q[np.argsort(q[:, 0])]
         run = quiet(self.poses)
         half = self.poses // 2
         if self.instrument == "two trackers":
@@ -175,8 +178,8 @@ class World:
                 np.repeat(run.shift[-1:], n, axis=0),
                 np.repeat(run.zero[-1:], n),
                 np.repeat(run.encoders[-1:], n, axis=0),
-                np.zeros((n, 3)),
-                np.zeros(n),
+                np.repeat(run.drift[-1:], n, axis=0),
+                np.repeat(run.warmth[-1:], n),
             )
 
         measured = seen(q, run)

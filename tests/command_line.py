@@ -1,12 +1,17 @@
-"""Running the installed command as a user would: in a process of its own, without colours."""
+"""Running the command as a user would, without colours: in a process of its own, or in this one."""
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
 from collections.abc import Mapping
+from contextlib import chdir, redirect_stderr, redirect_stdout
 from pathlib import Path
+from unittest.mock import patch
+
+from loopcal.cli import main
 
 FORCING_COLOUR = ("FORCE_COLOR", "CLICOLOR_FORCE", "PY_COLORS", "GITHUB_ACTIONS", "TTY_COMPATIBLE")
 
@@ -37,3 +42,23 @@ def run(
         timeout=timeout,
         check=False,
     )
+
+
+def run_here(
+    *arguments: str | Path, cwd: Path | None = None, together: bool = False
+) -> subprocess.CompletedProcess[str]:
+    """As `run`, in this process, which has loaded already what the command needs.
+
+    together: stderr follows in stdout as it would in a terminal.
+    """
+    out = io.StringIO()
+    err = out if together else io.StringIO()
+    words = [str(argument) for argument in arguments]
+    with (
+        chdir(cwd or "."),
+        patch.dict(os.environ, environment()),
+        redirect_stdout(out),
+        redirect_stderr(err),
+    ):
+        code = main(words)
+    return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())

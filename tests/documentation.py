@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import doctest
 import re
+import shlex
 import subprocess
 import textwrap
 from collections.abc import Iterator
@@ -26,6 +27,7 @@ from typing import Any
 from tests import command_line
 
 FENCE = re.compile(r"^(?P<indent> *)(?P<ticks>`{3,}|~{3,})(?P<info>[^`]*)$")
+SHELL = re.compile(r"[|<>&;$*?`]")
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
@@ -131,18 +133,7 @@ def run_console(block: Block, folder: Path) -> None:
         if not command.typed.startswith("loopcal"):
             continue
         ends_with = int(block.options.get("exit", 0)) if command is every[-1] else 0
-        done = subprocess.run(
-            command.typed,
-            shell=True,
-            cwd=folder,
-            env=command_line.environment(),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT if ends_with else subprocess.PIPE,
-            encoding="utf-8",
-            timeout=300,
-            check=False,
-        )
+        done = typed(command.typed, folder, together=bool(ends_with))
         place = f"{block.source}:{command.line}: $ {command.typed}"
         if done.returncode != ends_with:
             told = f"{done.stdout}{done.stderr or ''}"
@@ -151,6 +142,28 @@ def run_console(block: Block, folder: Path) -> None:
             raise WrongDocumentation(
                 f"{place}\nthe document shows:\n{command.printed}\nit prints:\n{done.stdout}"
             )
+
+
+def typed(line: str, folder: Path, *, together: bool) -> subprocess.CompletedProcess[str]:
+    """What a line at the prompt leaves, stdout and stderr `together` where they are shown so.
+
+    A plain command runs in this process, which has loaded already what it needs.
+    """
+    program, *arguments = shlex.split(line)
+    if program != "loopcal" or SHELL.search(line):
+        return subprocess.run(
+            line,
+            shell=True,
+            cwd=folder,
+            env=command_line.environment(),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT if together else subprocess.PIPE,
+            encoding="utf-8",
+            timeout=300,
+            check=False,
+        )
+    return command_line.run_here(*arguments, cwd=folder, together=together)
 
 
 def alike(shown: str, printed: str) -> bool:

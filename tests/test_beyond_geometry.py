@@ -24,7 +24,7 @@ from loopcal.statistics.outliers import find_outliers
 from loopcal.workflow.calibration import Request, run_calibration
 from loopcal.workflow.checking import run_prediction
 from loopcal.workflow.simulation import run_simulation
-from tests.command_line import run
+from tests.command_line import run_here as run
 from tests.refusals import refused
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

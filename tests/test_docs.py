@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests import documentation
 from tests.documentation import WrongDocumentation, run_file
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -101,7 +102,11 @@ def test_a_fault_in_a_page_is_reported_at_its_line(clone: Path) -> None:
 
 @pytest.fixture
 def fake_loopcal(clone: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A `loopcal` that prints three lines, so that the comparison itself is tested."""
+    """A `loopcal` that prints three lines, so that the comparison itself is tested.
+
+    Always by the shell: `loopcal` in this process is the real one.
+    """
+    monkeypatch.setattr(documentation, "SHELL", re.compile(""))
     program = clone / "bin" / "loopcal"
     program.parent.mkdir()
     program.write_text("#!/bin/sh\nprintf 'one\\ntwo  \\nthree\\n'\necho note >&2\nexit ${1:-0}\n")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from loopcal.files.project.folder_lock import NAME as LOCK
 from tests.app.serving import Served, serving
 from tests.browser import chromium
 from tests.command_line import run
@@ -51,6 +53,27 @@ def served(hostile: Path) -> Iterator[Served]:
     """The app on it."""
     with serving(hostile) as server:
         yield server
+
+
+@pytest.fixture(scope="session")
+def served_cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Served, Path]]:
+    """The app on a folder that is empty at first."""
+    folder = tmp_path_factory.mktemp("app") / "cell"
+    folder.mkdir()
+    with serving(folder) as server:
+        yield server, folder
+
+
+@pytest.fixture
+def cell(served_cell: tuple[Served, Path]) -> tuple[Served, Path]:
+    """The same, with nothing in the folder but the lock of the server."""
+    server, folder = served_cell
+    for entry in folder.iterdir():
+        if entry.is_dir():
+            shutil.rmtree(entry)
+        elif entry.name != LOCK:
+            entry.unlink()
+    return server, folder
 
 
 @pytest.fixture(scope="session")

@@ -62,6 +62,16 @@ class Hand:
         self.page.mouse.up()
         self.page.get_by_text(re.compile("poses selected")).wait_for()
 
+    def end_at(self, label: str, pose: int) -> None:
+        """Move an end of the selected run pose by pose; label: of its field."""
+        field = self.page.get_by_label(label, exact=True)
+        self.page.wait_for_function("e => e.value !== ''", arg=field.element_handle())
+        while (off := int(field.input_value()) - pose) != 0:
+            before = field.input_value()
+            self.press(f"{label}: one pose {'earlier' if off > 0 else 'later'}")
+            moved = "([e, before]) => e.value !== before"
+            self.page.wait_for_function(moved, arg=[field.element_handle(), before])
+
     def frame_in_space(self) -> None:
         """Draw a frame around all points of the figure in space."""
         pane = self.page.locator(".pane")

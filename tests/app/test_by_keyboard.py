@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.app.pointing import Hand
-from tests.app.serving import serving
+from tests.app.serving import Served
 from tests.reference.dh_arm import SLIPPED
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "slipped_reflector"
@@ -75,41 +75,39 @@ class Keys(Hand):
         self.page.keyboard.type(text)
 
 
-def test_from_two_files_to_a_urdf_by_keyboard(browser: Any, tmp_path: Path) -> None:
-    folder = tmp_path / "cell"
-    folder.mkdir()
-    with serving(folder) as served:
-        page = browser.new_page(viewport={"width": 1440, "height": 900})
-        page.set_default_timeout(60_000)  # a busy machine takes its time
-        page.goto(served.address)
-        keys = Keys(page, folder)
-        keys.drop("Drop the URDF here", EXAMPLE / "arm.urdf")
-        keys.sees("Go on with the step Data")
-        keys.step("Data")
-        keys.drop("Drop the files of readings here", EXAMPLE / "poses.csv")
-        page.get_by_role("heading", name="Files of readings").wait_for()
-        keys.run("Recognise")
-        keys.sees("60 poses")
-        keys.step("Fit")
-        keys.choose("Method", "least-squares")
-        keys.run("Calibrate", "exit code 4")
-        keys.step("Diagnose")
-        keys.type("From pose", str(SLIPPED))
-        page.keyboard.press("Enter")
-        keys.press("From pose: one pose earlier")
-        keys.sees("31 of 60 poses selected")
-        page.keyboard.press("Tab")  # to the field
-        page.keyboard.press("Tab")
-        page.keyboard.press("Enter")
-        keys.sees("30 of 60 poses selected")
-        keys.press("Reflector moved here")
-        keys.sees_stale()
-        keys.choose("Method", "implicit-loop")
-        keys.run("Calibrate")
-        keys.step("Deploy")
-        keys.choose("Your own file", "arm.urdf")
-        keys.run("Preview")
-        keys.sees("Lines that change are marked")
-        keys.run("Write")
-        page.close()
+def test_from_two_files_to_a_urdf_by_keyboard(browser: Any, cell: tuple[Served, Path]) -> None:
+    served, folder = cell
+    page = browser.new_page(viewport={"width": 1440, "height": 900}, reduced_motion="reduce")
+    page.set_default_timeout(60_000)  # a busy machine takes its time
+    page.goto(served.address)
+    keys = Keys(page, folder)
+    keys.drop("Drop the URDF here", EXAMPLE / "arm.urdf")
+    keys.sees("Go on with the step Data")
+    keys.step("Data")
+    keys.drop("Drop the files of readings here", EXAMPLE / "poses.csv")
+    page.get_by_role("heading", name="Files of readings").wait_for()
+    keys.run("Recognise")
+    keys.sees("60 poses")
+    keys.step("Fit")
+    keys.choose("Method", "least-squares")
+    keys.run("Calibrate", "exit code 4")
+    keys.step("Diagnose")
+    keys.type("From pose", str(SLIPPED))
+    page.keyboard.press("Enter")
+    keys.press("From pose: one pose earlier")
+    keys.sees("31 of 60 poses selected")
+    page.keyboard.press("Tab")  # to the field
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    keys.sees("30 of 60 poses selected")
+    keys.press("Reflector moved here")
+    keys.sees_stale()
+    keys.choose("Method", "implicit-loop")
+    keys.run("Calibrate")
+    keys.step("Deploy")
+    keys.choose("Your own file", "arm.urdf")
+    keys.run("Preview")
+    keys.sees("Lines that change are marked")
+    keys.run("Write")
+    page.close()
     assert (folder / "project-result/export/arm.urdf").exists()

@@ -94,7 +94,7 @@ def test_a_truth_of_some_parameters_gives_their_errors_alone(folder: Path, run: 
 
 
 def test_a_fit_that_does_not_converge_ends_with_4_and_is_written(folder: Path, run: Run) -> None:
-    text = PROJECT.replace("[prior]", "[parameters]\nphi30 = 2.5\n[prior]")
+    text = PROJECT.replace("[prior]", "[parameters]\nphi30 = 0.2\n[prior]")
     (folder / "project.toml").write_text(text.replace("[fit]", "[fit]\nmax_iterations = 1"))
     done = run(*CALIBRATE)
     assert done.code == 4

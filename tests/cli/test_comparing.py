@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.command_line import run
+from tests.command_line import run_here as run
 
 PROJECT = """
 schema = 1

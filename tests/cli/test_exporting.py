@@ -12,7 +12,7 @@ import loopcal as lc
 from loopcal.cli.export import _counts
 from loopcal.cli.run import main
 from loopcal.files.exports.registry import EXPORTS
-from tests.command_line import run
+from tests.command_line import run_here as run
 from tests.refusals import refused
 
 

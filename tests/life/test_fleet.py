@@ -16,7 +16,7 @@ from loopcal.life.fleet import learn
 from loopcal.life.measured_machine import MeasuredMachine, machine_parameters
 from loopcal.life.spread import Spread
 from loopcal.statistics.calibrated import Calibrated
-from tests.command_line import run
+from tests.command_line import run_here as run
 from tests.life.test_updating import PROJECT
 from tests.refusals import refused
 

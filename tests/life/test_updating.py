@@ -19,7 +19,7 @@ from analyses.what_changed import arm as arm_as_drawn
 from loopcal.document.triangle import symmetric
 from loopcal.life.updating import update
 from loopcal.statistics.calibrated import Calibrated
-from tests.command_line import run
+from tests.command_line import run_here as run
 from tests.reference.simulated import planar_arm
 from tests.refusals import refused
 from tests.statistics.test_comparison import sds_of

@@ -12,7 +12,7 @@ import loopcal as lc
 from loopcal.errors import Code
 from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
-from tests.command_line import run
+from tests.command_line import run_here as run
 from tests.refusals import refused
 
 NOISE = lc.Noise({"xP": 1e-5, "yP": 1e-5, "phi*": 1e-5})

@@ -18,7 +18,7 @@ from analyses.planning import beside_random, cases, kept
 from loopcal.files.programs.joint_axes import JointAxes
 from loopcal.files.programs.reader import read_program
 from loopcal.mechanisms.planar import planar_two_link
-from tests.command_line import run
+from tests.command_line import run_here as run
 from tests.refusals import refused
 
 ARM = {"phi2": (-1.0, 1.0), "phi3": (0.3, 2.0)}

@@ -22,7 +22,7 @@ from loopcal.workflow.fleet import run_fleet
 from loopcal.workflow.history import run_history
 from loopcal.workflow.updating import run_update
 from loopcal.workflow.verifying import run_verification
-from tests.command_line import run
+from tests.command_line import run_here as run
 
 PLANAR = Path(__file__).resolve().parents[2] / "examples" / "planar"
 

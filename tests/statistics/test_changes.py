@@ -182,3 +182,75 @@ def test_the_workspace_set_is_calibrated_as_if_its_slips_were_known(shared_data:
     assert validation.blocked.accuracy is not None
     assert validation.accuracy.rms <= 0.22e-3
     assert validation.blocked.accuracy.rms <= 0.40e-3
+
+
+def wandering(order: str, seed: int = 5, size: float = 1.5e-3) -> lc.Dataset:
+    """A sagging arm whose instrument drifts in z, so far over the run, in this order of poses."""
+    where = joints(60, seed)
+    if order == "sweep":
+        along = np.argsort(where["theta_1"])
+        where = {q: values[along] for q, values in where.items()}
+    data = sagging(read(where, seed))
+    return data.with_readings({"z": data["z"] + np.linspace(0.0, size, 60)})
+
+
+def test_a_drift_of_the_instrument_is_modelled_and_predictions_hold_for_the_end(
+    tmp_path: Path,
+) -> None:
+    result = told(wandering("random"))
+    assert result.document.change_points is not None
+    (point,) = result.document.change_points.found
+    assert (point.shape, point.modelled, point.moved) == ("ramp", True, "reading")
+    assert point.changes["z"].size == pytest.approx(1.5e-3, rel=0.15)
+    assert result.mechanism.latest == {NUMBER: 60.0}
+    answer = lc.verdict(result).answers["sound"]
+    assert (answer.passed, answer.code) == (None, "changes-modelled")
+    assert "over the whole run" in answer.words
+    assert "Predictions hold for the end of the run." in answer.words
+    where = joints(40, 11)
+    found = lc.predict(result, lc.Dataset.from_arrays(where)).outputs
+    first = {**where, NUMBER: np.full(40, 1.0)}
+    begun = lc.predict(result, lc.Dataset.from_arrays(first)).outputs
+    assert float(np.mean(found["z"] - begun["z"])) == pytest.approx(1.5e-3, rel=0.15)
+    result_file.write_result(result, result.document, tmp_path)
+    assert lc.read_mechanism(tmp_path / "mechanism.toml").latest == {NUMBER: 60.0}
+
+
+def test_a_drift_that_the_joints_imitate_is_not_modelled() -> None:
+    case = Case(ARM, wandering("sweep"), None, FIT)
+    assert changes(case, case.fit, case.calibrated()).found == ()
+
+
+def test_a_target_that_seems_to_drift_is_not_modelled() -> None:
+    where = joints(60, 5)
+    slow, fast = read(where, 5), read(where, 5, {"x6B": 3e-3})
+    share = np.linspace(0.0, 1.0, 60)
+    moved = {q: slow[q] + share * (fast[q] - slow[q]) for q in "xyz"}
+    case = Case(ARM, sagging(slow.with_readings(moved)), None, FIT)
+    whole = case.calibrated()
+    assert [(p.shape, p.moved) for p in lc.find_shifts(whole).found] == [("ramp", "target")]
+    assert changes(case, case.fit, whole).found == ()
+
+
+def along_a_path(seed: int, poses: int = 120) -> dict[str, Array]:
+    """Joints that go to and fro, each at its own pace."""
+    rng = np.random.default_rng(seed)
+    phase = 2.0 * np.pi * rng.uniform(2.0, 5.0, 6) * np.linspace(0.0, 1.0, poses)[:, None]
+    swing = 0.3 * np.ptp(MA1400_RANGES, axis=1) * np.sin(phase + rng.uniform(0.0, 6.0, 6))
+    values = 0.6 * MA1400_RANGES.mean(axis=1) + swing
+    return {f"theta_{i}": values[:, i - 1] for i in range(1, 7)}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_along_a_path_only_an_edge_sharper_than_the_path_is_told_from_the_machine(
+    seed: int,
+) -> None:
+    where = along_a_path(seed)
+    whole = read(where, seed)
+    bent = lc.calibrate(ARM, sagging(whole, 3e-3), method="least-squares")
+    found = lc.find_shifts(bent)
+    assert found.found  # the machine itself looks like changes
+    assert not found.told_apart
+    data = sagging(joined(whole, read(where, seed, SLIP), 60), 3e-3)
+    found = lc.find_shifts(lc.calibrate(ARM, data, method="least-squares"))
+    assert [point.number for point in found.told_apart] == [61]

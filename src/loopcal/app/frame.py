@@ -88,6 +88,9 @@ body .tip { background: #333; color: #fff; font-size: 0.85rem; max-width: 22rem;
 .step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }
 .q-btn { min-height: 44px; text-transform: none; }
 .q-btn:focus-visible { outline: 3px solid #0072b2; outline-offset: 2px; }
+@media (prefers-reduced-motion: reduce) {
+  * { transition-duration: 0.01ms !important; animation-duration: 0.01ms !important; }
+}
 @layer theme { /* of important rules the first layer wins */
   body.body--light .q-btn.step { color: #1f2328 !important; }
   body.body--dark .q-btn.step { color: #e6e6e6 !important; }

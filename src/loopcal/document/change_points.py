@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from loopcal.document.bounds import Count, Probability, Size
-from loopcal.presentation.shown import with_unit
+from loopcal.presentation.shown import enumerated, with_unit
 
 Moved = Literal["target", "station", "joint", "reading"]
 _WORDS = {
@@ -69,8 +69,7 @@ class ChangePoint:
         text = _WORDS[self.moved].format(names=", ".join(self.names))
         if self.alternatives:
             text += f" (or else {'; '.join(self.alternatives)})"
-        when = f"from pose {self.pose} on" if self.shape == "step" else "over the whole run"
-        return f"{when} {text}: {sizes}, p = {self.p_value:.2g}"
+        return f"{when([self])} {text}: {sizes}, p = {self.p_value:.2g}"
 
 
 @dataclass(frozen=True)
@@ -93,7 +92,7 @@ class ChangePoints:
         found = []
         if modelled := [point for point in self.found if point.modelled]:
             found.append(
-                f"The fit models {_counted(modelled)}. Predictions hold after the last one. To "
+                f"The fit models {_counted(modelled)}. {hold(modelled)} To "
                 "state the changes yourself, copy the lines toml of change_points in result.json "
                 "into the project."
             )
@@ -103,6 +102,20 @@ class ChangePoints:
                 f"model the changes with the effects that change_points of result.json lists."
             )
         return tuple(found)
+
+
+def when(points: Sequence[ChangePoint]) -> str:
+    """When these changes happened."""
+    steps = [point.pose for point in points if point.shape == "step"]
+    words = [f"from pose{'s' if len(steps) > 1 else ''} {enumerated(steps)} on"] if steps else []
+    return " and ".join(words + ["over the whole run"] * (len(steps) < len(points)))
+
+
+def hold(points: Sequence[ChangePoint]) -> str:
+    """For which state of a machine with these changes predictions hold."""
+    if any(point.shape == "ramp" for point in points):
+        return "Predictions hold for the end of the run."
+    return "Predictions hold after the last change."
 
 
 def _counted(points: Sequence[ChangePoint]) -> str:

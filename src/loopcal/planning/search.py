@@ -232,7 +232,9 @@ def criterion_value(draw: Information, total: Array, criterion: Criterion) -> fl
 
 def test_variances(draw: Information, C: Array) -> Array:
     """(T,) variance of the end point at the test poses [SI]."""
-    found: Array = np.einsum("tok,tok->t", draw.tests @ C, draw.tests)
+    flat = draw.tests.reshape(-1, draw.tests.shape[2])
+    each = np.einsum("ij,ij->i", flat @ C, flat)
+    found: Array = each.reshape(len(draw.tests), -1).sum(axis=1)
     return found
 
 

@@ -25,12 +25,14 @@ from numpy.typing import NDArray
 from loopcal.chi_squared import tail
 from loopcal.document.change_points import Change, ChangePoint, Moved
 from loopcal.errors import InputError
+from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import Result
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.presentation.wrapped import wrapped
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
+from loopcal.statistics.run_order import path_cosines, told_by_joints
 
 Array = NDArray[np.float64]
 MOST_POSES = 5000
@@ -41,6 +43,9 @@ UNREMARKABLE = 1e-3
 """A pose that is at least so probable fits."""
 _WAVES, _EDGE = 6, 1e-3
 """A step is kept if its edge stands out of so many slow cosines over the run at this level."""
+_TOLD, _INSTRUMENT = 0.5, ("station", "reading")
+"""A drift is told from the machine where the joints tell less of the order, and the machine itself
+does not drift."""
 _RARE = 10.0
 """By so much must the log p-value of a joint's zero be lower: a target that moves about the axis of
 the last joint does the same, and does it more often."""
@@ -55,7 +60,9 @@ class Shifts:
     found: change points in order; level: probability of finding any in independent errors; tested:
     poses that were searched, 0 where there are too many or too few; explained: ids of the poses
     that fit once the shifts are modelled, empty where none was found; unsure: steps without a sharp
-    edge, which slow changes over the run explain as well.
+    edge, which slow changes over the run explain as well; told_apart: those found that an error of
+    the machine model cannot imitate: steps with an edge sharper than the path of the joints, and
+    drifts of an instrument in an order that the joints do not follow.
     """
 
     found: tuple[ChangePoint, ...]
@@ -63,6 +70,7 @@ class Shifts:
     tested: int
     explained: frozenset[str] = frozenset()
     unsure: tuple[ChangePoint, ...] = ()
+    told_apart: tuple[ChangePoint, ...] = ()
 
     def __len__(self) -> int:
         return len(self.found)
@@ -130,8 +138,11 @@ def find_shifts(result: Result, *, level: float = 0.01, most: int = 8) -> Shifts
 
 
 def apart(point: ChangePoint, known: Sequence[ChangePoint]) -> bool:
-    """Whether a change is none of those known, whose date is uncertain by some poses."""
-    return all(abs(point.number - other.number) > LEAST for other in known)
+    """Whether a change is none of those known: a step's date is uncertain by some poses."""
+    alike = [other for other in known if other.shape == point.shape]
+    if point.shape == "ramp":
+        return all(other.names != point.names for other in alike)
+    return all(abs(point.number - other.number) > LEAST for other in alike)
 
 
 class _Search:
@@ -166,6 +177,7 @@ class _Search:
                 new = self._best(rest, steps, [step.candidate], ramps=False)[0] or step
                 steps, fit = [new, *steps], rest.beside(self._columns(new))
         found = [self._point(fit, steps, step) for step in steps]
+        apart = self._told_apart(fit, steps)
         order = self.system.order
         fits = fit.p_values >= UNREMARKABLE if steps else np.zeros(0, dtype=bool)
         return Shifts(
@@ -174,14 +186,33 @@ class _Search:
             len(order),
             frozenset(self.problem.poses[i] for i in order[np.flatnonzero(fits)].tolist()),
             unsure,
+            tuple(point for point, step in zip(found, steps, strict=True) if step in apart),
         )
 
-    def _smooth(self, fit: Fitted, steps: Sequence[_Step]) -> list[_Step]:
+    def _told_apart(self, fit: Fitted, steps: Sequence[_Step]) -> list[_Step]:
+        """The steps that an error of the machine model along these poses does not look like."""
+        if not steps:
+            return []
+        joints = self.problem.readings[joint_rows(self.problem)][:, self.system.order].T
+        told = told_by_joints(joints) if any(step.ramp for step in steps) else 1.0
+        cosines = path_cosines(joints)
+        smooth = self._smooth(fit, steps, cosines) if cosines > _WAVES else []
+        return [
+            step
+            for step in steps
+            if (
+                step not in smooth
+                if not step.ramp
+                else told < _TOLD and self.candidates[step.candidate].moved in _INSTRUMENT
+            )
+        ]
+
+    def _smooth(self, fit: Fitted, steps: Sequence[_Step], cosines: int = _WAVES) -> list[_Step]:
         """The steps that slow changes over the run explain, beside which only an edge counts."""
         sudden = [step for step in steps if not step.ramp]
         if not sudden:
             return []
-        waved = fit.beside(np.concatenate(self.system.waves(_WAVES), axis=2))
+        waved = fit.beside(np.concatenate(self.system.waves(cosines), axis=2))
         rests = [(step, self._without(waved, steps, step)) for step in sudden]
         return [s for s, rest in rests if self._log_p(rest, s, fit.spare) >= math.log(_EDGE)]
 

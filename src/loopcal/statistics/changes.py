@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.document.change_points import ChangePoint, ChangePoints
+from loopcal.document.change_points import ChangePoint, ChangePoints, when
 from loopcal.document.findings import Outlier
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError, NoTrustworthyResult
@@ -67,7 +67,7 @@ class Changes:
         """For the sentence on the choice."""
         words = ""
         if self.found:
-            words += f"; changes modelled from pose {', '.join(p.pose for p in self.found)} on"
+            words += f"; changes modelled {when(self.found)}"
         if self.outliers:
             words += f"; without the outlier{'s' if len(self.outliers) > 1 else ''} "
             words += ", ".join(self.outliers)
@@ -101,7 +101,7 @@ def changes(case: Case, way: Fit, whole: Result) -> Changes:
     told, way = unchanged(case), way.changed(prior=case.fit.prior)
     for _ in range(ROUNDS):
         searched = find_shifts(whole)
-        new = [p for p in searched.found if _certain(p, told.found)]
+        new = [p for p in searched.told_apart if _certain(p, told.found)]
         if not new:
             break
         try:
@@ -113,8 +113,8 @@ def changes(case: Case, way: Fit, whole: Result) -> Changes:
 
 
 def _certain(point: ChangePoint, known: Sequence[ChangePoint]) -> bool:
-    """Whether a step is beyond doubt, and none that is known with its date shifted by a little."""
-    return point.shape == "step" and point.p_value < CERTAIN and apart(point, known)
+    """Whether a change is beyond doubt, and none of those known with its date a little off."""
+    return point.p_value < CERTAIN and apart(point, known)
 
 
 def _modelled(

@@ -105,7 +105,8 @@ def _as_it_ended(machine: Mechanism, ending: Ending, *, learnt: bool) -> Mechani
 def _as_found(case: Case, ending: Ending) -> Case:
     """The case with the changes that the earlier calibration modelled, but those that the project
     states by now, and without its outliers."""
-    stated = {name.rpartition("_from")[0] for n in case.mechanism.effects.values() for name in n}
+    effects = [name for names in case.mechanism.effects.values() for name in names]
+    stated = {name.rpartition("_from")[0] or name.removesuffix("_drift") for name in effects}
     poses = case.data.poses
     moved = [_moved(p, ending.poses, set(poses)) for p in ending.changes]
     found = [p for p in moved if p is not None and stated.isdisjoint(p.names)]
@@ -120,7 +121,9 @@ def _as_found(case: Case, ending: Ending) -> Case:
 
 
 def _moved(point: ChangePoint, order: Sequence[str], here: set[str]) -> ChangePoint | None:
-    """A change at its pose, or at the next one where that is left out."""
+    """A step at its pose, or at the next one where that is left out; a ramp as it is."""
+    if point.shape == "ramp":
+        return point
     after = order[order.index(point.pose) :] if point.pose in order else ()
     pose = next((pose for pose in after if pose in here), None)
     return None if pose is None else replace(point, pose=pose)

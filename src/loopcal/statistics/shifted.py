@@ -66,7 +66,8 @@ def _effects(data: Dataset, found: Sequence[ChangePoint], column: str) -> list[S
         effects.append(Shift(names, at, column, name=f"shift of {', '.join(names)}"))
     for names in dict.fromkeys(p.names for p in found if p.shape == "ramp"):
         since, over = float(numbers.min()), float(np.ptp(numbers))
-        effects.append(Drift(names, column, "1", since, over, f"drift of {', '.join(names)}"))
+        own = f"drift of {', '.join(names)}"
+        effects.append(Drift(names, column, "1", since, over, own, since + over))
     return effects
 
 
@@ -99,7 +100,11 @@ def _table(effect: Shift | Drift) -> list[str]:
         *(
             [f"at = {_listed(effect.at)}"]
             if isinstance(effect, Shift)
-            else [f"since = {effect.since:g}", f"over = {effect.over:g}"]
+            else [
+                f"{key} = {value:.12g}"
+                for key in ("since", "over", "until")
+                if (value := getattr(effect, key)) is not None
+            ]
         ),
     ]
 

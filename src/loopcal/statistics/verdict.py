@@ -11,12 +11,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from loopcal.document.change_points import ChangePoint
+from loopcal.document.change_points import ChangePoint, hold, when
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.terms import DECISIVE, TermEntry
 from loopcal.document.verdict import Answer, Verdict
 from loopcal.presentation.rounding import significant
-from loopcal.presentation.shown import chance, enumerated, percent, with_unit
+from loopcal.presentation.shown import chance, percent, with_unit
 from loopcal.presentation.wrapped import shortened
 from loopcal.statistics.answers import better, good_enough, valid
 from loopcal.statistics.judged_machine import far_from_nominal, off_the_drawing, prior_tension
@@ -102,8 +102,7 @@ def _moved_and_modelled(document: ResultDocument) -> Said | None:
     if not found:
         return None
     return Said(
-        f"{_told('The fit models what changed', 'The fit models changes', found)} "
-        "Predictions hold after the last change.",
+        f"{_told('The fit models what changed', 'The fit models changes', found)} " + hold(found),
         float(len(found)),
     )
 
@@ -114,11 +113,7 @@ def _told(one: str, several: str, found: Sequence[ChangePoint]) -> str:
     if len(found) == 1:
         what, _, sizes = details.rpartition(": ")
         return f"{one} along the run: {what}. Size: {sizes}."
-    steps = [point.pose for point in found if point.shape == "step"]
-    when = [f"from pose{'s' if len(steps) > 1 else ''} {enumerated(steps)} on"] if steps else []
-    if len(steps) < len(found):
-        when.append("over the whole run")
-    return f"{several} along the run {' and '.join(when)}. {details[0].upper()}{details[1:]}."
+    return f"{several} along the run {when(found)}. {details[0].upper()}{details[1:]}."
 
 
 def _first_of(found: Sequence[ChangePoint]) -> str:
@@ -389,7 +384,7 @@ SOUND: tuple[Rule, ...] = (
         "changes-modelled",
         None,
         _moved_and_modelled,
-        "Check what happened at these poses, or measure again.",
+        "Check what happened during the run, or measure again.",
     ),
     Rule(
         "changes-small",

@@ -13,7 +13,7 @@ import loopcal as lc
 from analyses.file_faults import FAULTS, GOOD, ROUGH, draw
 from analyses.instruments import setup
 from loopcal.estimation.calibrate import started
-from loopcal.estimation.faults.misfit import beside, misfit
+from loopcal.estimation.faults.misfit import _Linear, _scales, beside, misfit, missed
 from loopcal.estimation.faults.search import NEAR, column_faults, suspicious
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
@@ -178,3 +178,20 @@ def test_near_the_drawing_one_step_leaves_what_a_fit_leaves() -> None:
     assert share(wrong) == pytest.approx(misfit(wrong).share, rel=0.02)
     # what is left is of second order in the fault
     assert abs(share(right) - misfit(right).share) < 0.01 * misfit(wrong).share
+
+
+def test_a_loop_without_a_derivative_has_no_part_in_the_step() -> None:
+    """A distance of zero: LAPACK of 2024 refuses what later ones return."""
+    machine = lc.Mechanism.from_function(
+        lambda x, p: [x.d - np.sqrt((x.a - p.c) ** 2)],
+        {"a": "m", "d": "m"},
+        {"c": (1.0, "m")},
+        outputs=("d",),
+    )
+    a = np.array([0.0, 0.5, 1.0, 2.0, 3.0])
+    data = lc.Dataset.from_arrays({"a": a, "d": np.abs(a - 1.3)})
+    problem = started(machine, data, lc.Noise({"*": 1e-4}), "auto")
+    steps = _Linear.at(problem, problem.start, ("c",), _scales(problem))
+    assert not np.isfinite(steps.columns[2]).all()
+    assert steps.step(steps.loops, np.arange(5)) == pytest.approx([0.3], rel=0.5)
+    assert isinstance(missed(problem, NEAR, noisy=True), bool)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from tests.command_line import run
+from tests.command_line import run_here as run
 from tests.refusals import refused
 
 LENGTHS = {"d_1": 0.16, "a_2": -0.43, "a_3": -0.39, "d_4": 0.13, "d_5": 0.1, "d_6": 0.1}

@@ -41,13 +41,13 @@ def check(
 ) -> Result:
     """Fit from a start, and hold the laws whatever comes out.
 
-    Every fifth file is searched for faults too, which takes ten times as long as the fit.
+    Every tenth file is searched for faults too, which takes ten times as long as the fit.
     """
     data = simulated.read(sds, seed=seed)
     noise = Noise(sds)
     asked = {"noise": noise, "start": "nominal", **more}
     began = calibrate(start, data, max_iterations=0, trusted=True, **asked)
-    result = calibrate(start, data, trusted=seed % 5 != 0, **asked)
+    result = calibrate(start, data, trusted=seed % 10 != 0, **asked)
     if began.status.reason != "cannot_close":
         assert chi_squared(result) <= chi_squared(began) * (1 + 1e-9)
     told = optimality(result, diagonal(result, sds), more["prior"].sds if more else None)
@@ -80,7 +80,7 @@ def test_any_start_and_any_noise_of_a_planar_arm(
     check(simulated, simulated.off(10 ** off[0], 10 ** off[1], seed=seed), sds, seed)
 
 
-@settings(max_examples=40, phases=PHASES)
+@settings(max_examples=20, phases=PHASES)
 @given(
     exponents=st.tuples(EXPONENTS, EXPONENTS, EXPONENTS, EXPONENTS),
     priors=st.tuples(st.floats(-6, 0), st.floats(-6, 0)),

@@ -79,7 +79,7 @@ RESULTS = {
         planar_two_link(), MADE.dataset, noise=NOISE, method="implicit-loop-undamped"
     ),
     "not converged": lambda: calibrate(
-        planar_two_link({"phi30": 2.0}), MADE.dataset, noise=NOISE, max_iterations=1
+        planar_two_link({"phi30": 0.5}), MADE.dataset, noise=NOISE, max_iterations=1
     ),
     "not identifiable": loose,
     "with gaps": with_gaps,

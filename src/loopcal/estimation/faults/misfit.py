@@ -249,9 +249,13 @@ class _Linear:
         return cls(problem.free[its], values, columns, noise)
 
     def step(self, loops: Array, good: NDArray[np.intp]) -> Array:
-        """The step (n,) that brings these loops (N, m) nearest to zero in some poses."""
-        J = self.columns[good].reshape(-1, len(self.free))
-        return np.asarray(np.linalg.lstsq(J, -loops[good].ravel(), rcond=None)[0], dtype=float)
+        """The step (n,) that brings these loops (N, m) nearest to zero in some poses.
+
+        Loops without a derivative, as a distance of zero, have no part in it.
+        """
+        J, missing = self.columns[good].reshape(-1, len(self.free)), -loops[good].ravel()
+        known = np.isfinite(J).all(axis=1) & np.isfinite(missing)
+        return np.asarray(np.linalg.lstsq(J[known], missing[known], rcond=None)[0], dtype=float)
 
 
 def fit_of_all(problem: Problem, iterations: int) -> float:

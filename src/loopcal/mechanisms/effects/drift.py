@@ -28,6 +28,10 @@ Moving = Annotated[
 Column = Annotated[str, Key("Name of the known constant, such as a time or a temperature.")]
 Since = Annotated[float, Key("Value of the known constant at which the drift is zero.")]
 Over = Annotated[float, Key("Span in which the drift grows to P_drift.", positive=True)]
+Until = Annotated[
+    float | None,
+    Key("Where the run ended: readings to predict from that lack the column are taken there."),
+]
 
 
 @dataclass(frozen=True)
@@ -36,23 +40,27 @@ class Drift:
 
     changing: parameters by names or globs, such as base_* for the place of an instrument, or
     readings, whose zeros drift: x' = x - x_drift (t - since) / over; column: the known constant t;
-    unit: of since and over, such as "s", "K" or "1"; since, over: where the drift is zero, and the
-    span in which it grows to P_drift [m or rad].
+    unit: of since, over and until, such as "s", "K" or "1"; since, over: where the drift is zero,
+    and the span in which it grows to P_drift [m or rad]; until: where the run ended. Readings to
+    predict from that lack the column are taken there.
 
     Raises InputError for a span that is not a positive number.
     """
 
     changing: Moving = ("base_*",)
     column: Column = "t"
-    unit: Annotated[str, Key("Unit of since and over.", is_unit=True)] = "1"
+    unit: Annotated[str, Key("Unit of since, over and until.", is_unit=True)] = "1"
     since: Since = 0.0
     over: Over = 1.0
     name: Name = "drift"
+    until: Until = None
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.over < math.inf or not math.isfinite(self.since):
+        ends = [self.since] if self.until is None else [self.since, self.until]
+        if not 0.0 < self.over < math.inf or not all(map(math.isfinite, ends)):
+            until = "" if self.until is None else f" until {self.until:g}"
             raise InputError(
-                f"the drift {self.name!r} counts from {self.since:g} over {self.over:g}",
+                f"the drift {self.name!r} counts from {self.since:g} over {self.over:g}{until}",
                 code="invalid-value",
                 remedy="give finite numbers, and a positive span",
             )
@@ -76,6 +84,10 @@ class Drift:
             name: _moved(name, p[f"{name}_drift"] * share, x, p)
             for name in _units(mechanism, self.changing)
         }
+
+    def latest(self) -> dict[str, float]:
+        """The column at the end of the run, where that is stated."""
+        return {} if self.until is None else {self.column: to_si(self.until, self.unit)}
 
 
 @dataclass(frozen=True)

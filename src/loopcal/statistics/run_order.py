@@ -1,0 +1,54 @@
+"""Whether what changes along a run can be told from what changes with the joints.
+
+In random order it can. Where the joints follow the order, as along a path or in layers of a grid,
+an error of the machine model does what a change along the run does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+DESCRIBED = 0.99
+"""The share of the variance of every joint that its description leaves nothing of to see."""
+MOST = 3
+"""So many poses for each cosine at least: as many cosines as poses describe any order."""
+
+
+def told_by_joints(joints: Array) -> float:
+    """How far the joints (N, n), in order, tell the number of the pose: the adjusted R^2 of its
+    regression on their products of second order; about 0 in random order, 1 along a path. 1 where
+    there are too few poses for the regression."""
+    N = len(joints)
+    scaled = _scaled(joints)
+    first, second = np.triu_indices(scaled.shape[1])
+    columns = np.column_stack([np.ones(N), scaled, scaled[:, first] * scaled[:, second]])
+    time = np.arange(N) - 0.5 * (N - 1)
+    spare = N - columns.shape[1]
+    if spare < 1:
+        return 1.0
+    left = time - columns @ np.linalg.lstsq(columns, time, rcond=None)[0]
+    explained: float = 1.0 - float(left @ left) / spare * (N - 1) / float(time @ time)
+    return explained
+
+
+def path_cosines(joints: Array) -> int:
+    """How many slow cosines over the run describe the squares of the joints (N, n), in order: the
+    errors of a machine along this path are as fast. 0 where the joints follow no path."""
+    N, scaled = len(joints), _scaled(joints)
+    phase = np.pi * (np.arange(N) + 0.5) / N
+    cosines = np.cos(np.outer(phase, np.arange(1, N // (2 * MOST) + 1))) * np.sqrt(2.0 / N)
+    shares = np.cumsum(np.square(cosines.T @ scaled), axis=0) / np.square(scaled).sum(axis=0)
+    if not shares.size:
+        return 0
+    enough = np.flatnonzero(shares.min(axis=1) >= DESCRIBED)
+    return 2 * (int(enough[0]) + 1) if enough.size else 0
+
+
+def _scaled(joints: Array) -> Array:
+    """Joints that move, by their mean and spread."""
+    spread = np.std(joints, axis=0)
+    moving = spread > 1e-9
+    scaled: Array = (joints[:, moving] - joints[:, moving].mean(axis=0)) / spread[moving]
+    return scaled
