@@ -66,10 +66,10 @@ class Refits:
                 self._fitter.connection.send((project, ending, asked.method))
 
     @property
-    def pid(self) -> int | None:
-        """Of the process; None where there is none."""
+    def process(self) -> Any:
+        """The process that waits for the next fit, or fits; None where there is none."""
         with self._lock:
-            return None if self._fitter is None else int(self._fitter.process.pid)
+            return None if self._fitter is None else self._fitter.process
 
     def _end(self) -> None:
         if self._fitter is not None:

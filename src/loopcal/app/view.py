@@ -54,8 +54,12 @@ class View:
     """What is called when a control changes."""
     parts: list[Part] = field(default_factory=list)
     """Of the step."""
+    shown: str = ""
+    """The step that is drawn; `step` is the one asked for."""
     acts: int = 0
     """Acts of this page that are being done."""
+    uploading: bool = False
+    """Whether the step takes in files: it stays as it is until it has them all."""
     noticed: int = 0
     """Version of the folder that the user of this page has made, or was told of."""
 
@@ -63,6 +67,7 @@ class View:
         """Begin to show a step: all of it is drawn anew where the folder or the run changes."""
         self.follow.clear()
         self.parts.clear()
+        self.shown, self.uploading = self.step, False
         self.anew_when(lambda: self.session.version)
 
     def anew_when(self, of: Callable[[], object]) -> None:
@@ -77,6 +82,8 @@ class View:
 
     def update(self) -> None:
         """Draw anew the parts of the step that show something else by now."""
+        if self.uploading and self.step == self.shown:
+            return
         for part in tuple(self.parts):
             if part in self.parts:
                 part.update()
