@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -68,7 +69,7 @@ class Session:
         self._source: tuple[int, Source | None, str] | None = None
         self._loaded: tuple[object, LoadedData | None, str] | None = None
         self._shown: tuple[Source, Refit | None, Source] | None = None
-        self._reading, self._changed = Lock(), Event()
+        self._reading, self._sourcing, self._changed = Lock(), Lock(), Event()
         self._read: tuple[str, Project | None, str] | None = None
 
     @property
@@ -113,14 +114,17 @@ class Session:
         while True:
             self._changed.wait(LOOKS_EVERY)
             self._changed.clear()
-            with suppress(LoopcalError, OSError):  # the page says why
+            with suppress(OSError):  # a file that is being written
                 now = self.version
                 if now != seen:
                     seen = now
                     try:
                         self._look_ahead()
-                    finally:
-                        self.news.tell()
+                    except LoopcalError:
+                        pass  # the page says why
+                    except Exception:
+                        logging.getLogger(__name__).exception("the project cannot be fitted")
+                    self.news.tell()
 
     def _look_ahead(self) -> None:
         """Fit the project as it stands from where its result ended. Before it has changed, that
@@ -185,23 +189,25 @@ class Session:
 
     def project(self) -> Project | None:
         """The project as it stands; None where there is none or it cannot be read."""
-        self._look()
-        return None if self._read is None else self._read[1]
+        read = self._look()
+        return None if read is None else read[1]
 
     def objection(self) -> str | None:
         """Why the project cannot be read; None where it can, or is not there."""
-        self._look()
-        return None if self._read is None else self._read[2] or None
+        read = self._look()
+        return None if read is None else read[2] or None
 
-    def _look(self) -> None:
-        text = self.folder.text()
+    def _look(self) -> tuple[str, Project | None, str] | None:
+        text, read = self.folder.text(), self._read  # other threads may replace what was read
         if text is None:
-            self._read = None
-        elif self._read is None or self._read[0] != text:
+            read = None
+        elif read is None or read[0] != text:
             try:
-                self._read = text, self.read(text), ""
+                read = text, self.read(text), ""
             except LoopcalError as error:
-                self._read = text, None, str(error)
+                read = text, None, str(error)
+        self._read = read
+        return read
 
     @property
     def ready(self) -> bool:
@@ -220,16 +226,20 @@ class Session:
 
     def source(self) -> Source | None:
         """The result on the disk; None where there is none or it cannot be read."""
-        at = self._result_at()
+        at, known = self._result_at(), self._source
         if at is None:
             self._source = None
             return None
-        if self._source is None or self._source[0] != at:
-            try:
-                self._source = at, read_source(self.folder.result / RESULT), ""
-            except LoopcalError as error:
-                self._source = at, None, str(error)
-        return self._source[1]
+        if known is None or known[0] != at:
+            with self._sourcing:  # one result is one object, whichever thread reads it
+                known = self._source
+                if known is None or known[0] != at:
+                    try:
+                        known = at, read_source(self.folder.result / RESULT), ""
+                    except LoopcalError as error:
+                        known = at, None, str(error)
+                    self._source = known
+        return known[1]
 
     def _result_at(self) -> int | None:
         return self._times().get(f"{self.folder.result.name}/{RESULT}")

@@ -76,7 +76,7 @@ class View:
 
     def part(self, of: Callable[[], object], show: Callable[[], Any]) -> None:
         """Show a part of the step, and anew where `of` says something else; the rest stays."""
-        place = ui.refreshable(show)
+        place = ui.refreshable(lambda: show())  # a partial has no name
         self.parts.append(Part(of, place.refresh))
         place()
 
