@@ -21,7 +21,7 @@ from tests.reference.dh_arm import SLIPPED
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "slipped_reflector"
 PICTURES = ROOT / "docs" / "pictures" / "app"
-SIZE = {"width": 1180, "height": 720}
+SIZE = {"width": 1280, "height": 720}
 
 
 def main() -> None:

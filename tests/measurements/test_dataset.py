@@ -160,7 +160,16 @@ def test_selection_is_by_id_and_taking_by_position(filed):
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(13, "13"), (13.0, "13"), ("13", "13"), (np.int64(7), "7"), (1.5, "1.5"), (" w ", "w")],
+    [
+        (13, "13"),
+        (13.0, "13"),
+        ("13", "13"),
+        ("13.0", "13"),
+        ("1.10", "1.10"),
+        (np.int64(7), "7"),
+        (1.5, "1.5"),
+        (" w ", "w"),
+    ],
 )
 def test_one_pose_has_one_id_however_it_is_written(value, text):
     assert pose_id(value) == text

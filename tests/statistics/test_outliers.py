@@ -416,3 +416,22 @@ def test_a_single_bad_reading_names_the_instrument_that_read_it() -> None:
     result = lc.calibrate(arm, readings, noise=noise, prior=prior, method="implicit-loop")
     found = {o.quantity: o.instrument for o in lc.find_outliers(result).found}
     assert found == {"y_B": "B", "q5": None}
+
+
+def test_what_a_prior_holds_takes_up_no_equation() -> None:
+    """The scale of residuals is that of the noise, however many parameters there are."""
+    names = [f"c{k}" for k in range(30)]
+    machine = lc.Mechanism.from_function(
+        lambda x, p: [x.y - sum(getattr(p, n) * np.sin(k * x.q) for k, n in enumerate(names, 1))],
+        {"q": "rad", "y": "m"},
+        dict.fromkeys(names, (0.0, "m")),
+        outputs=("y",),
+    )
+    rng, ratios = np.random.default_rng(4), []
+    for _ in range(6):
+        q = rng.uniform(0.0, np.pi, 60)
+        data = {"q": q, "y": 1e-4 * rng.standard_normal(60)}
+        noise, prior = lc.Noise({"q": 0.0, "y": 1e-4}), lc.Prior({"c?": np.inf, "c??": 1e-9})
+        result = lc.calibrate(machine, data, noise=noise, prior=prior, method="implicit-loop")
+        ratios.append(lc.find_outliers(result, scale="residual").scale)
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.15)

@@ -140,6 +140,37 @@ def test_a_change_counts_by_its_size_beside_the_predicted_sd(share: float, code:
         assert verdict_of(replace(document, change_points=both)).sound.code == "change-points"
 
 
+@pytest.mark.parametrize(
+    ("share", "held", "terms", "code"),
+    [
+        (0.1, 0.93, (SAG,), "model-lacks-little"),
+        (0.3, 0.93, (SAG,), "model-incomplete"),
+        (0.1, 0.6, (SAG,), "model-incomplete"),
+        (0.1, None, (SAG,), "model-incomplete"),
+        (0.1, 0.93, (), "model-incomplete"),
+    ],
+)
+def test_a_lack_of_the_model_counts_by_its_size_where_its_regions_hold(
+    share: float, held: float | None, terms: tuple[TermEntry, ...], code: str
+) -> None:
+    """On poses not used: single ones, and whole regions of the joint space."""
+    document = clean()
+    assert document.validation is not None
+    assert document.validation.coverage is not None
+    whole = None if held is None else Coverage(0.95, held, 120)
+    blocked = replace(document.validation, coverage=whole, blocked=None)
+    alike = replace(likeness(1e-9), correlation=share)
+    found = verdict_of(
+        replace(
+            document,
+            terms=terms,
+            validation=replace(document.validation, blocked=blocked),
+            dependence=Dependence((InstrumentDependence("T", likeness(1.0), alike),), 0.01),
+        )
+    ).sound
+    assert (found.code, found.passed) == (code, None if code == "model-lacks-little" else False)
+
+
 def test_a_prior_that_the_data_contradict_is_named() -> None:
     document = clean()
     entry = document.parameters[2]

@@ -41,7 +41,9 @@ def number(view: View, name: str, label: str, first: float, **more: Any) -> Any:
 def text(view: View, name: str, label: str, first: str = "") -> Any:
     """A line of text."""
     view.kept.setdefault(name, first)
-    return ui.input(label, value=view.kept[name], on_change=_kept(view, name)).classes("w-72")
+    return ui.input(label, value=view.kept[name], on_change=_kept(view, name)).classes(
+        "w-96 max-w-full"
+    )
 
 
 def pulses(view: View) -> list[str]:

@@ -56,7 +56,7 @@ body.body--light a.nicegui-link { color: #0b5cad; }
            overflow-wrap: anywhere; }
 .beside { display: flex; flex-wrap: wrap; gap: 1rem; width: 100%; align-items: flex-start; }
 .figures { flex: 3 1 420px; min-width: 0; } .acts { flex: 1 1 320px; min-width: 0; }
-.diagnose { display: grid; gap: 0 1rem; width: 100%; align-items: start;
+.diagnose { display: grid; gap: 0.75rem 1rem; width: 100%; align-items: start;
   grid-template: "main parts" auto "rest parts" 1fr / minmax(0, 3fr) minmax(20rem, 1fr); }
 .main { grid-area: main; } .parts { grid-area: parts; } .rest { grid-area: rest; }
 .parts { display: grid; gap: 0 1.5rem;
@@ -66,6 +66,11 @@ body.body--light a.nicegui-link { color: #0b5cad; }
 @media (max-width: 1199px) {
   .diagnose { grid-template: "main" auto "parts" auto "rest" auto / minmax(0, 1fr); }
 }
+.columns { display: grid; gap: 0.5rem 1rem; width: 100%; align-items: center;
+           grid-template-columns: fit-content(40%) minmax(7rem, 1fr) 5rem; }
+.columns > * { min-width: 0; } .q-select .q-field__native > span { white-space: normal; }
+.q-btn-group { flex-wrap: wrap; max-width: 100%; overflow-wrap: break-word; }
+.q-btn-group > .q-btn { max-width: 100%; }
 .tiles { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr));
          gap: 0.5rem; width: 100%; }
 .file { display: inline-flex; align-items: center; gap: 0.4rem; min-height: 44px; }
@@ -84,7 +89,8 @@ body .tip { background: #333; color: #fff; font-size: 0.85rem; max-width: 22rem;
 .linked .pane div { position: absolute; border: 2px dashed #d55e00; background: #d55e0022; }
 .provisional { border-left: 4px solid var(--care); padding: 0.25rem 0.75rem; width: 100%; }
 .command { max-width: 100%; } .command pre { padding-right: 2.5rem; white-space: pre-wrap; }
-.q-table td { white-space: normal; overflow-wrap: anywhere; }
+.q-table td { white-space: normal; overflow-wrap: break-word; }
+.q-table td:first-child { overflow-wrap: anywhere; }
 .step { min-height: 48px; width: 100%; justify-content: flex-start; text-transform: none; }
 .q-btn { min-height: 44px; text-transform: none; }
 .q-btn:focus-visible { outline: 3px solid #0072b2; outline-offset: 2px; }

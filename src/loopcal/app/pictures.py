@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.presentation.shown import factor, unit_shown
-from loopcal.report.drawn import distances
+from loopcal.report.drawn import pose_distances, seen_points
 from loopcal.report.source import Source
 from loopcal.statistics.shifted import ids_are_numbers
 
@@ -81,6 +82,7 @@ def machine_figure(
     if flat:
         more: dict[str, Any] = {"xaxis": axis("x [m]"), "yaxis": axis("y [m]", scaleanchor="x")}
     else:
+        data.append(_room(points))
         camera = {"eye": {"x": 2.0, "y": 2.0, "z": 1.1}}
         more = {"scene": _space([f"{k} [m]" for k in keys], camera)}
     return {
@@ -88,6 +90,16 @@ def machine_figure(
         "layout": look(420, showlegend=False, uirevision="machine", **more),
         "config": _SPATIAL,
     }
+
+
+def _room(points: Array) -> dict[str, Any]:
+    """A trace that nobody sees: it keeps room in every direction about an arm in a plane."""
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    half = 0.25 * (high - low).max()
+    corners = 0.5 * (low + high) + half * np.array([[-1.0], [1.0]])
+    marker = {"size": 1, "opacity": 0.0}
+    own = {"type": "scatter3d", "mode": "markers", "marker": marker, "hoverinfo": "skip"}
+    return {**own, **_at("xyz", corners)}
 
 
 def moved(mechanism: Mechanism, joints: Mapping[str, float]) -> dict[str, Any]:
@@ -132,7 +144,7 @@ class Errors:
             return None
         scale = factor(accuracy.unit)
         units = {} if source.document.mechanism is None else source.document.mechanism.quantities
-        shown = {SIZE: distances(source, table.differences_after) / scale}
+        shown = {SIZE: pose_distances(source, table.differences_after) / scale}
         for name, values in table.differences_after.items():
             if units.get(name) == accuracy.unit:
                 shown[name] = values / scale
@@ -189,12 +201,13 @@ class Errors:
     @property
     def solid(self) -> bool:
         """Whether the figure in space has three dimensions."""
-        return len(self._outputs()) == 3
+        return self._at is not None and len(self._at) == 3
 
     def seen(self, frame: Mapping[str, Sequence[float]]) -> Framed:
         """(N,) each: where the figure in space shows the poses. Of three dimensions, the frame's
         matrix (16 numbers, column by column) takes points to its axes."""
-        at = [self.source.table.readings[name] for name in self._outputs()]
+        at = self._at
+        assert at is not None
         if not self.solid:
             return at[0], at[1]
         matrix = np.array(frame["matrix"], dtype=float).reshape(4, 4).T
@@ -219,11 +232,10 @@ class Errors:
 
     def in_space(self) -> dict[str, Any] | None:
         """Measured points coloured by the size of the error."""
-        outputs, solid = self._outputs(), self.solid
-        if len(outputs) < 2:
+        at, solid = self._at, self.solid
+        if at is None:
             return None
-        table = self.source.table
-        keys = dict(zip("xyz", [table.readings[n][self.drawn] for n in outputs], strict=False))
+        keys = dict(zip("xyz", at[:, self.drawn], strict=False))
         trace = self._points("scatter3d" if solid else "scatter", **keys)
         trace["marker"] |= {
             "color": numbers(self.size[self.drawn]),
@@ -234,7 +246,7 @@ class Errors:
         if not solid:
             trace["unselected"] = {"marker": {"opacity": 0.35}}
             trace.pop("selected")
-        titles = [f"{name} [m]" for name in outputs]
+        titles = [f"{k} [m]" for k in keys]
         if solid:
             more: dict[str, Any] = {"scene": _space(titles)}
         else:
@@ -261,9 +273,17 @@ class Errors:
         """Of the size at some poses."""
         return float(np.sqrt(np.nanmean(np.square(self.size[list(positions)]))))
 
-    def _outputs(self) -> list[str]:
+    @cached_property
+    def _at(self) -> Array | None:
+        """(d, N) where the poses were measured [m]; None where nothing says so."""
         table = self.source.table
-        return [n for n in table.differences_after if n in table.readings][:3]
+        seen = seen_points(self.source, table.differences_after)
+        if seen is not None:
+            return seen.at
+        units = self.source.document.mechanism
+        names = [n for n in table.differences_after if n in table.readings]
+        lengths = [n for n in names if units is not None and units.quantities.get(n) == "m"][:3]
+        return np.array([table.readings[n] for n in lengths]) if len(lengths) > 1 else None
 
     def _flat(
         self, data: list[dict[str, Any]], x: str, what: str, height: int, **more: Any

@@ -13,6 +13,7 @@ from loopcal.app.pictures import look
 from loopcal.errors import InputError
 from loopcal.figures.figure import axis, names, numbers
 from loopcal.measurements.dataset import Dataset
+from loopcal.mechanisms.outputs import levers, point_family, point_outputs, points
 from loopcal.presentation.shown import by_sd, factor, unit_shown, with_unit
 from loopcal.report.source import Source
 from loopcal.statistics.prediction import Prediction, predict
@@ -82,9 +83,14 @@ class Probe:
         rng = np.random.default_rng(0)
         poses = {q: rng.uniform(low, high, POSES) for q, (low, high) in self.spans.items()}
         found = self._predicted(poses)
-        shown = [n for n, unit in found.units.items() if unit == "m"][:3]
+        family = point_family(self.known.mechanism)
+        lengths = [n for n, unit in found.units.items() if unit == "m"][:3]
+        shown = lengths if family is None else point_outputs(self.known.mechanism, family)
         at = np.array([found.outputs[n] for n in shown])
-        sd = np.sqrt(np.square([found.sd[n] for n in shown]).sum(axis=0))
+        sds = np.array([found.sd[n] for n in shown])
+        if family is not None:
+            at, sds = points(family, at), levers(family, at) * sds
+        sd = np.sqrt(np.square(sds).sum(axis=0))
         good = np.isfinite(sd) & np.isfinite(at).all(axis=0) if len(at) else np.zeros(0, bool)
         kept = {q: values[good] for q, values in poses.items()} if len(at) else {}
         return Map(at[:, good] if len(at) else np.zeros((0, 0)), sd[good] if len(at) else sd, kept)

@@ -121,6 +121,20 @@ def points(family: Family, readings: Array) -> Array:
     return cartesian(readings) if family.form in POLAR else readings
 
 
+def point_family(mechanism: Mechanism) -> Family | None:
+    """The instrument that measures where a point is; one whose place is known, if there is any."""
+    found = [family for family in mechanism.families if point_outputs(mechanism, family)]
+    return min(found, key=lambda family: family.placement is not None, default=None)
+
+
+def levers(family: Family, readings: Array) -> Array:
+    """(r, N) how far a point moves by each of its readings (r, N): 1, or [m/rad] for angles."""
+    if family.form not in POLAR:
+        return np.ones_like(readings)
+    flat = np.cos(readings[2]) if len(readings) == 3 else 1.0
+    return np.array([np.ones_like(readings[0]), readings[0] * flat, readings[0]][: len(readings)])
+
+
 def cartesian(readings: Array) -> Array:
     """x, y, z (3, N) of range, azimuth and elevation (3, N), the azimuth from x towards y.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
-from loopcal.estimation.accuracy import deviations, main_distances
+from loopcal.estimation.accuracy import Apart, by_pose, deviations, main_distances
 from loopcal.figures.accuracy import distance_histogram, over_poses
 from loopcal.figures.correlations import correlations
 from loopcal.figures.figure import Figure, colours
@@ -64,7 +64,7 @@ def _of_outputs(source: Source) -> list[Figure | None]:
     scale = factor(unit)
     lengths = [distances(source, differences) / scale for differences in (before, after)]
     found = [distance_histogram(lengths[0], lengths[1], unit_shown(unit))]
-    seen = {"before": _points(source, before), "after": _points(source, after)}
+    seen = {"before": seen_points(source, before), "after": seen_points(source, after)}
     stages = {name: both.along for name, both in seen.items() if both is not None}
     if unit == "m" and (last := seen["after"]) is not None:
         machine, poses = _machine(source, last.at), source.table.poses
@@ -73,14 +73,14 @@ def _of_outputs(source: Source) -> list[Figure | None]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class SeenPoints:
     """Points (d, N) [m] that one instrument measured, and computed minus measured ones."""
 
     at: Array
     along: Array
 
 
-def _points(source: Source, differences: Mapping[str, Array]) -> _Seen | None:
+def seen_points(source: Source, differences: Mapping[str, Array]) -> SeenPoints | None:
     """The points of the instrument whose place is known, if any is."""
     readings = source.table.readings
     families = source.mechanism.families if source.mechanism else ()
@@ -90,10 +90,10 @@ def _points(source: Source, differences: Mapping[str, Array]) -> _Seen | None:
         if names and all(name in readings and name in differences for name in names):
             at = np.array([readings[name] for name in names])
             computed = at + np.array([differences[name] for name in names])
-            return _Seen(points(family, at), points(family, computed) - points(family, at))
+            return SeenPoints(points(family, at), points(family, computed) - points(family, at))
     if families or len(differences) not in (2, 3) or not differences.keys() <= readings.keys():
         return None
-    return _Seen(
+    return SeenPoints(
         np.array([readings[name] for name in differences]), np.array([*differences.values()])
     )
 
@@ -122,13 +122,28 @@ def _unit(source: Source, quantity: str) -> str | None:
 
 def distances(source: Source, differences: Mapping[str, Array]) -> Array:
     """Distances of computed from measured outputs, of every instrument and pose."""
-    if source.mechanism is not None and tuple(differences) == source.mechanism.compared:
-        given = np.array([*differences.values()])
-        lost = np.full(given.shape[1], np.nan)
-        measured = np.array([source.table.readings.get(name, lost) for name in differences])
-        told = main_distances(deviations(source.mechanism, measured, given))
-        if told is not None:
-            return told.ravel()
+    apart = _apart(source, differences)
+    told = None if apart is None else main_distances(apart)
+    return _length(source, differences) if told is None else told.ravel()
+
+
+def pose_distances(source: Source, differences: Mapping[str, Array]) -> Array:
+    """(N,) the same of each pose: root mean square over the instruments that read it."""
+    apart = _apart(source, differences)
+    told = None if apart is None else by_pose(apart)
+    return _length(source, differences) if told is None else told
+
+
+def _apart(source: Source, differences: Mapping[str, Array]) -> Sequence[Apart] | None:
+    if source.mechanism is None or tuple(differences) != source.mechanism.compared:
+        return None
+    given = np.array([*differences.values()])
+    lost = np.full(given.shape[1], np.nan)
+    measured = np.array([source.table.readings.get(name, lost) for name in differences])
+    return deviations(source.mechanism, measured, given)
+
+
+def _length(source: Source, differences: Mapping[str, Array]) -> Array:
     unit = source.document.accuracy and source.document.accuracy.unit
     alike = [d for name, d in differences.items() if _unit(source, name) in (None, unit)]
     found: Array = np.linalg.norm(np.array(alike), axis=0)

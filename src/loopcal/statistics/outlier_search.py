@@ -119,9 +119,7 @@ class Search:
         fit, gone, _ = found
         ratios = self._ratios(fit)[~gone]
         ratios = ratios[np.isfinite(ratios)]
-        known = self.result.solution.equations
-        spare = max(known - len(self.problem.free), 1) / known
-        usual = float(np.median(ratios)) / _MEDIAN if self.scale == "residual" else spare
+        usual = float(np.median(ratios)) / _MEDIAN if self.scale == "residual" else self._spare(fit)
         return bool(gone.mean() > MOST or ratios.mean() > usual * self._plausible(gone))
 
     def _centre(
@@ -271,10 +269,20 @@ class Search:
                 ratios.append(s / quantile(0.5, r))
                 total, equations = total + float(s.sum()), equations + r * len(s)
         middle = float(np.median(np.concatenate(ratios)))
-        known = self.result.solution.equations
-        spare = max(known - len(self.problem.free), 1) / known
-        mean = total / equations if cleaned else 0.0
+        spare, mean = self._spare(fit), total / equations if cleaned else 0.0
         return max(middle / spare, mean / spare, rounding_left(self.problem, found), 1e-300)
+
+    def _spare(self, fit: Fitted) -> float:
+        """The share of the equations that the parameters leave to the residuals.
+
+        A parameter of prior sd s takes up 1 - C / s^2 of an equation, C its variance: the trace of
+        the hat matrix is n - tr(C P^-1).
+        """
+        known, taken = self.result.solution.equations, float(len(self.problem.free))
+        if not self.exact:
+            held = np.diag(fit.covariance) / np.square(self.problem.prior_sd)
+            taken -= float(np.clip(held, 0.0, 1.0).sum())
+        return max(known - taken, 1.0) / known
 
     def _plausible(self, gone: NDArray[np.bool_]) -> float:
         """Up to here a median ratio is chance: its sd is about 1.5 / sqrt(poses)."""

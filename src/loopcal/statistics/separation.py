@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from loopcal.chi_squared import tail
 from loopcal.errors import InputError
 from loopcal.estimation.noise.linear_model import LinearModel, linear_model
+from loopcal.estimation.noise.variance_bounds import upper_bound, without_component
 from loopcal.estimation.noise.variance_components import (
     ALIKE,
     Estimate,
     estimate_ratios,
-    upper_bound,
-    without_component,
 )
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.problem.alignment import can_be_placed, placed

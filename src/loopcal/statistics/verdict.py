@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from loopcal.document.accuracy import Coverage
 from loopcal.document.change_points import ChangePoint, hold, when
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.terms import DECISIVE, TermEntry
@@ -41,6 +42,8 @@ WORSE = 1.5
 """Rms on poses not used over rms on poses used that is called too large."""
 SMALL = 0.5
 """Predicted sds by which changes may move the end point: 95 % regions then hold at least 90 %."""
+LEAST_SHARE = 0.2
+"""The share of the variance that adds half an sd to errors, as in SMALL."""
 _MODELLED = 2
 """Learnt effects that a sound result names."""
 _NAMED = 3
@@ -176,18 +179,44 @@ def _noise_generous(document: ResultDocument) -> Said | None:
 
 
 def _spatial(document: ResultDocument) -> Said | None:
+    alike = _alike(document)
+    if alike is None or _small_and_held(document, alike):
+        return None
+    return replace(alike, words=f"The machine model lacks a term: {alike.words}.")
+
+
+def _spatial_small(document: ResultDocument) -> Said | None:
+    alike = _alike(document)
+    if alike is None or not _small_and_held(document, alike):
+        return None
+    return replace(alike, words=f"The machine model lacks a little: {alike.words}.")
+
+
+def _alike(document: ResultDocument) -> Said | None:
+    """What residuals of neighbours in joint space share, as a part of their variance."""
     depends = document.dependence
     if depends is None or not depends.spatial:
         return None
     worst = depends.spatial[0]
     assert worst.spatial is not None
-    share = percent(worst.spatial.correlation, 1)
     return Said(
-        f"The machine model lacks a term: {share} of the variance of the residuals of "
+        f"{percent(worst.spatial.correlation, 1)} of the variance of the residuals of "
         f"{worst.instrument!r} is common to poses that are near in joint space "
-        f"(p = {chance(worst.spatial.p_value)}).",
+        f"(p = {chance(worst.spatial.p_value)})",
         worst.spatial.correlation,
     )
+
+
+def _small_and_held(document: ResultDocument, alike: Said) -> bool:
+    """Whether a machine model with learnt terms lacks so little that its regions hold, on poses
+    and in whole regions of the joint space that were not used."""
+    validation = document.validation
+    share = 1.0 if alike.number is None else alike.number
+    if share >= LEAST_SHARE or not document.terms or validation is None:
+        return False
+    blocked = validation.blocked and validation.blocked.coverage
+    tested = [held for held in (validation.coverage, blocked) if held and held.poses]
+    return len(tested) == 2 and not any(map(_rarely_hold, tested))
 
 
 def _serial(document: ResultDocument) -> Said | None:
@@ -217,13 +246,16 @@ def _errors_shared(document: ResultDocument) -> Said | None:
 
 def _coverage(document: ResultDocument) -> Said | None:
     held = document.validation and document.validation.coverage
-    if not held or not held.poses or _errors_shared(document):
-        return None
-    spread = math.sqrt(held.level * (1.0 - held.level) / held.poses)
-    if held.level - held.share <= max(4.0 * spread, 0.05):
+    if not held or not held.poses or _errors_shared(document) or not _rarely_hold(held):
         return None
     level, share = percent(held.level), percent(held.share)
     return Said(f"Stated {level} regions hold only {share} of the poses not used.", held.share)
+
+
+def _rarely_hold(held: Coverage) -> bool:
+    """Whether stated regions hold fewer poses than chance leaves them."""
+    spread = math.sqrt(held.level * (1.0 - held.level) / held.poses)
+    return held.level - held.share > max(4.0 * spread, 0.05)
 
 
 def _model_error(document: ResultDocument) -> Said | None:
@@ -392,6 +424,12 @@ SOUND: tuple[Rule, ...] = (
         _moved_little,
         "Predictions hold as stated. To be sure, add the effects that change_points of result.json "
         "lists.",
+    ),
+    Rule(
+        "model-lacks-little",
+        None,
+        _spatial_small,
+        "Predictions hold nearly as stated. To predict better, measure more poses or add effects.",
     ),
     Rule("sds-generous", None, _noise_generous, "State smaller sds, or estimate them."),
     Rule("serial-dependence", None, _serial, "Look for shifts, or measure in random order."),

@@ -19,10 +19,9 @@ from loopcal.estimation.noise.estimation import estimate_noise
 from loopcal.estimation.noise.learning import components
 from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model, whitened
 from loopcal.estimation.noise.linear_model import fit as mixed_fit
+from loopcal.estimation.noise.variance_bounds import upper_bound, without_component
 from loopcal.estimation.noise.variance_components import (
     estimate_ratios,
-    upper_bound,
-    without_component,
 )
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.result import Result

@@ -107,7 +107,7 @@ def _columns(view: View, project: Project) -> None:
     labels = columns(project)
     heading(words.COLUMNS_HEAD)
     ui.label(words.COLUMNS).classes("text-body2")
-    with ui.grid(columns="auto 1fr 6rem").classes("items-center w-full"):
+    with ui.element("div").classes("columns"):
         for name in ("quantity", "column of the file", "unit"):
             ui.label(name).classes("text-caption")
         for quantity, unit in own.items():

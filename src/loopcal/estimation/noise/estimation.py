@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.noise.linear_model import LinearModel, linear_model
 from loopcal.estimation.noise.linear_model import fit as fit_at
+from loopcal.estimation.noise.variance_bounds import upper_bound, without_component
 from loopcal.estimation.noise.variance_components import (
     Component,
     Estimate,
-    upper_bound,
-    without_component,
 )
 from loopcal.estimation.noise.variances import (
     Variances,

@@ -177,13 +177,10 @@ class Slope:
 
 def slope(model: LinearModel, joined: Joined) -> Slope:
     """The restricted likelihood and its first derivatives, from sums over all poses alone."""
-    solved, n = _solved(model, joined), len(model.precision)
-    held = np.zeros(model.components)
+    solved, held = _solved(model, joined), np.zeros(model.components)
     for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
-        for j in range(model.components):
-            own = (W[:, :, columns(block.owner, j)].transpose(0, 2, 1) @ rows).reshape(-1, n + 1)
-            products = (own.T @ own)[:n, :n]
-            held[j] += float(np.vdot(products @ solved.root, solved.root))
+        squares = np.square(_taken_up(rows, W, solved)).sum(axis=(0, 2))
+        held += np.equal.outer(np.arange(model.components), block.owner) @ squares
     score = _score(model, joined, solved.root @ solved.along, held)
     return Slope(joined.volume + solved.log_volume + solved.residual, score)
 
@@ -300,12 +297,12 @@ def whitened(model: LinearModel, ratios: Array, sums: Array | None = None) -> Jo
 
 def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected:
     """With C = W^T W and Q = Y Y^T by pose."""
-    root, times = solved.root, rows_times_upper if solved.upper else rows_times
-    n, rank, count = len(root), root.shape[1], model.components
+    root = solved.root
+    rank, count = root.shape[1], model.components
     pairs, first, every = np.zeros((count, count)), np.zeros((count, rank, rank)), []
     for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
         turned = W.transpose(0, 2, 1)
-        Y = times(turned @ rows[:, :, :n], root)
+        Y = _taken_up(rows, W, solved)
         C, Q = turned @ W, Y @ Y.transpose(0, 2, 1)
         members = np.equal.outer(np.arange(count), block.owner).astype(float)  # (c, K)
         pairs += members @ np.einsum("bkl,bkl->kl", C, C - 2.0 * Q) @ members.T
@@ -317,6 +314,15 @@ def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected
     owners = tuple(block.owner for block in model.blocks)
     information = 0.5 * (pairs + flat @ flat.T)
     return Projected(root, tuple(every), tuple(joined.W), owners, first, information)
+
+
+def _taken_up(rows: Array, W: Array, solved: _Solved) -> Array:
+    """Y = W^T D root (b, K, rank) of a block, by whichever of W and D has fewer rows first."""
+    times = rows_times_upper if solved.upper else rows_times
+    turned, D = W.transpose(0, 2, 1), rows[:, :, : len(solved.root)]
+    if W.shape[2] < W.shape[1]:
+        return times(turned @ D, solved.root)
+    return np.asarray(turned @ times(D, solved.root))
 
 
 def columns(owner: NDArray[np.intp], which: int) -> slice:

@@ -9,9 +9,7 @@ leaves it, when the likelihood says so (Karush, Kuhn and Tucker), whatever the s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,12 +32,6 @@ _OPEN = 1e-4
 """Information on the logarithm of a ratio, below which the data leave it open."""
 _NO_PULL = 0.1
 """Chi-squared with which the data hold a ratio at zero, below which it is there by chance."""
-_FEW, _MANY = 0.05, 1e6
-"""Degrees of freedom outside which the rise to a bound is at its limit."""
-_FARTHEST = 20.0
-"""No bound is searched beyond so many powers of e above the estimate."""
-_NEARLY = 1e-4
-"""The logarithm of a bound is right to so much."""
 ALIKE = 0.95
 """Two estimates correlated beyond this cannot be separated by the data."""
 
@@ -69,8 +61,8 @@ class Estimate:
     def covariance(self) -> Array:
         """Covariance (c, c) of the ratios.
 
-        A ratio at zero has none (see `upper_bound`), unless it is there by chance: part of a sum
-        that could as well be all its own.
+        A ratio at zero has none (see `variance_bounds`), unless it is there by chance: part of a
+        sum that could as well be all its own.
         """
         return self._inverse((self.ratios > 0.0) | self._by_chance)
 
@@ -204,106 +196,9 @@ def _improved(
     return None
 
 
-def without_component(model: LinearModel, estimate: Estimate, which: int) -> float | None:
-    """The criterion with one component taken away and the others estimated again.
-
-    None where the loops could not close without it.
-    """
-    start = estimate.ratios.copy()
-    start[which] = 0.0
-    if fit(model, start) is None:
-        return None
-    return estimate_ratios(model, start, held=which).criterion
-
-
-def upper_bound(
-    model: LinearModel, estimate: Estimate, which: int, level: float = 0.95
-) -> float | None:
-    """The ratio up to which one component is compatible with the data; None if nothing bounds it.
-
-    Where the criterion, least over all other components, has risen as far as `_rise` says. The
-    others must give way: held where they are, they would leave no room for what is hidden in
-    them. It is the upper end of a two-sided interval, because a bound is asked for only where the
-    estimate came out low, which is half of all draws: so it holds in `level` of these.
-    """
-    present = float(estimate.ratios[which])
-    beyond = 0.5 * (1.0 - level)
-    others = estimate.ratios
-
-    @cache  # the search for the root asks for both of its ends again
-    def excess(logarithm: float) -> float:
-        nonlocal others
-        ratio = math.exp(logarithm)
-        start = others.copy()
-        start[which] = ratio
-        found = estimate_ratios(model, start, held=which)
-        others = found.ratios
-        needed = _rise(2.0 * ratio * ratio * _left(found, which), beyond)
-        return found.criterion - estimate.criterion - needed
-
-    information = float(estimate.at.information[which, which])
-    if information <= 0.0:
-        return None
-    low = math.log(max(present, 1e-12))
-    high = math.log(present + 1.0 / math.sqrt(information))
-    farthest = high + _FARTHEST
-    beneath = -_rise(2.0 * present * present * _left(estimate, which), beyond)
-    while (above := excess(high)) < 0.0:
-        if high > farthest:
-            return None
-        low, high, beneath = high, high + 1.0, above
-    return math.exp(_crossing(excess, low, high, beneath, above))
-
-
-def _crossing(
-    rising: Callable[[float], float], low: float, high: float, beneath: float, above: float
-) -> float:
-    """Where a function rises through zero between low and high, where it is beneath and above.
-
-    By false position, the value of an end that stays halved (Dowell and Jarratt 1971).
-    """
-    stays = 0
-    while high - low > _NEARLY and above > 0.0:
-        middle = (low * above - high * beneath) / (above - beneath)
-        middle = min(max(middle, low + 0.5 * _NEARLY), high - 0.5 * _NEARLY)
-        value = rising(middle)
-        if value < 0.0:
-            low, beneath = middle, value
-            above, stays = (0.5 * above if stays < 0 else above), -1
-        else:
-            high, above = middle, value
-            beneath, stays = (0.5 * beneath if stays > 0 else beneath), 1
-    return high if above == 0.0 else (low * above - high * beneath) / (above - beneath)
-
-
 def _correlated(covariance: Array) -> NDArray[np.bool_]:
     """Which pairs of a covariance (c, c) are correlated too much to be separated."""
     sd = np.sqrt(np.diag(covariance))
     limit = ALIKE * np.outer(sd, sd)
     alike: NDArray[np.bool_] = (limit > 0.0) & (np.abs(covariance) > limit)
     return alike & ~np.eye(len(sd), dtype=bool)
-
-
-def _left(found: Estimate, which: int) -> float:
-    """The information on the held ratio that estimating the others leaves."""
-    free = found.ratios > 0.0
-    free[which] = False
-    information = found.at.information
-    own, cross = float(information[which, which]), information[which, free]
-    shared = np.linalg.lstsq(information[np.ix_(free, free)], cross, rcond=1e-12)[0]
-    return max(own - float(cross @ shared), 1e-9 * own)
-
-
-def _rise(freedom: float, beyond: float) -> float:
-    """By how much -2 log likelihood rises from a variance's estimate to its upper bound.
-
-    Exact for a sum of squares of so many degrees of freedom: m (x - 1 - log x), where m x is the
-    quantile of chi-squared with m degrees; the square of the normal quantile at many.
-    """
-    from scipy.special import chdtri, ndtri
-
-    if freedom > _MANY:
-        return float(ndtri(beyond)) ** 2
-    freedom = max(freedom, _FEW)
-    x = float(chdtri(freedom, 1.0 - beyond)) / freedom
-    return freedom * (x - 1.0 - math.log(x))

@@ -1,0 +1,82 @@
+"""A machine that several trackers see in their own readings: one error and one place per pose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loopcal.app.pictures import Errors, joints_of, machine_figure
+from loopcal.app.predicting import Probe
+from loopcal.files.project.project_file import read_project
+from loopcal.mechanisms.outputs import cartesian, levers, point_family
+from loopcal.report.drawn import distances
+from loopcal.report.source import Source, read_source
+from tests.command_line import run
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Source:
+    folder = tmp_path_factory.mktemp("trackers") / "arm"
+    project = folder / "project.toml"
+    assert run("new", folder, "--mechanism", "serial-trackers").returncode == 0
+    project.write_text(project.read_text("utf-8").replace('"auto" ', '"implicit-loop" '), "utf-8")
+    done = run("simulate", project, "--out", folder / "poses.csv", "--seed", "1")
+    assert done.returncode == 0, done.stderr
+    done = run("calibrate", project, "--no-report")
+    assert done.returncode == 0, done.stderr
+    return read_source(folder / "project-result")
+
+
+def readings(source: Source, tracker: str) -> np.ndarray:
+    names = [f"{tracker}_{what}" for what in ("range", "azimuth", "elevation")]
+    return np.array([source.table.readings[name] for name in names])
+
+
+def test_the_error_of_a_pose_is_the_rms_over_its_instruments(source: Source) -> None:
+    errors = Errors.of(source)
+    assert errors is not None
+    each = distances(source, source.table.differences_after).reshape(2, -1) * 1e3
+    assert np.allclose(errors.size, np.sqrt(np.square(each).mean(axis=0)))
+    assert errors.over_poses()["data"][0]["customdata"] == list(range(60))
+
+
+def test_poses_are_shown_where_the_first_tracker_saw_them(source: Source) -> None:
+    errors = Errors.of(source)
+    assert errors is not None
+    drawn = errors.in_space()
+    assert drawn is not None
+    shown = np.array([drawn["data"][0][k] for k in "xyz"], dtype=float)
+    at = cartesian(readings(source, "east"))
+    assert np.abs(shown - at).max() < 1e-5  # figures round to six digits
+
+
+def test_the_map_shows_points_and_sds_of_lengths(source: Source) -> None:
+    probe = Probe.of(source)
+    assert probe is not None
+    found = probe.map()
+    measured = cartesian(readings(source, "east"))
+    middle, reach = measured.mean(axis=1), np.ptp(measured, axis=1).max()
+    assert np.abs(found.at - middle[:, None]).max() < 1.5 * reach
+    assert source.mechanism is not None
+    family = point_family(source.mechanism)
+    assert family is not None
+    one = readings(source, "east")[:, :1]
+    steps = 1e-7 * np.eye(3)
+    slopes = [(cartesian(one + h[:, None]) - cartesian(one - h[:, None])) / 2e-7 for h in steps]
+    lengths = [np.linalg.norm(slope) for slope in slopes]
+    assert np.allclose(levers(family, one)[:, 0], lengths, rtol=1e-6)
+    assert float(np.median(found.sd)) < 1e-3
+
+
+def test_an_arm_that_lies_in_a_plane_has_room_in_every_direction(tmp_path: Path) -> None:
+    """Axes without extent would leave the figure empty."""
+    assert run("new", tmp_path / "arm", "--mechanism", "serial").returncode == 0
+    mechanism = read_project(tmp_path / "arm" / "project.toml").mechanism
+    drawn = machine_figure(mechanism, dict.fromkeys(joints_of(mechanism), 0.0))
+    assert drawn is not None
+    arm, *others = (np.array([trace[k] for k in "xyz"]) for trace in drawn["data"])
+    assert np.ptp(arm, axis=1).min() < 1e-9
+    shown = np.ptp(np.hstack([arm, *others]), axis=1)
+    assert shown.min() > 0.3 * shown.max()
