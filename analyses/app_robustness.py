@@ -4,8 +4,8 @@
 
 A user edits and calibrates without a pause while server, run or warm process is killed at random
 moments. Then everything that was confirmed must be there, files must be whole, nothing may go on
-unseen, an unfinished run must be named, and the work must go on. Memory is that of the server and
-of its warm process, over many refits.
+unseen, an unfinished run must be named, and the work must go on. Memory is that of the server, of
+its warm process and of the process of first fits, over many refits.
 """
 
 from __future__ import annotations
@@ -167,7 +167,11 @@ def memory(folder: Path, refits: int) -> None:
         assert finished(session) == 0
         session.state()
         if count % max(refits // 10, 1) == 0:
-            say(f"{count} refits: {resident(os.getpid())} MB, warm process {resident(warm)} MB")
+            fits = session.refits.process
+            known = {"server": os.getpid(), "warm process": warm}
+            known |= {} if fits is None else {"first fits": fits.pid}
+            found = ", ".join(f"{name} {resident(pid)} MB" for name, pid in known.items())
+            say(f"{count} refits: {found}")
 
 
 def resident(pid: int) -> float:

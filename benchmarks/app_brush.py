@@ -12,12 +12,8 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from statistics import median
-from typing import Any
 
-from tests.app.pointing import Hand
-from tests.app.serving import serving
-from tests.browser import chromium
+from benchmarks.app_progress import diagnosing, printed
 
 WATCH = """
 () => {
@@ -52,14 +48,8 @@ WATCH = """
 
 def brushes(folder: Path, count: int) -> list[dict[str, float]]:
     """Milliseconds of each brush until figures, space and panel show it."""
-    with serving(folder) as served, chromium() as browser:
-        page: Any = browser.new_page(viewport={"width": 1440, "height": 900})
-        page.set_default_timeout(60_000)
-        page.goto(served.address)
-        hand = Hand(page, folder)
-        hand.step("Diagnose")
-        page.get_by_label("error over the poses", exact=True).locator(".nsewdrag").first.wait_for()
-        page.wait_for_timeout(3000)
+    with diagnosing(folder) as hand:
+        page = hand.page
         low, high = page.evaluate(
             "document.querySelector('.js-plotly-plot')._fullLayout.xaxis.range"
         )
@@ -70,7 +60,6 @@ def brushes(folder: Path, count: int) -> list[dict[str, float]]:
             hand.brush("error over the poses", begin, begin + (0.2 + 0.01 * i) * (high - low))
             page.wait_for_function("window.took !== null")
             found.append(page.evaluate("window.took"))
-        page.close()
         return found
 
 
@@ -82,8 +71,7 @@ def main() -> None:
     asked = parser.parse_args()
     took = brushes(asked.folder, asked.brushes)
     for name in ("figures", "space", "panel"):
-        its = [one[name] for one in took]
-        print(f"{name}: median {median(its):.0f} ms, {min(its):.0f} to {max(its):.0f} ms")
+        printed(name, [one[name] for one in took])
 
 
 if __name__ == "__main__":

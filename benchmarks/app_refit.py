@@ -16,12 +16,8 @@ import shutil
 import tempfile
 import time
 from pathlib import Path
-from statistics import median
-from typing import Any
 
-from tests.app.pointing import Hand
-from tests.app.serving import serving
-from tests.browser import chromium
+from benchmarks.app_progress import diagnosing, printed
 
 METHODS = ("auto", "least-squares", "implicit-loop")
 WATCH = """
@@ -50,14 +46,8 @@ WATCH = """
 def acts(folder: Path, count: int) -> tuple[list[float], dict[str, tuple[float, float]]]:
     """Milliseconds after each act, and after each calibration until first and last numbers."""
     found, calibrated = [], {}
-    with serving(folder) as served, chromium() as browser:
-        page: Any = browser.new_page(viewport={"width": 1440, "height": 900})
-        page.set_default_timeout(120_000)
-        page.goto(served.address)
-        hand = Hand(page, folder)
-        hand.step("Diagnose")
-        page.get_by_label("error over the poses", exact=True).locator(".nsewdrag").first.wait_for()
-        page.wait_for_timeout(3000)
+    with diagnosing(folder) as hand:
+        page = hand.page
         for i in range(count):
             hand.brush("error over the poses", 100.0 + 40 * i, 130.0 + 40 * i)
             page.wait_for_timeout(1500)
@@ -73,7 +63,6 @@ def acts(folder: Path, count: int) -> tuple[list[float], dict[str, tuple[float, 
             hand.run("Calibrate", "")
             last = 1e3 * (time.perf_counter() - begun)
             calibrated[method] = (page.evaluate("window.took") or float("nan"), last)
-        page.close()
     return found, calibrated
 
 
@@ -87,7 +76,7 @@ def main() -> None:
         work = Path(copy) / "work"
         shutil.copytree(asked.folder, work)
         found, calibrated = acts(work, asked.acts)
-    print(f"after an act: median {median(found):.0f} ms, {min(found):.0f} to {max(found):.0f} ms")
+    printed("after an act", found)
     for method, (first, last) in calibrated.items():
         print(f"{method}: first numbers after {first:.0f} ms, the whole after {last:.0f} ms")
 

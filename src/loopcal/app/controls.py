@@ -75,8 +75,8 @@ def offer(
     def action() -> Action:
         return view.session.action(what or label, line())
 
-    async def run() -> None:
-        await view.run_to_end(what or label, *line())
+    def run() -> None:
+        view.run(what or label, *line())
 
     with ui.row().classes("items-center w-full"):
         ui.button(label, on_click=run).props("unelevated")

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
-import re
-import time
 from collections.abc import Callable, Mapping
+from contextlib import aclosing
 from typing import Any
 
 from nicegui import background_tasks, run, ui
 
 from loopcal.app import words
 from loopcal.app.session import Session
+from loopcal.app.shown_run import ShownRun
 from loopcal.app.steps import Step, steps
-from loopcal.app.view import View, text_block, title
+from loopcal.app.view import Part, View, title
 from loopcal.app.views import (
     check,
     data,
@@ -41,10 +42,8 @@ SHOWN: Mapping[str, Callable[[View], None]] = {
 }
 LINKED = "/linked.js"
 TIP = 'anchor="center right" self="center left"'
-SAID = 1_500
-"""Characters of what a failed run said that are shown at once; the end of it."""
-LOOKS_EVERY, LISTENS_EVERY = 0.4, 0.1
-"""Seconds between looks at the folder, and at the fit that goes on."""
+PATIENCE = 0.3
+"""Seconds before a page says that it waits for files."""
 STYLE = """
 :root { --good: #17693a; --care: #8a4b00; --bad: #b3261e; --none: #525964; }
 body.body--dark { --good: #6fdc9a; --care: #ffb95c; --bad: #ff9a90; --none: #a8b0bb; }
@@ -115,8 +114,6 @@ async def build(session: Session) -> None:
     ui.add_head_html(f'<script src="{LINKED}"></script>')
     ui.colors(primary="#0b5cad")
     view = View(session)
-    known = _known(session)
-    alive: list[Callable[[], Any]] = []
 
     with ui.header(elevated=False).classes("items-center q-px-md"):
         menu_button = ui.button(icon="menu").props('flat color=white aria-label="Steps"')
@@ -131,83 +128,79 @@ async def build(session: Session) -> None:
     drawer = (
         ui.left_drawer(value=True).classes("q-pa-sm").props("width=200 breakpoint=700 bordered")
     )
-
     menu_button.on_click(drawer.toggle)
 
     @ui.refreshable
     def content() -> None:
+        view.begin()
         labels = {step.key: step.label for step in steps(session.state())}
         title(view, labels[view.step])
         _shown(view)
 
-    @ui.refreshable
-    def running() -> None:
-        its = session.worker.run
-        foot.set_value(its is not None or session.folder.log().unfinished() is not None)
-        foot.props(f"data-finished={session.finished}")
-        alive[:] = [_run(session)]
-
-    async def draw_once_read() -> None:
-        await run.io_bound(session.load)
-        if not page.is_deleted:
-            with page:
-                waiting.set_visibility(False)
-                draw()
-
-    def draw() -> None:
-        if not session.ready:
-            if not waiting.visible:
-                waiting.set_visibility(True)
-                background_tasks.create(draw_once_read())
-            return
-        session.look_ahead()
-        known.update(_known(session))
-        for step in steps(session.state()):
-            lights[step.key].show(step, chosen=step.key == view.step)
-        if not view.follows():
-            content.refresh()
-        running.refresh()
-
     def show(key: str) -> None:
-        view.step, view.follows = key, lambda: False
-        draw()
+        view.step = key
+        session.news.tell()
 
-    def look() -> None:
-        if waiting.visible:
-            return
-        if session.version != known["version"]:
-            now = _known(session)
-            own = session.going or now["finished"] != known["finished"]
-            draw()
-            if not own:
-                ui.notify(words.CHANGED)
-        elif session.going:
-            for follow in alive:
-                follow()
-
-    def listen() -> None:
-        found = id(session.refits.found)
-        if not waiting.visible and found != known["refit"]:
-            if view.shows_refit:
-                draw()
-            known["refit"] = found
-
-    view.refresh = draw
+    view.refresh = content.refresh
     with drawer:
         lights = {step.key: _Light(step, show) for step in steps(session.state())}
     with ui.column().classes("w-full q-pa-md") as page:
         content()
     with ui.footer(elevated=True).classes("run") as foot:
-        running()
-    lights[view.step].show(steps(session.state())[0], chosen=True)
-    ui.timer(LOOKS_EVERY, look)
-    ui.timer(LISTENS_EVERY, listen)
+        its_run = ShownRun(session, foot)
+    notice = _Notice(view)
+
+    def light() -> None:
+        for step in steps(session.state()):
+            lights[step.key].show(step, chosen=step.key == view.step)
+
+    light()
+    lit = Part(lambda: (steps(session.state()), view.step), light)
+    parts: list[Part | View | _Notice] = [view, lit, *its_run.parts, notice]
+
+    async def read() -> None:
+        reading = asyncio.ensure_future(run.io_bound(session.load))
+        if not (await asyncio.wait([reading], timeout=PATIENCE))[0]:
+            waiting.set_visibility(True)
+        await reading
+        waiting.set_visibility(False)
+
+    async def follow() -> None:
+        async with aclosing(session.news.each()) as news:
+            async for _ in news:
+                with page:
+                    if not session.ready:
+                        await read()
+                    for part in parts:
+                        _update(part)
+
+    following = background_tasks.create(follow())
+    ui.context.client.on_delete(lambda: following.cancel())
 
 
-def _known(session: Session) -> dict[str, int]:
-    """What a page has drawn."""
-    refit = id(session.refits.found)
-    return {"version": session.version, "finished": session.finished, "refit": refit}
+def _update(part: Part | View | _Notice) -> None:
+    """Draw a part anew, where it shows something else by now; a fault leaves the others."""
+    try:
+        part.update()
+    except Exception:
+        logging.getLogger(__name__).exception("a part of the page cannot be shown")
+
+
+class _Notice:
+    """Says that somebody else has changed the folder."""
+
+    def __init__(self, view: View) -> None:
+        self.view, self.finished = view, view.session.finished
+        view.noticed = view.session.version
+
+    def update(self) -> None:
+        """Say so, where this page has neither changed it nor seen the run that did."""
+        view, session = self.view, self.view.session
+        version, finished = session.version, session.finished
+        own = session.going or finished != self.finished or view.acts
+        if version != view.noticed and not own:
+            ui.notify(words.CHANGED)
+        view.noticed, self.finished = version, finished
 
 
 def _shown(view: View) -> None:
@@ -244,58 +237,3 @@ class _Light:
         self.icon.set_name(icon)
         self.icon.classes(replace=step.light)
         self.words.set_text(shortened(step.words))
-
-
-def _run(session: Session) -> Callable[[], Any]:
-    """The run that goes on, or the last one; returns what shows its progress."""
-    run = session.worker.run
-    unfinished = session.folder.log().unfinished() if run is None else None
-    if unfinished is not None:
-        told = words.UNFINISHED.format(command=unfinished.told.get("command"))
-        ui.label(told).classes("care")
-    if run is None:
-        return lambda: None
-    progress = left = None
-    with ui.row().classes("items-center w-full q-gutter-sm"):
-        ui.label(run.action.what).classes("text-subtitle2")
-        ui.code(run.action.command, language="bash").classes("text-caption gt-sm command")
-        ui.space()
-        if run.code is None:
-            ui.spinner(size="sm")
-            progress, left = ui.label(words.RUNNING), ui.label()
-            ui.button(words.CANCEL, on_click=session.worker.cancel).props("outline")
-        elif run.cancelled:
-            ui.label(words.CANCELLED)
-        elif run.code < 0:
-            ui.label(words.KILLED).classes("bad")
-        elif run.code == 0:
-            ui.label(words.DONE).classes("good")
-        else:
-            ended = words.ENDED.format(code=run.code)
-            ui.label(f"{ended}: {words.MEANING.get(run.code, '')}").classes("bad")
-        if run.code is not None and run.text:
-            with ui.dialog() as output, ui.card().classes("w-full").style("max-width: 70rem"):
-                text_block(run.text)
-                ui.button(words.CLOSE, on_click=output.close)
-            ui.button(words.OUTPUT, on_click=output.open).props("flat")
-    if run.code not in (None, 0) and not run.cancelled:
-        text_block(run.text[max(run.text.rfind("loopcal: "), 0) :][-SAID:])
-
-    def follow() -> None:
-        if progress is not None and left is not None:
-            progress.set_text(run.progress or words.RUNNING)
-            seconds = seconds_left(run.progress, time.monotonic() - run.began)
-            left.set_text("" if seconds is None else words.LEFT.format(seconds=seconds))
-
-    return follow
-
-
-def seconds_left(progress: str, passed: float) -> int | None:
-    """Seconds that a run still takes, from a line such as "20 of 90 fits"; None where unknown.
-
-    >>> seconds_left("30 of 90 fits", 10.0)
-    20
-    """
-    found = re.search(r"(\d+) of (\d+)", progress)
-    done, total = (int(part) for part in found.groups()) if found else (0, 0)
-    return round(passed * (total - done) / done) if 0 < done <= total else None

@@ -1,11 +1,14 @@
 """Fits from where the last result ended, in a separate process.
 
-It writes nothing, so the folder has the last complete result until a calibration replaces it.
+It writes nothing, so the folder has the last complete result until a calibration replaces it. The
+process stays for the next fit: one that has just begun takes longer to load than to fit.
 """
 
 from __future__ import annotations
 
+import signal
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -27,50 +30,92 @@ class Asked:
     method: str | None = None
 
 
-class Refits:
-    """Runs one fit at a time; the latest wins. context: that the processes come from."""
+@dataclass(frozen=True, eq=False)
+class _Fitter:
+    """The process, and the connection to it."""
 
-    def __init__(self, context: Any, function: str | None = None) -> None:
-        self._context, self._function = context, function
+    process: Any
+    connection: Connection
+
+
+class Refits:
+    """Runs one fit at a time; the latest wins.
+
+    context: that the process comes from; tell: called when a fit has ended.
+    """
+
+    def __init__(self, context: Any, tell: Callable[[], Any], function: str | None = None) -> None:
+        self._context, self._tell, self._function = context, tell, function
         self._lock = threading.Lock()
-        self._process: Any = None
+        self._fitter: _Fitter | None = None
         self.asked: Asked | None = None
         self.found: Refit | None = None
         self.going = False
 
     def begin(self, asked: Asked, project: Path, ending: Ending) -> None:
-        """Fit; a fit that goes on is of use no longer."""
+        """Fit, unless that was asked last; another fit that goes on is of use no longer."""
         with self._lock:
-            if self._process is not None:
-                self._process.kill()
-            heard, said = self._context.Pipe(duplex=False)
+            if asked == self.asked:
+                return
+            if self.going:
+                self._end()
             self.asked, self.found, self.going = asked, None, True
-            given = (project, ending, asked.method, self._function, said)
-            self._process = self._context.Process(target=_refit, args=given, daemon=True)
-            self._process.start()
-            said.close()
-        own = (asked, self._process, heard)
-        threading.Thread(target=self._listen, args=own, daemon=True).start()
+            if self._fitter is None:
+                self._fitter = self._started()
+            with suppress(OSError):  # killed a moment ago: the thread that listens says so
+                self._fitter.connection.send((project, ending, asked.method))
 
-    def _listen(self, asked: Asked, process: Any, heard: Connection) -> None:
-        found = None
+    @property
+    def process(self) -> Any:
+        """The process that waits for the next fit, or fits; None where there is none."""
+        with self._lock:
+            return None if self._fitter is None else self._fitter.process
+
+    def _end(self) -> None:
+        if self._fitter is not None:
+            self._fitter.process.kill()
+        self._fitter, self.going = None, False
+
+    def _started(self) -> _Fitter:
+        own, other = self._context.Pipe()
+        process = self._context.Process(target=_fit, args=(self._function, other), daemon=True)
+        process.start()
+        other.close()
+        fitter = _Fitter(process, own)
+        threading.Thread(target=self._listen, args=(fitter,), daemon=True).start()
+        return fitter
+
+    def _listen(self, fitter: _Fitter) -> None:
         with suppress(EOFError, OSError):
-            found = heard.recv()
-        process.join()
+            while True:
+                self._found(fitter, fitter.connection.recv())
+        fitter.process.join()
+        fitter.connection.close()
+        self._gone(fitter)
+
+    def _found(self, fitter: _Fitter, found: Refit | None) -> None:
         with self._lock:
-            if self.asked is asked:
-                self.found, self.going = found, False
+            if self._fitter is not fitter:
+                return  # another one fits what was asked since
+            self.found, self.going = found, False
+        self._tell()
 
-    def end(self) -> None:
-        """End a fit that goes on."""
+    def _gone(self, fitter: _Fitter) -> None:
         with self._lock:
-            if self._process is not None:
-                self._process.kill()
+            if self._fitter is not fitter:
+                return
+            self._fitter, self.going = None, False
+        self._tell()
 
 
-def _refit(
-    project: Path, ending: Ending, method: str | None, function: str | None, said: Connection
-) -> None:
-    """In the child: fit; where that cannot be done, the calibration says why."""
-    with suppress(LoopcalError):
-        said.send(run_refit(project, ending, method=method, function=function))
+def _fit(function: str | None, server: Connection) -> None:
+    """In the child: fit what is asked until the server has ended; where that cannot be done, the
+    calibration says why."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of the terminal: the server ends this process
+    with suppress(EOFError, OSError):
+        while True:
+            project, ending, method = server.recv()
+            found = None
+            with suppress(LoopcalError):
+                found = run_refit(project, ending, method=method, function=function)
+            server.send(found)

@@ -55,6 +55,7 @@ def serve(
     session = Session(path, command, function)
     asked = "" if rules.token is None else f"/?token={rules.token}"
     shown_host = f"[{host}]" if ":" in host else host
+    session.watch()
     lock = FolderLock(path, f"http://{shown_host}:{number}")
     app.add_middleware(Guard, rules=rules)
     tell(f"http://{shown_host}:{number}{asked}")

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from threading import Lock
+from threading import Event, Lock, Thread
 from typing import Any
 
 from loopcal.app.action import Action
+from loopcal.app.news import News
 from loopcal.app.refits import Asked, Refits
 from loopcal.app.steps import State
 from loopcal.app.worker import Command, Run, Worker
@@ -33,6 +37,8 @@ OF_A_MACHINE = {
     *("simulate", "update", "verify"),
 }
 """Commands that take loops written in Python."""
+LOOKS_EVERY = 0.4
+"""Seconds between looks at the folder, for what other programs change."""
 
 
 def checked(run: Run) -> Mapping[str, Any] | None:
@@ -54,14 +60,16 @@ class Session:
         self.folder = ProjectFolder(folder)
         self.function = None if function is None else _absolute(function)
         self._loops = None if function is None else load_function(function)
-        self.worker = Worker(command, self._begun, self._ended)
-        self.refits = Refits(self.worker.context, self.function)
+        self.news = News()
+        self.worker = Worker(command, self._begun, self._ended, self.news.tell)
+        self.refits = Refits(self.worker.context, self.news.tell, self.function)
         self.last: dict[str, Run] = {}  # of each command, since the server started
         self.finished = 0
         self._noted: Run | None = None
         self._source: tuple[int, Source | None, str] | None = None
         self._loaded: tuple[object, LoadedData | None, str] | None = None
-        self._reading = Lock()
+        self._shown: tuple[Source, Refit | None, Source] | None = None
+        self._reading, self._sourcing, self._changed = Lock(), Lock(), Event()
         self._read: tuple[str, Project | None, str] | None = None
 
     @property
@@ -89,35 +97,77 @@ class Session:
         if action.words[0] == "calibrate" and "--out" not in action.words:
             named = dict(pairwise(action.words))
             self._refit(named.get("--method"))
+        self.look()
         return run
 
-    def look_ahead(self) -> None:
-        """Fit a project that has changed since its result, from where that ended."""
-        if self.state().stale and not self.worker.busy:
-            asked = self.refits.asked
-            if asked is None or (asked.text, asked.result) != (
-                self.folder.text(),
-                self._result_at(),
-            ):
-                self._refit(None)
+    def watch(self) -> None:
+        """From now on look at the folder, also for what other programs change there, in a thread:
+        a changed project is fitted, and the pages are told."""
+        Thread(target=self._watched, daemon=True).start()
+
+    def look(self) -> None:
+        """Look at the folder now: something was done there."""
+        self._changed.set()
+
+    def _watched(self) -> None:
+        seen = None
+        while True:
+            self._changed.wait(LOOKS_EVERY)
+            self._changed.clear()
+            with suppress(OSError):  # a file that is being written
+                now = self.version
+                if now != seen:
+                    seen = now
+                    try:
+                        self._look_ahead()
+                    except LoopcalError:
+                        pass  # the page says why
+                    except Exception:
+                        logging.getLogger(__name__).exception("the project cannot be fitted")
+                    self.news.tell()
+
+    def _look_ahead(self) -> None:
+        """Fit the project as it stands from where its result ended. Before it has changed, that
+        loads what the next fit needs."""
+        if not self.worker.busy and not self._asked_last():
+            self._refit(None)
+
+    def _asked_last(self) -> bool:
+        """Whether the project as it stands was fitted last, by whatever method."""
+        asked = self.refits.asked
+        now = self.folder.text(), self._result_at()
+        return asked is not None and (asked.text, asked.result) == now
 
     def _refit(self, method: str | None) -> None:
         source, text = self.source(), self.folder.text()
         if source is None or text is None or source.document.accuracy is None:
             return
-        asked = Asked(text, self._result_at(), method)
-        if asked != self.refits.asked:
-            ending = Ending.of(source.document, source.table.poses)
-            self.refits.begin(asked, self.folder.project, ending)
+        ending = Ending.of(source.document, source.table.poses)
+        self.refits.begin(Asked(text, self._result_at(), method), self.folder.project, ending)
 
     def refit(self) -> Refit | None:
         """The fit of the project as it stands, from where the last result ended; None where that
         result is of this project, or nothing is known yet."""
-        asked, found = self.refits.asked, self.refits.found
-        if asked is None or found is None:
+        found = self.refits.found
+        if found is None or not self._asked_last():
             return None
-        current = (asked.text, asked.result) == (self.folder.text(), self._result_at())
-        return found if current and (self._calibrates or self.state().stale) else None
+        return found if self._calibrates or self.stale else None
+
+    def shown(self) -> Source | None:
+        """The result, with what the first fit of a changed project found; while such a fit goes
+        on, what was shown before it."""
+        source, refit = self.source(), self.refit()
+        before = self._shown if self._shown is not None and self._shown[0] is source else None
+        if source is None:
+            return None
+        waits = self.refits.going and self.stale
+        if before is None or (before[1] is not refit and not waits):
+            found = source
+            if refit is not None:
+                document = refit.shown_in(source.document)
+                found = replace(source, table=refit.table, document=document)
+            self._shown = before = source, refit, found
+        return before[2]
 
     @property
     def _calibrates(self) -> bool:
@@ -135,26 +185,29 @@ class Session:
         self.folder.noted("ended", run.action.what, told)
         self.finished += 1
         self._noted = run
+        self.look()
 
     def project(self) -> Project | None:
         """The project as it stands; None where there is none or it cannot be read."""
-        self._look()
-        return None if self._read is None else self._read[1]
+        read = self._look()
+        return None if read is None else read[1]
 
     def objection(self) -> str | None:
         """Why the project cannot be read; None where it can, or is not there."""
-        self._look()
-        return None if self._read is None else self._read[2] or None
+        read = self._look()
+        return None if read is None else read[2] or None
 
-    def _look(self) -> None:
-        text = self.folder.text()
+    def _look(self) -> tuple[str, Project | None, str] | None:
+        text, read = self.folder.text(), self._read  # other threads may replace what was read
         if text is None:
-            self._read = None
-        elif self._read is None or self._read[0] != text:
+            read = None
+        elif read is None or read[0] != text:
             try:
-                self._read = text, self.read(text), ""
+                read = text, self.read(text), ""
             except LoopcalError as error:
-                self._read = text, None, str(error)
+                read = text, None, str(error)
+        self._read = read
+        return read
 
     @property
     def ready(self) -> bool:
@@ -173,16 +226,20 @@ class Session:
 
     def source(self) -> Source | None:
         """The result on the disk; None where there is none or it cannot be read."""
-        at = self._result_at()
+        at, known = self._result_at(), self._source
         if at is None:
             self._source = None
             return None
-        if self._source is None or self._source[0] != at:
-            try:
-                self._source = at, read_source(self.folder.result / RESULT), ""
-            except LoopcalError as error:
-                self._source = at, None, str(error)
-        return self._source[1]
+        if known is None or known[0] != at:
+            with self._sourcing:  # one result is one object, whichever thread reads it
+                known = self._source
+                if known is None or known[0] != at:
+                    try:
+                        known = at, read_source(self.folder.result / RESULT), ""
+                    except LoopcalError as error:
+                        known = at, None, str(error)
+                    self._source = known
+        return known[1]
 
     def _result_at(self) -> int | None:
         return self._times().get(f"{self.folder.result.name}/{RESULT}")
@@ -193,9 +250,6 @@ class Session:
     def state(self) -> State:
         """What the lights of the steps follow from."""
         source = self.source()
-        files = self.folder.listed()
-        times = {file.name: file.modified for file in files}
-        result = times.get(f"{self.folder.result.name}/{RESULT}", 0)
         runs = {
             str(e.told.get("command", "")).split(" ")[1]: e
             for e in self.folder.log().entries
@@ -205,18 +259,20 @@ class Session:
             project=self.folder.text() is not None,
             objection=self.objection(),
             document=None if source is None else source.document,
-            stale=self._stale(source, times, result),
-            files=files,
+            stale=self.stale,
+            files=self.folder.listed(),
             runs=runs,
         )
 
-    def _stale(self, source: Source | None, times: Mapping[str, int], result: int) -> bool:
+    @property
+    def stale(self) -> bool:
         """Whether the result is of another project, or of other readings, than there are now."""
-        project = self.project()
+        source, project = self.source(), self.project()
         if source is None or project is None:
             return False
         changed = _that_count(project.inputs) != _that_count(source.document.inputs)
         files = () if project.data is None else _files(project.data)
+        times, result = self._times(), self._result_at() or 0
         return changed or any(times.get(file, 0) > result for file in files)
 
     def robot(self) -> tuple[str | None, str | None]:
@@ -332,7 +388,7 @@ class Session:
     def _write(self, text: str, what: str, reason: str) -> None:
         self.read(text)  # raises where it would not be read
         self.folder.change(text, what, reason)
-        self.look_ahead()
+        self._look_ahead()
 
 
 def _all_selected() -> InputError:

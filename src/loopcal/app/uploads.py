@@ -27,6 +27,10 @@ def uploader(view: View, label: str, then: Callable[[str], Any] | None = None) -
 
         view.act(take)
 
+    def going(on: bool) -> None:
+        view.uploading = on
+        view.session.news.tell()
+
     box = ui.upload(
         label=label,
         multiple=True,
@@ -35,6 +39,7 @@ def uploader(view: View, label: str, then: Callable[[str], Any] | None = None) -
         on_upload=taken,
         on_rejected=lambda: ui.notify(words.TOO_LARGE, type="negative"),
     )
+    box.on("start", lambda: going(True)).on("finish", lambda: going(False))
     box.classes("w-full").props("flat bordered")
     button = ui.button(words.CHOOSE_FILES, icon="upload_file").props("outline")
     button.props(f'aria-label="{label}: {words.CHOOSE_FILES}"')

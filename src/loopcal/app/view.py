@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -15,16 +14,34 @@ from loopcal.app.pictures import GRID
 from loopcal.app.session import Session
 from loopcal.errors import LoopcalError
 from loopcal.presentation.shown import with_unit
-from loopcal.workflow.refitting import Refit
 
 WHOLE = 100
 """Rows of a table that is shown without turning its pages."""
 
 
 @dataclass(eq=False)
+class Part:
+    """A part of a page. draw: called where `of` says something else than at the last drawing."""
+
+    of: Callable[[], object]
+    draw: Callable[[], Any]
+    drawn: object = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.drawn = self.of()
+
+    def update(self) -> None:
+        """Draw it anew where what it shows has changed."""
+        now = self.of()
+        if now != self.drawn:
+            self.drawn = now
+            self.draw()
+
+
+@dataclass(eq=False)
 class View:
     """step: the one shown; selected: positions of poses in the result; kept: what was chosen in
-    the controls, by their names; refresh: draws all anew."""
+    the controls, by their names; refresh: draws the step anew."""
 
     session: Session
     step: str = "robot"
@@ -33,17 +50,43 @@ class View:
     poses: tuple[str, ...] = ()
     """Ids of the poses of the result that is shown."""
     refresh: Callable[[], Any] = lambda: None
-    follows: Callable[[], bool] = lambda: False
-    """Shows in the step as it stands what has changed; False where it is drawn anew."""
     follow: list[Callable[[], Any]] = field(default_factory=list)
     """What is called when a control changes."""
-    shows_refit: bool = False
-    """Whether the step shows a first fit of a changed project: else none draws it anew."""
+    parts: list[Part] = field(default_factory=list)
+    """Of the step."""
+    shown: str = ""
+    """The step that is drawn; `step` is the one asked for."""
+    acts: int = 0
+    """Acts of this page that are being done."""
+    uploading: bool = False
+    """Whether the step takes in files: it stays as it is until it has them all."""
+    noticed: int = 0
+    """Version of the folder that the user of this page has made, or was told of."""
 
-    def refit(self) -> Refit | None:
-        """The first fit of a project that has changed since its result, as `Session.refit`."""
-        self.shows_refit = True
-        return self.session.refit()
+    def begin(self) -> None:
+        """Begin to show a step: all of it is drawn anew where the folder or the run changes."""
+        self.follow.clear()
+        self.parts.clear()
+        self.shown, self.uploading = self.step, False
+        self.anew_when(lambda: self.session.version)
+
+    def anew_when(self, of: Callable[[], object]) -> None:
+        """Draw the step as a whole anew only where `of` says something else than now."""
+        self.parts[:1] = [Part(lambda: (self.step, of()), self.refresh)]
+
+    def part(self, of: Callable[[], object], show: Callable[[], Any]) -> None:
+        """Show a part of the step, and anew where `of` says something else; the rest stays."""
+        place = ui.refreshable(lambda: show())  # a partial has no name
+        self.parts.append(Part(of, place.refresh))
+        place()
+
+    def update(self) -> None:
+        """Draw anew the parts of the step that show something else by now."""
+        if self.uploading and self.step == self.shown:
+            return
+        for part in tuple(self.parts):
+            if part in self.parts:
+                part.update()
 
     def keep(self, name: str, value: Any) -> None:
         """Remember what a control says."""
@@ -64,27 +107,23 @@ class View:
 
     async def act_aside(self, do: Callable[[], Any]) -> bool:
         """The same in a thread: what reads many rows keeps no other page waiting."""
-        return self._done(await run.io_bound(_complaint, do))
+        self.acts += 1
+        try:
+            return self._done(await run.io_bound(_complaint, do))
+        finally:
+            self.acts -= 1
 
     def _done(self, complaint: str | None) -> bool:
         if complaint is not None:
             _tell(complaint)
             return False
-        self.refresh()
+        self.noticed = self.session.version
+        self.session.look()
         return True
 
     def run(self, what: str, *line: str) -> bool:
         """Begin a run of `loopcal LINE`."""
         return self.act(lambda: self.session.start(self.session.action(what, line)))
-
-    async def run_to_end(self, what: str, *line: str) -> bool:
-        """Run, and wait; whether it ended well."""
-        if not self.run(what, *line):
-            return False
-        its = self.session.worker.run
-        while its is not None and its.code is None:
-            await asyncio.sleep(0.1)
-        return its is not None and its.code == 0
 
     def project_name(self) -> str:
         """Of the project file in the folder."""
@@ -110,11 +149,20 @@ def _tell(why: str) -> None:
 
 def stale(view: View) -> None:
     """Whether the result is of the project as it stands; where not, what a first fit of it says."""
-    session, refit = view.session, view.refit()
-    source = session.source()
+    session = view.session
+
+    def of() -> object:
+        return session.stale, session.refit(), session.refits.going, session.worker.busy
+
+    view.part(of, lambda: _stale(session))
+
+
+def _stale(session: Session) -> None:
+    source, refit = session.source(), session.refit()
     if refit is None or source is None or source.document.accuracy is None:
-        if session.state().stale:
-            ui.label(words.STALE).classes("care")
+        if session.stale:
+            told = words.FITTING if session.refits.going else words.STALE
+            ui.label(told).classes("care")
         return
     sizes = source.document.accuracy.after.rms, refit.accuracy.rms
     before, after = (with_unit(size or 0.0, refit.unit) for size in sizes)
@@ -128,8 +176,6 @@ def stale(view: View) -> None:
 
 def title(view: View, label: str) -> None:
     """The head of a step."""
-    view.follow.clear()
-    view.follows, view.shows_refit = lambda: False, False
     ui.label(label).classes("text-h5").props("role=heading aria-level=1")
     ui.label(words.STEPS[view.step]).classes("text-body1 q-mb-sm")
 

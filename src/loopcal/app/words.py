@@ -27,6 +27,7 @@ NO_PROJECT = (
 NO_RESULT = "There is no result yet. Calibrate in the step Fit first."
 NO_OUTPUTS = "The result has no outputs that could be compared with readings."
 STALE = "The project has changed since this result. Fit again to see the effect."
+FITTING = "The project has changed since this result. Its fit is running."
 PROVISIONAL = (
     "Provisional: error {after} rms, {before} in the last result. Fitted by {label}, from where "
     "the last result ended."

@@ -34,8 +34,9 @@ LINES = 2_000
 LONGEST = 2_000_000
 """Characters of output that are kept."""
 PRELOADED = [
-    *("numpy", "polars", "loopcal.workflow.calibration", "loopcal.workflow.refitting"),
-    "loopcal.report.page",
+    *("numpy", "polars", "scipy.linalg", "loopcal.workflow.calibration"),
+    *("loopcal.workflow.refitting", "loopcal.files.project.project_schema"),
+    *("loopcal.files.machines.registry", "loopcal.report.page"),
 ]
 """What the warm process loads beside the command itself."""
 WRITTEN = (0, 4)
@@ -81,11 +82,15 @@ class Worker:
     """Runs one action at a time.
 
     begun: called before a run begins; ended: called in a thread when it is over, before another
-    one can begin.
+    one can begin; tell: called when a run has said something.
     """
 
     def __init__(
-        self, command: Command, begun: Callable[[Action], Any], ended: Callable[[Run], Any]
+        self,
+        command: Command,
+        begun: Callable[[Action], Any],
+        ended: Callable[[Run], Any],
+        tell: Callable[[], Any] = lambda: None,
     ) -> None:
         names = multiprocessing.get_all_start_methods()
         self.context: Any = multiprocessing.get_context(
@@ -95,7 +100,7 @@ class Worker:
             self.context.set_forkserver_preload([command.__module__, *PRELOADED])
             multiprocessing.forkserver.ensure_running()  # loads while the user looks
         self._command = command
-        self._begun, self._ended = begun, ended
+        self._begun, self._ended, self._tell = begun, ended, tell
         self._lock = threading.Lock()
         self._process: BaseProcess | None = None
         self.run: Run | None = None
@@ -140,6 +145,7 @@ class Worker:
             except (EOFError, OSError):
                 break
             run.told(stream, text)
+            self._tell()
         process.join()
         with self._lock:
             code = process.exitcode if process.exitcode is not None else -1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -12,7 +11,7 @@ from nicegui import ui
 
 from loopcal.app import words
 from loopcal.app.pictures import Errors, Framed
-from loopcal.app.view import View, heading, stale, table
+from loopcal.app.view import Part, View, heading, stale, table
 from loopcal.app.views.fit import offer_fit
 from loopcal.app.views.linked import OVER_POSES, Linked
 from loopcal.app.views.selection import offer_selection
@@ -27,13 +26,20 @@ def show(view: View) -> None:
         ui.label(words.NO_RESULT if view.session.source() is None else words.NO_OUTPUTS)
         return
     linked = Linked(view, errors)
+    session = view.session
 
-    def follow() -> bool:
+    def follow() -> None:
         now = _errors(view)
-        return now is not None and linked.follow(now)
+        if now is None or not linked.follow(now):
+            view.refresh()
 
-    view.follows = follow
-    linked.around(_head)
+    def of() -> object:
+        return session.shown(), linked.errors.steps if session.refits.going else _steps(view)
+
+    view.anew_when(lambda: session.source() is None)
+    view.parts.append(Part(of, follow))
+    stale(view)
+    view.part(session.shown, partial(_thinned, linked))
     with ui.element("div").classes("diagnose"):
         with ui.column().classes("main"):
             _over_poses(linked)
@@ -48,17 +54,18 @@ def show(view: View) -> None:
 
 def _errors(view: View) -> Errors | None:
     """Those of the result, or of the first fit since the project has changed."""
-    source, refit = view.session.source(), view.refit()
+    source = view.session.shown()
     if source is None:
         return None
-    if refit is not None:
-        source = replace(source, table=refit.table, document=refit.shown_in(source.document))
     view.select_among(source.table.poses)
-    return Errors.of(source, view.session.steps(), view.selected)
+    return Errors.of(source, _steps(view), view.selected)
 
 
-def _head(linked: Linked) -> None:
-    stale(linked.view)
+def _steps(view: View) -> tuple[float, ...]:
+    return tuple(view.session.steps())
+
+
+def _thinned(linked: Linked) -> None:
     errors = linked.errors
     if len(errors.drawn) < len(errors.size):
         ui.label(words.NOT_WHOLE.format(shown=len(errors.drawn), all=len(errors.size)))
@@ -103,10 +110,11 @@ def _elsewhere(linked: Linked) -> None:
 
 def _again(linked: Linked) -> None:
     """Undo, fit again, and what loopcal has found by itself."""
-    linked.around(lambda _: _undo(linked.view))
+    view, session = linked.view, linked.view.session
+    view.part(lambda: len(session.folder.log().entries), partial(_undo, view))
     heading(words.FIT_AGAIN)
-    offer_fit(linked.view)
-    linked.around(_found)
+    offer_fit(view)
+    view.part(lambda: (session.source(), session.shown()), partial(_found, linked))
 
 
 def _undo(view: View) -> None:

@@ -20,6 +20,7 @@ from loopcal.presentation.wrapped import shortened
 from loopcal.report.page import QUESTIONS
 from loopcal.report.tables import accuracy_tables, model_table
 from loopcal.units import to_si
+from loopcal.workflow.refitting import Refit
 
 PARAMETER_HEAD = ("parameter", "nominal", "calibrated", "change", "sd", "unit")
 MARKS = {"yes": "good", "open": "care", "no": "bad"}
@@ -37,11 +38,8 @@ def show(view: View) -> None:
         ui.label(words.NO_RESULT)
     else:
         stale(view)
-        document, refit = source.document, view.refit()
-        if refit is not None:
-            heading(words.PROVISIONAL_PARAMETERS)
-            table(PARAMETER_HEAD, _rows(refit.shown_in(document)))
-            heading(words.LAST_RESULT)
+        document = source.document
+        view.part(view.session.refit, lambda: _provisional(view.session.refit(), document))
         _verdict(document)
         with ui.row():
             page(f"{view.session.folder.result.name}/report.html", words.OPEN_WHOLE_REPORT)
@@ -55,6 +53,14 @@ def show(view: View) -> None:
         heading(words.PARAMETERS)
         table(PARAMETER_HEAD, _rows(document))
     _side_by_side(view)
+
+
+def _provisional(refit: Refit | None, document: ResultDocument) -> None:
+    """The parameters that the first fit of a changed project found."""
+    if refit is not None:
+        heading(words.PROVISIONAL_PARAMETERS)
+        table(PARAMETER_HEAD, _rows(refit.shown_in(document)))
+        heading(words.LAST_RESULT)
 
 
 def offer_fit(view: View, label: str = words.CALIBRATE) -> None:

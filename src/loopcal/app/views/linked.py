@@ -25,13 +25,11 @@ FEWEST = 5
 
 
 class Linked:
-    """The figures of one page. heard: called where another selection, or its figure, is shown;
-    around: draws a part of the page, and again for other errors."""
+    """The figures of one page. heard: called where another selection, or its figure, is shown."""
 
     def __init__(self, view: View, errors: Errors) -> None:
         self.view, self.errors = view, errors
         self.heard: list[Callable[[], Any]] = []
-        self.around = ui.refreshable(lambda place: place(self))
         self._plots: dict[str, tuple[Any, Callable[[Errors], dict[str, Any] | None]]] = {}
 
     @property
@@ -119,13 +117,8 @@ class Linked:
         if list(errors.shown) != list(own.shown) or errors.joints != own.joints:
             return False
         self.errors = errors
-        if errors.source.table is own.source.table and errors.steps == own.steps:
-            soon = self.view.session.refits.going  # then all is drawn again
-            self.mark(self.view.selected, space=not soon)
-        else:
-            self.draw()
+        self.draw()
         self._tell()
-        self.around.refresh()
         return True
 
     def draw(self, labels: Sequence[str] = ()) -> None:

@@ -53,8 +53,7 @@ def show(view: View) -> None:
 
     offer(view, words.CHOOSE_POSES, line)
     _planned(view, project)
-    drawn = _follows_from(view)
-    view.follows = lambda: _follows_from(view) == drawn
+    view.anew_when(lambda: _follows_from(view))
 
 
 def _follows_from(view: View) -> object:

@@ -10,7 +10,7 @@ from nicegui import ui
 
 from loopcal.app import words
 from loopcal.app.controls import reason
-from loopcal.app.view import heading, table
+from loopcal.app.view import Part, heading, table
 from loopcal.app.views.linked import Linked
 
 LISTED = 200
@@ -30,9 +30,21 @@ def offer_selection(linked: Linked) -> None:
     _ends(linked)
     _zoom(linked)
     acts = ui.refreshable(lambda: _acts(linked))
+    listed = ui.refreshable(lambda: _listed(linked))
+
+    def of() -> object:
+        return _chosen(linked), linked.view.session.moved()
+
+    linked.heard += [count, Part(of, acts.refresh).update, listed.refresh]
     acts()
-    linked.heard += [count, acts.refresh]
+    listed()
     count()
+
+
+def _chosen(linked: Linked) -> list[str]:
+    """Ids of the selected poses."""
+    poses = linked.errors.source.table.poses
+    return [poses[i] for i in linked.view.selected]
 
 
 def _run(linked: Linked) -> tuple[int, int] | None:
@@ -118,19 +130,16 @@ def _zoom(linked: Linked) -> None:
 
 
 def _acts(linked: Linked) -> None:
-    """What can be done with the selected poses, and their errors."""
-    view, errors = linked.view, linked.errors
-    if not view.selected:
+    """What can be done with the selected poses."""
+    view, poses = linked.view, _chosen(linked)
+    if not poses:
         return
-    poses = [errors.source.table.poses[i] for i in view.selected]
-    rms = f"{errors.rms(view.selected):.3g} {errors.unit}"
-    ui.label(words.RUN_RMS.format(first=poses[0], last=poses[-1], rms=rms))
 
     async def do(act: Callable[[str], Any], kept: str) -> None:
         chosen = list(view.selected)
-        view.selected.clear()
+        linked.select([])
         if not await view.act_aside(partial(act, str(view.kept[kept] or words.REASONS[kept][0]))):
-            view.selected[:] = chosen
+            linked.select(chosen)
 
     reason(view, "shifted", words.REASONS["shifted"])
     for what, names in view.session.moved().items():
@@ -140,6 +149,15 @@ def _acts(linked: Linked) -> None:
     reason(view, "excluded", words.REASONS["excluded"])
     exclude = partial(view.session.excluded, poses)
     ui.button(words.EXCLUDE, on_click=partial(do, exclude, "excluded")).props("unelevated")
+
+
+def _listed(linked: Linked) -> None:
+    """The errors of the selected poses."""
+    view, errors, poses = linked.view, linked.errors, _chosen(linked)
+    if not poses:
+        return
+    rms = f"{errors.rms(view.selected):.3g} {errors.unit}"
+    ui.label(words.RUN_RMS.format(first=poses[0], last=poses[-1], rms=rms))
     rows = [
         [p, *(f"{values[i]:.3g}" for values in errors.shown.values())]
         for p, i in zip(poses[:LISTED], view.selected, strict=False)
