@@ -17,7 +17,7 @@ TAKE = "(event) => linked.take(event, emit)"
 NONE = "() => linked.none(emit)"
 OVER_POSES = "error over the poses"
 NEXT = 0.02
-"""Seconds between figures that are drawn again."""
+"""Seconds between what the browser draws again."""
 BESIDE = 0.15
 """Share of a run that a zoomed figure shows on either side of it."""
 FEWEST = 5
@@ -25,11 +25,14 @@ FEWEST = 5
 
 
 class Linked:
-    """The figures of one page. heard: called where another selection, or its figure, is shown."""
+    """The figures of one page. heard: called where another selection, or its figure, is shown;
+    later: called once the browser has shown what these have changed."""
 
     def __init__(self, view: View, errors: Errors) -> None:
         self.view, self.errors = view, errors
         self.heard: list[Callable[[], Any]] = []
+        self.later: list[Callable[[], Any]] = []
+        self._told = 0
         self._plots: dict[str, tuple[Any, Callable[[Errors], dict[str, Any] | None]]] = {}
 
     @property
@@ -71,6 +74,14 @@ class Linked:
     def _tell(self) -> None:
         for hear in self.heard:
             hear()
+        self._told += 1
+        background_tasks.create(self._tell_later(self._told))
+
+    async def _tell_later(self, told: int) -> None:
+        await asyncio.sleep(NEXT)
+        if told == self._told:
+            for hear in self.later:
+                hear()
 
     def select(self, positions: Sequence[int]) -> None:
         """Select these poses in every figure."""

@@ -63,7 +63,7 @@ def _follows_from(view: View) -> object:
     inputs = {} if project is None else {k: v for k, v in project.inputs.items() if k != "plan"}
     own = (LOG, session.folder.project.name)
     files = [(f.name, f.modified) for f in session.folder.listed() if f.name not in own]
-    return files, inputs, session.finished, project is None
+    return files, inputs, project is None
 
 
 def _ranges(view: View, project: Project) -> None:

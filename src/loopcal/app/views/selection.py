@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -33,9 +33,10 @@ def offer_selection(linked: Linked) -> None:
     listed = ui.refreshable(lambda: _listed(linked))
 
     def of() -> object:
-        return _chosen(linked), linked.view.session.moved()
+        return bool(linked.view.selected), linked.view.session.moved()
 
-    linked.heard += [count, Part(of, acts.refresh).update, listed.refresh]
+    linked.heard += [count, Part(of, acts.refresh).update]
+    linked.later.append(listed.refresh)
     acts()
     listed()
     count()
@@ -130,25 +131,26 @@ def _zoom(linked: Linked) -> None:
 
 
 def _acts(linked: Linked) -> None:
-    """What can be done with the selected poses."""
-    view, poses = linked.view, _chosen(linked)
-    if not poses:
+    """What can be done with the poses that are selected when it is asked for."""
+    view = linked.view
+    if not view.selected:
         return
 
-    async def do(act: Callable[[str], Any], kept: str) -> None:
-        chosen = list(view.selected)
+    async def do(act: Callable[[Sequence[str], str], Any], kept: str) -> None:
+        chosen, poses = list(view.selected), _chosen(linked)
+        why = str(view.kept[kept] or words.REASONS[kept][0])
         linked.select([])
-        if not await view.act_aside(partial(act, str(view.kept[kept] or words.REASONS[kept][0]))):
+        if not await view.act_aside(partial(act, poses, why)):
             linked.select(chosen)
 
     reason(view, "shifted", words.REASONS["shifted"])
     for what, names in view.session.moved().items():
-        act = partial(view.session.shifted, names, poses)
+        act = partial(view.session.shifted, names)
         moved = ui.button(words.MOVED_HERE.format(what=what)).props("unelevated")
         moved.on_click(partial(do, act, "shifted"))
     reason(view, "excluded", words.REASONS["excluded"])
-    exclude = partial(view.session.excluded, poses)
-    ui.button(words.EXCLUDE, on_click=partial(do, exclude, "excluded")).props("unelevated")
+    exclude = partial(do, view.session.excluded, "excluded")
+    ui.button(words.EXCLUDE, on_click=exclude).props("unelevated")
 
 
 def _listed(linked: Linked) -> None:
