@@ -3,9 +3,9 @@
     python -m benchmarks.app_brush FOLDER [--brushes 10]
 
 FOLDER holds a project with a result. A hand drags over the figure of errors in Chromium, each time
-over other poses. A brush begins with the event of plotly that ends it, and is over in the frame in
-which every figure, the ring in space and the number of poses show the selection. It needs Chromium,
-playwright and NiceGUI (`make partners`).
+over other poses. A brush begins with the event of plotly that ends it. For the figures, the ring in
+space and the number of poses it is over in the frame after the one that draws the selection there.
+It needs Chromium, playwright and NiceGUI (`make partners`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from benchmarks.app_progress import diagnosing, printed
+from tests.app.diagnosing import diagnosing, printed
 
 WATCH = """
 () => {
@@ -22,6 +22,9 @@ WATCH = """
   const solid = plots.filter(p => p.data[0].type === 'scatter3d');
   const bright = p => [...p.querySelectorAll('.trace:first-child path.point')]
     .filter(e => e.style.fill === 'rgb(213, 94, 0)').length;
+  const told = () => [...document.querySelectorAll('.q-page .text-subtitle1')]
+    .map(e => e.innerText).find(t => t.includes('poses selected')) ?? '';
+  const before = told();
   window.took = null;
   flat[0].once('plotly_selected', event => {
     const begun = performance.now(), count = event.points.length;
@@ -30,13 +33,11 @@ WATCH = """
       space: () => solid.every(p => p.data[1].x.length === count),
       panel: () => told() !== before,
     };
-    const told = () => [...document.querySelectorAll('.q-page .text-subtitle1')]
-      .map(e => e.innerText).find(t => t.includes('poses selected')) ?? '';
-    const before = told();
-    const took = {};
+    const took = {}, set = new Set();
     const look = () => {
       for (const [name, shown] of Object.entries(marks))
-        if (!(name in took) && shown()) took[name] = performance.now() - begun;
+        if (set.has(name)) took[name] ??= performance.now() - begun;
+        else if (shown()) set.add(name);
       if (Object.keys(took).length === 3) window.took = took;
       else requestAnimationFrame(look);
     };

@@ -17,7 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.app_progress import diagnosing, printed
+from tests.app.diagnosing import diagnosing, printed
 
 METHODS = ("auto", "least-squares", "implicit-loop")
 WATCH = """

@@ -71,6 +71,7 @@ body.body--light a.nicegui-link { color: #0b5cad; }
 .columns > * { min-width: 0; } .q-select .q-field__native > span { white-space: normal; }
 .q-btn-group { flex-wrap: wrap; max-width: 100%; overflow-wrap: break-word; }
 .q-btn-group > .q-btn { max-width: 100%; }
+.tiles .linked { content-visibility: auto; contain-intrinsic-size: auto 300px; }
 .tiles { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr));
          gap: 0.5rem; width: 100%; }
 .file { display: inline-flex; align-items: center; gap: 0.4rem; min-height: 44px; }

@@ -4,18 +4,28 @@
    customdata. In space, the second trace rings the selected poses. */
 const linked = {
   chosen: [],
+  waiting: 0,
 
   last: null,
   frames: false,
   shift: false,
 
-  /* Select these poses; space: also in space, which is slower to draw, after the marks. */
+  /* Select these poses; space: also in space, once all else is seen: without a graphics processor
+     it takes as long as all else together. */
   select(positions, space = true) {
     linked.chosen = positions;
     for (const figure of document.querySelectorAll(".linked.js-plotly-plot"))
       if (figure.data?.[0].type === "scatter") linked.mark(figure);
     linked.overlay();
-    if (space) requestAnimationFrame(linked.ring);
+    linked.count(positions.length);
+    cancelIdleCallback(linked.waiting);
+    if (space) linked.waiting = requestIdleCallback(linked.ring, { timeout: 200 });
+  },
+
+  /* Say how many poses are selected, where all of them are drawn. */
+  count(number) {
+    for (const told of document.querySelectorAll("[data-some]"))
+      told.textContent = number ? told.dataset.some.replace("#", number.toLocaleString("en")) : told.dataset.none;
   },
 
   /* Take the selection of an event of plotly and tell it on. An event without points and frame is
