@@ -22,8 +22,9 @@ IRB = "a;d;alpha;theta\n0;290;-90;0\n270;0;0;-90\n70;0;-90;0\n0;302;90;0\n0;0;-9
 
 WIDE = 1440, 900
 DESKTOP, UPRIGHT = pytest.param(WIDE, id="desktop"), pytest.param((820, 1180), id="tablet")
-TABLET = pytest.mark.parametrize("hand", [pytest.param((1024, 768), id="tablet")], indirect=True)
+LYING = pytest.param((1024, 768), id="tablet")
 BOTH = pytest.mark.parametrize("hand", [DESKTOP, UPRIGHT], indirect=True)
+BOTH_WIDE = pytest.mark.parametrize("hand", [DESKTOP, LYING], indirect=True)
 
 
 @pytest.fixture
@@ -127,7 +128,7 @@ def write_planar(folder: Path) -> None:
     (folder / "arm.csv").write_text(table, "utf-8")
 
 
-@TABLET
+@BOTH_WIDE
 def test_a_planar_arm_with_a_cell_that_is_no_number(hand: Hand, tmp_path: Path) -> None:
     write_planar(tmp_path)
     hand.press("Denavit-Hartenberg table")
@@ -200,8 +201,6 @@ def test_the_workspace_set_below_half_a_millimetre_without_typing(
     project = (hand.folder / "project.toml").read_text("utf-8")
     assert "at = [14.0, 86.0]" in project
     assert 'exclude = ["13"]' in project
-    if hand.page.viewport_size["width"] == WIDE[0]:
-        return  # the same project as at tablet size, which is calibrated there
     hand.choose("Method", "auto: ")
     hand.run("Calibrate", "")
     validation = result_of(hand.folder)["validation"]
@@ -210,7 +209,7 @@ def test_the_workspace_set_below_half_a_millimetre_without_typing(
     assert_the_command_line_gives_the_same(hand)
 
 
-@TABLET
+@BOTH_WIDE
 def test_a_draw_wire_set(hand: Hand, tmp_path: Path, shared_data: Callable[[str], Path]) -> None:
     (tmp_path / "irb.csv").write_text(IRB, "utf-8")
     hand.press("Denavit-Hartenberg table")

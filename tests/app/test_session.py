@@ -76,6 +76,7 @@ def test_loops_named_on_the_command_line_serve_every_command(
 def test_a_project_for_others_names_no_file_outside(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    session = Session(folder, command)  # before: what it starts would keep the variable
     outside = folder.parent / "arm.toml"
     text = f'schema = 1\n[mechanism]\nfile = "{outside.as_posix()}"\n'
     outside.write_text('schema = 1\ntype = "secret"\n')
@@ -84,11 +85,11 @@ def test_a_project_for_others_names_no_file_outside(
         (folder / "link.toml").unlink(missing_ok=True)
         (folder / "link.toml").symlink_to(outside)
         with pytest.raises(InputError, match="leads out of the folder") as caught:
-            Session(folder, command).read(text.replace(outside.as_posix(), name))
+            session.read(text.replace(outside.as_posix(), name))
         assert "secret" not in str(caught.value)
     monkeypatch.delenv(INSIDE)
     with pytest.raises(InputError, match="secret"):
-        Session(folder, command).read(text)
+        session.read(text)
 
 
 def test_the_log_has_the_beginning_and_the_end_of_a_run_in_their_order(tmp_path: Path) -> None:

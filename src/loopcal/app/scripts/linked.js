@@ -17,15 +17,8 @@ const linked = {
     for (const figure of document.querySelectorAll(".linked.js-plotly-plot"))
       if (figure.data?.[0].type === "scatter") linked.mark(figure);
     linked.overlay();
-    linked.count(positions.length);
     cancelIdleCallback(linked.waiting);
     if (space) linked.waiting = requestIdleCallback(linked.ring, { timeout: 200 });
-  },
-
-  /* Say how many poses are selected, where all of them are drawn. */
-  count(number) {
-    for (const told of document.querySelectorAll("[data-some]"))
-      told.textContent = number ? told.dataset.some.replace("#", number.toLocaleString("en")) : told.dataset.none;
   },
 
   /* Take the selection of an event of plotly and tell it on. An event without points and frame is

@@ -26,9 +26,6 @@ def offer_selection(linked: Linked) -> None:
         chosen, every = linked.view.selected, len(linked.errors.size)
         some = words.SELECTED.format(count=len(chosen), all=every)
         told.set_text(some if chosen else words.NONE_SELECTED)
-        if len(linked.errors.drawn) == every:  # then the page itself can say it, at once
-            template = words.SELECTED.replace("{count:,}", "#").format(all=every)
-            told.props(f'data-some="{template}" data-none="{words.NONE_SELECTED}"')
 
     _ends(linked)
     _zoom(linked)
