@@ -172,7 +172,7 @@ def test_a_planar_arm_with_a_cell_that_is_no_number(hand: Hand, tmp_path: Path) 
     hand.sees("calibration")
 
 
-@BOTH
+@pytest.mark.parametrize("hand", [UPRIGHT], indirect=True)
 def test_the_workspace_set_below_half_a_millimetre_without_typing(
     hand: Hand, shared_data: Callable[[str], Path]
 ) -> None:
