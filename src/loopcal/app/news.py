@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import Any
 
 APART = 0.02
-"""Seconds between what a page is told, at least."""
+"""Least seconds between two updates of a page."""
 
 
 class News:

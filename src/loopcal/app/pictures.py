@@ -93,7 +93,7 @@ def machine_figure(
 
 
 def _room(points: Array) -> dict[str, Any]:
-    """A trace that nobody sees: it keeps room in every direction about an arm in a plane."""
+    """An invisible trace that leaves room in each direction, also about an arm in a plane."""
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     half = 0.25 * (high - low).max()
     corners = 0.5 * (low + high) + half * np.array([[-1.0], [1.0]])

@@ -101,8 +101,8 @@ class Session:
         return run
 
     def watch(self) -> None:
-        """From now on look at the folder, also for what other programs change there, in a thread:
-        a changed project is fitted, and the pages are told."""
+        """Start a thread that looks for changes in the folder, also by other programs. It fits a
+        changed project and notifies the pages."""
         Thread(target=self._watched, daemon=True).start()
 
     def look(self) -> None:

@@ -61,7 +61,7 @@ class View:
     uploading: bool = False
     """Whether the step takes in files: it stays as it is until it has them all."""
     noticed: int = 0
-    """Version of the folder that the user of this page has made, or was told of."""
+    """The last version of the folder that the user of this page knows."""
 
     def begin(self) -> None:
         """Begin to show a step: all of it is drawn anew where the folder or the run changes."""

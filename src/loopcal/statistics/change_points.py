@@ -44,8 +44,8 @@ UNREMARKABLE = 1e-3
 _WAVES, _EDGE = 6, 1e-3
 """A step is kept if its edge stands out of so many slow cosines over the run at this level."""
 _TOLD, _INSTRUMENT = 0.5, ("station", "reading")
-"""A drift is told from the machine where the joints tell less of the order, and the machine itself
-does not drift."""
+"""A drift is modelled where the joints explain less than this of the order of the poses, and where
+it is one of an instrument."""
 _RARE = 10.0
 """By so much must the log p-value of a joint's zero be lower: a target that moves about the axis of
 the last joint does the same, and does it more often."""
