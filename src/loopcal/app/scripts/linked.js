@@ -10,15 +10,15 @@ const linked = {
   frames: false,
   shift: false,
 
-  /* Select these poses; space: also in space, once all else is seen: without a graphics processor
-     it takes as long as all else together. */
-  select(positions, space = true) {
+  /* Select these poses; in space once all else is seen: without a graphics processor that takes as
+     long as all else together. */
+  select(positions) {
     linked.chosen = positions;
     for (const figure of document.querySelectorAll(".linked.js-plotly-plot"))
       if (figure.data?.[0].type === "scatter") linked.mark(figure);
     linked.overlay();
     cancelIdleCallback(linked.waiting);
-    if (space) linked.waiting = requestIdleCallback(linked.ring, { timeout: 200 });
+    linked.waiting = requestIdleCallback(linked.ring, { timeout: 200 });
   },
 
   /* Take the selection of an event of plotly and tell it on. An event without points and frame is

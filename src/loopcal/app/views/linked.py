@@ -32,7 +32,7 @@ class Linked:
         self.view, self.errors = view, errors
         self.heard: list[Callable[[], Any]] = []
         self.later: list[Callable[[], Any]] = []
-        self._told = 0
+        self._latest = 0
         self._plots: dict[str, tuple[Any, Callable[[Errors], dict[str, Any] | None]]] = {}
 
     @property
@@ -74,24 +74,19 @@ class Linked:
     def _tell(self) -> None:
         for hear in self.heard:
             hear()
-        self._told += 1
-        background_tasks.create(self._tell_later(self._told))
+        self._latest += 1
+        background_tasks.create(self._tell_later(self._latest))
 
-    async def _tell_later(self, told: int) -> None:
+    async def _tell_later(self, number: int) -> None:
         await asyncio.sleep(NEXT)
-        if told == self._told:
+        if number == self._latest:
             for hear in self.later:
                 hear()
 
     def select(self, positions: Sequence[int]) -> None:
         """Select these poses in every figure."""
-        self.mark(positions)
+        ui.run_javascript(f"linked.select({self._drawn(positions)})")
         self.keep(positions)
-
-    def mark(self, positions: Sequence[int], *, space: bool = True) -> None:
-        """Mark these poses in every figure; space: also in space, which is slow to draw."""
-        drawn = self._drawn(positions)
-        ui.run_javascript(f"linked.select({drawn}, {str(space).lower()})")
 
     def _drawn(self, positions: Sequence[int]) -> list[int]:
         """Which of these poses some figure draws."""

@@ -111,21 +111,20 @@ def estimate_ratios(
     start: Array | None = None,
     *,
     lowest: Array | None = None,
-    held: int | None = None,
 ) -> Estimate:
     """The variance ratios of greatest restricted likelihood.
 
     start: where the search begins, by default at the stated sds; lowest: (c,) what no ratio falls
-    below, by default zero; held: a component that stays at its start.
+    below, by default zero.
 
     Raises NoTrustworthyResult where the loops have no noise at the start nor at the stated sds.
     """
     ratios = np.ones(model.components) if start is None else np.array(start)
     lowest = np.zeros(model.components) if lowest is None else lowest
-    free = np.arange(model.components) != held
+    free = np.ones(model.components, dtype=bool)
     current = fit(model, ratios)
     if current is None:
-        ratios = np.where(free, 1.0, ratios)
+        ratios = np.ones(model.components)
         current = fit(model, ratios)
     if current is None:
         raise NoTrustworthyResult(
